@@ -5,8 +5,8 @@
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, EscapeKind, Family, avoid, certify};
-use crumple_world::scenario::{Brake, Driver, LeadProfile, built_in};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, EscapeKind, ScenarioBox, avoid, certify};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, built_in_scenario};
 use divan::Bencher;
 
 fn main() {
@@ -16,7 +16,7 @@ fn main() {
 /// Aims on a present core: 50 ms for `paper-1` at 0.1 s, 1 s at 0.01 s.
 #[divan::bench(args = [("paper-1", 0.1), ("paper-1", 0.01), ("paper-2", 0.1), ("paper-2", 0.01), ("paper-3", 0.1), ("paper-3", 0.01)], sample_count = 10)]
 fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
-    let scenario = built_in(name).expect("built in");
+    let scenario = built_in_scenario(name).expect("built in");
     bencher.bench_local(|| {
         avoid(&scenario, AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() }).expect("the grid fits")
     });
@@ -25,7 +25,7 @@ fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
 /// The same where not the largest gap is wanted but the gentlest escape.
 #[divan::bench(sample_count = 10)]
 fn decide_gentlest(bencher: Bencher<'_, '_>) {
-    let scenario = built_in("paper-1").expect("built in");
+    let scenario = built_in_scenario("paper-1").expect("built in");
     let options = AvoidOptions { escape: EscapeKind::Gentlest, ..AvoidOptions::default() };
     bencher.bench_local(|| avoid(&scenario, options).expect("the grid fits"));
 }
@@ -33,7 +33,7 @@ fn decide_gentlest(bencher: Bencher<'_, '_>) {
 /// A car that answers late: no escape, and no proof about it either, so that the search gives up.
 #[divan::bench(sample_count = 3)]
 fn give_up(bencher: Bencher<'_, '_>) {
-    let late = built_in("paper-1").expect("built in").edited(|spec| {
+    let late = built_in_scenario("paper-1").expect("built in").edited(|spec| {
         spec.vehicles[0].position_m = 24.0;
         spec.vehicles[0].driver = Driver::Profile(LeadProfile::Brake(Brake { onset_s: 1.0, rate_mps2: 5.5 }));
         spec.vehicles[1].reaction_delay_s = 1.5;
@@ -45,30 +45,30 @@ fn give_up(bencher: Bencher<'_, '_>) {
 /// A follower too close and too fast for any driver.
 #[divan::bench(sample_count = 10)]
 fn prove_unavoidable(bencher: Bencher<'_, '_>) {
-    let hopeless = hopeless();
+    let hopeless = unavoidable_scenario();
     bencher.bench_local(|| avoid(&hopeless, AvoidOptions::default()).expect("the grid fits"));
 }
 
 /// Aim: 50 ms, like that of the proof below.
 #[divan::bench(sample_count = 20)]
 fn check_escape(bencher: Bencher<'_, '_>) {
-    let scenario = built_in("paper-1").expect("built in");
+    let scenario = built_in_scenario("paper-1").expect("built in");
     let avoidance =
         avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).expect("the grid fits");
     let escape = avoidance.verdict.escape().expect("avoidable").clone();
-    let certificate = certify(&Family::point(&scenario), &escape).expect("accepted");
+    let certificate = certify(&ScenarioBox::point(&scenario), &escape).expect("accepted");
     bencher.bench_local(|| crumple_verify::check(&certificate).expect("accepted"));
 }
 
 #[divan::bench(sample_count = 20)]
 fn check_proof(bencher: Bencher<'_, '_>) {
-    let verdict = avoid(&hopeless(), AvoidOptions::default()).expect("the grid fits").verdict;
+    let verdict = avoid(&unavoidable_scenario(), AvoidOptions::default()).expect("the grid fits").verdict;
     let AvoidanceVerdict::Unavoidable(proof) = verdict else { return };
     bencher.bench_local(|| crumple_verify::check(&proof).expect("accepted"));
 }
 
 fn unavoidable_scenario() -> crumple_world::scenario::Scenario {
-    let paper_1 = built_in("paper-1").expect("built in");
+    let paper_1 = built_in_scenario("paper-1").expect("built in");
     let closer = paper_1.edited(|spec| {
         spec.vehicles[2].position_m += 12.0;
         spec.vehicles[2].speed_mps = 40.0;

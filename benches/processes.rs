@@ -11,7 +11,7 @@ use std::process::Command;
 use std::{fs, iter};
 
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -43,14 +43,14 @@ fn write_controller(command: &str, folder: &Path) -> Option<NamedController> {
 }
 
 fn long_scenario() -> Scenario {
-    built_in("paper-1").expect("built in").edited(|spec| spec.duration_s = 60.0).expect("valid")
+    built_in_scenario("paper-1").expect("built in").edited(|spec| spec.duration_s = 60.0).expect("valid")
 }
 
 #[divan::bench(args = CASES, sample_count = 20)]
 fn decisions(bencher: Bencher<'_, '_>, (command, runs): (&str, usize)) {
     let folder = tempfile::tempdir().expect("a folder");
-    let Some(controller) = controller(command, folder.path()) else { return };
-    let scenario = scenario();
+    let Some(controller) = write_controller(command, folder.path()) else { return };
+    let scenario = long_scenario();
     let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> =
         iter::repeat_with(|| Run::new(&scenario, options.clone()).expect("it fits")).take(runs).collect();

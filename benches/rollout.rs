@@ -42,7 +42,7 @@ fn thread_pool(count: usize) -> ThreadPool {
 fn lockstep(bencher: Bencher<'_, '_>, case: (&str, EstimatorKind), thread_count: usize) {
     let scenarios = rollouts::scenarios(RUNS);
     let runs = runs(case, &scenarios);
-    let threads = threads(thread_count);
+    let threads = thread_pool(thread_count);
     bencher
         .counter(ItemsCount::new(rollouts::vehicle_steps(&runs)))
         .bench_local(|| threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome)));

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crumple::core::digest::sha256;
-use crumple::report::assessment::{AssessConfig, Store};
+use crumple::report::assessment::{AssessConfig, EvidenceCache};
 use crumple::store::disk;
 use crumple::world::control::Ego;
 use crumple::world::observation::Observation;
@@ -71,13 +71,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     config.gates.clear();
     (config.draws, config.search.budget) = (100, 100);
     let plan = AssessmentPlan::new(config, [own], &folder)?;
-    let store = Store::open(&folder.join("evidence"), "own_controller 1", false)?;
+    let store = EvidenceCache::open(&folder.join("evidence"), "own_controller 1", false)?;
     let assessment = assess(&plan, &store, None, &Quiet)?;
     for (name, text) in assessment.files()? {
         let path = folder.join(name);
         disk::make_folder(path.parent().unwrap_or(&folder))?;
         disk::write(&path, text)?;
     }
-    println!("{}wrote {}", assessment.first_page.plain(), folder.join("assessment.html").display());
+    println!("{}wrote {}", assessment.first_page.to_plain_text(), folder.join("assessment.html").display());
     Ok(())
 }

@@ -9,8 +9,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
-use crate::clock::wall_s;
-use crate::table::Figure;
+use crate::clock::wall_time_s;
+use crate::table::Measurement;
 use crate::work::rollouts::{built_in, runs};
 
 /// Evaluations of each of the two methods that run.
@@ -22,7 +22,7 @@ const BLOCK: usize = 256;
 
 /// A million scenarios drawn, simulated, measured, searched for failures and written, every one as a row: the share of the time that
 /// their simulation alone takes.
-pub fn end_to_end(say: &mut dyn FnMut(Figure)) {
+pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
     for (space, controller) in [("paper", "baseline"), ("traffic", "idm")] {
         let folder = tempfile::tempdir().expect("a folder");
         let at = folder.path().join("campaign");
@@ -31,28 +31,28 @@ pub fn end_to_end(say: &mut dyn FnMut(Figure)) {
             method: Method::Uniform,
             budget: BUDGET,
             ..Campaign::new(
-                ControllerSpec::named(controller).expect("built in"),
+                ControllerSpec::from_name(controller).expect("built in"),
                 built_in_space(space).expect("built in"),
             )
         };
-        let start_s = wall_s();
+        let start_s = wall_time_s();
         campaign.run(&at, CampaignOptions::default(), &Quiet).expect("runs");
-        let each_s = (wall_s() - start_s) / (2 * BUDGET) as f64;
-        let mut look = CampaignReader::at(&at).expect("is there");
-        while look.evaluations().len() < AGAIN && look.go_on(AGAIN).expect("is whole") {}
+        let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
+        let mut look = CampaignReader::open(&at).expect("is there");
+        while look.evaluations().len() < RESIMULATED && look.poll(RESIMULATED).expect("is whole") {}
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
         let scenarios: Vec<Scenario> =
-            look.evaluations()[..AGAIN].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();
+            look.evaluations()[..RESIMULATED].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();
         let simulated_s: f64 = scenarios.chunks(BLOCK).map(|block| simulation_time_s(block, controller)).sum();
         let name =
             format!("{} scenarios of `{space}` under {controller} end to end, share of their simulation", 2 * BUDGET);
-        say(Figure::at_least(70.0, "%", name, 100.0 * simulated_s / AGAIN as f64 / each_s));
+        say(Measurement::at_least(70.0, "%", name, 100.0 * simulated_s / RESIMULATED as f64 / each_s));
     }
 }
 
 fn simulation_time_s(scenarios: &[Scenario], controller: &str) -> f64 {
     let runs = runs(scenarios, built_in(controller), EstimatorKind::Truth);
-    let start_s = wall_s();
+    let start_s = wall_time_s();
     std::hint::black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
-    wall_s() - start_s
+    wall_time_s() - start_s
 }

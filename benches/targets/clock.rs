@@ -27,12 +27,12 @@ fn measure_s(clock: fn() -> f64, work: &mut dyn FnMut()) -> f64 {
 
 /// Shortest processor time of each piece of work, in seconds. They take turns, so that what slows one slows the others.
 pub fn min_cpu_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
-    min_time_by(now_s, rounds, work)
+    min_time_by(cpu_time_s, rounds, work)
 }
 
 /// The same by the wall clock: for what runs on several threads.
 pub fn min_wall_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
-    min_time_by(wall_s, rounds, work)
+    min_time_by(wall_time_s, rounds, work)
 }
 
 fn min_time_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mut dyn FnMut(); N]) -> [f64; N] {
@@ -40,7 +40,7 @@ fn min_time_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mu
     let mut least = [f64::INFINITY; N];
     for _ in 0..rounds {
         for (least, work) in least.iter_mut().zip(&mut work) {
-            *least = least.min(spent(clock, *work));
+            *least = least.min(measure_s(clock, *work));
         }
     }
     least

@@ -2,11 +2,11 @@
 
 use std::hint::black_box;
 
-use crumple_world::random::{Normals, Purpose, stream};
+use crumple_world::random::{NormalSampler, Purpose, stream};
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::clock::least_s;
-use crate::table::{Limit, digits};
+use crate::clock::min_cpu_time_s;
+use crate::table::{MachineLimit, format_three_digits};
 
 /// Fused multiply-adds in single precision a second, on registers alone, each counted as two operations.
 ///
@@ -33,15 +33,15 @@ pub fn register_operations_per_second() -> f64 {
         }
     }
     let operations = Arch::new().dispatch(Peak);
-    let [seconds] = least_s(100, [&mut || _ = Arch::new().dispatch(Peak)]);
+    let [seconds] = min_cpu_time_s(100, [&mut || _ = Arch::new().dispatch(Peak)]);
     operations as f64 / seconds
 }
 
 /// Normal numbers a second from one stream.
 pub fn normals_per_second() -> f64 {
     const COUNT: usize = 100_000;
-    let (normals, mut stream) = (Normals::new(), stream(1, Purpose::ReplayDraw, 0));
-    let [seconds] = least_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.next(&mut stream)).sum::<f64>())]);
+    let (normals, mut stream) = (NormalSampler::new(), stream(1, Purpose::ReplaySampling, 0));
+    let [seconds] = min_cpu_time_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.sample(&mut stream)).sum::<f64>())]);
     COUNT as f64 / seconds
 }
 
@@ -72,7 +72,7 @@ fn bytes_per_second(bytes: usize) -> f64 {
     let array = &array[begin..begin + bytes / 4];
     // As many passes as read 32 MiB, so that the clock's own time does not count.
     let passes = (1_usize << 25).div_ceil(bytes);
-    let [seconds] = least_s(20, [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))]);
+    let [seconds] = min_cpu_time_s(20, [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))]);
     (passes * bytes) as f64 / seconds
 }
 
@@ -84,19 +84,19 @@ pub fn processor_model() -> String {
         line.and_then(|line| line.split(':').nth(1)).map_or("?", str::trim)
     };
     let (name, family, model) = (of("model name"), of("cpu family"), of("model"));
-    let lanes = crumple_world::policy::doubles_at_once();
+    let lanes = crumple_world::policy::f64_lanes();
     format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
 }
 
-pub fn measure(say: &mut dyn FnMut(Limit)) {
-    let mut limit = |name: &str, value: f64, unit| say(Limit { name: name.to_owned(), value: digits(value), unit });
+pub fn measure(say: &mut dyn FnMut(MachineLimit)) {
+    let mut limit = |name: &str, value: f64, unit| say(MachineLimit { name: name.to_owned(), value: format_three_digits(value), unit });
     limit("fused multiply-adds in registers, single precision", register_operations_per_second() / 1e9, "billion operations a second");
-    limit("normal numbers from one stream", 1e9 / normals(), "ns each");
+    limit("normal numbers from one stream", 1e9 / normals_per_second(), "ns each");
     for (name, bytes) in [
         ("read from the first-level cache (16 KiB)", 1 << 14),
         ("read from the second-level cache (256 KiB)", 1 << 18),
         ("read from main memory (256 MiB)", 1 << 28),
     ] {
-        limit(name, bandwidth(bytes) / 1e9, "GB/s");
+        limit(name, bytes_per_second(bytes) / 1e9, "GB/s");
     }
 }

@@ -44,25 +44,25 @@ fn main() {
     alone.install(|| match words[..] {
         [] => print_limits_and_table(&PARTS[..PARTS.len() - 1]),
         ["all"] => print_limits_and_table(&PARTS),
-        ["limits"] => limits(),
-        ["scaling", file] => scaling(file),
-        ["compare"] => compare(),
+        ["limits"] => print_limits(),
+        ["scaling", file] => print_scaling(file),
+        ["compare"] => print_comparison(),
         _ => match PARTS.iter().find(|part| words[..] == [part.0]) {
-            Some(part) => table(std::slice::from_ref(part)),
+            Some(part) => print_table(std::slice::from_ref(part)),
             None => eprintln!("nothing, `all`, `limits`, a part of the table, `scaling FILE.svg` or `compare`"),
         },
     });
 }
 
-type BenchmarkGroup = (&'static str, fn(&mut dyn FnMut(table::Figure)));
+type BenchmarkGroup = (&'static str, fn(&mut dyn FnMut(table::Measurement)));
 
 /// The parts of the table; the last one takes minutes.
 const PARTS: [BenchmarkGroup; 6] = [
-    ("learning", learning::figures),
-    ("rollouts", rollouts::figures),
-    ("monitors", monitors::figures),
-    ("proofs", proofs::figures),
-    ("programs", programs::figures),
+    ("learning", learning::measure),
+    ("rollouts", rollouts::measure),
+    ("monitors", monitors::measure),
+    ("proofs", proofs::measure),
+    ("programs", programs::measure),
     ("long", |say| {
         learning::time_to_first_safe(10, say);
         programs::assessment(say);
@@ -72,20 +72,20 @@ const PARTS: [BenchmarkGroup; 6] = [
 ];
 
 fn print_limits() {
-    println!("{}\n\n{}", limits::processor(), table::LIMITS_HEADER);
-    limits::limits(&mut |limit| println!("{}", limit.line()));
+    println!("{}\n\n{}", limits::processor_model(), table::LIMITS_HEADER);
+    limits::print_limits(&mut |limit| println!("{}", limit.line()));
     println!();
 }
 
 fn print_limits_and_table(parts: &[BenchmarkGroup]) {
-    limits();
-    table(parts);
+    print_limits();
+    print_table(parts);
 }
 
 fn print_table(parts: &[BenchmarkGroup]) {
     println!("{}", table::HEADER);
     for (_, figures) in parts {
-        figures(&mut |figure| println!("{}", figure.line()));
+        figures(&mut |figure| println!("{}", figure.markdown_row()));
     }
 }
 
@@ -94,7 +94,7 @@ fn print_scaling(file: &str) {
     for growth in &all {
         let points: Vec<String> =
             growth.points.iter().map(|(size, seconds)| format!("{size}: {:.3} ms", 1e3 * seconds)).collect();
-        println!("{}, exponent {:.2}: {}", growth.what, growth.exponent(), points.join(", "));
+        println!("{}, exponent {:.2}: {}", growth.name, growth.exponent(), points.join(", "));
     }
     std::fs::write(file, scaling::figure(&all).document()).expect("can be written");
 }

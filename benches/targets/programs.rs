@@ -2,8 +2,8 @@
 
 use std::process::{Command, Stdio};
 
-use crate::clock::least_wall_s;
-use crate::table::Figure;
+use crate::clock::min_wall_time_s;
+use crate::table::Measurement;
 
 fn run_crumple(arguments: &[&str]) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
@@ -11,14 +11,14 @@ fn run_crumple(arguments: &[&str]) {
     assert!(status.expect("starts").success(), "{arguments:?}");
 }
 
-pub fn measure(say: &mut dyn FnMut(Figure)) {
-    let [help_s, list_s] = least_wall_s(40, [&mut || crumple(&["--help"]), &mut || crumple(&["list"])]);
-    say(Figure::at_most(10.0, "ms", "`crumple --help` (wall clock)", 1e3 * help_s));
-    say(Figure::at_most(10.0, "ms", "`crumple list` (wall clock)", 1e3 * list_s));
+pub fn measure(say: &mut dyn FnMut(Measurement)) {
+    let [help_s, list_s] = min_wall_time_s(40, [&mut || run_crumple(&["--help"]), &mut || run_crumple(&["list"])]);
+    say(Measurement::at_most(10.0, "ms", "`crumple --help` (wall clock)", 1e3 * help_s));
+    say(Measurement::at_most(10.0, "ms", "`crumple list` (wall clock)", 1e3 * list_s));
 }
 
 /// The most memory a campaign held, by the system's account, which only Linux gives.
-pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
+pub fn campaign_memory(say: &mut dyn FnMut(Measurement)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("campaign").display().to_string();
     // As many again for the other reference search.
@@ -40,7 +40,7 @@ pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
         std::thread::sleep(std::time::Duration::from_millis(50));
     };
     assert!(status.success() && most_kib > 0.0, "{status}, {most_kib} KiB");
-    say(Figure::at_most(
+    say(Measurement::at_most(
         500.0,
         "MB",
         "memory of a campaign of 10⁷ evaluations, points that depend on nothing",
@@ -48,10 +48,10 @@ pub fn campaign_memory(say: &mut dyn FnMut(Figure)) {
     ));
 }
 
-pub fn assessment(say: &mut dyn FnMut(Figure)) {
+pub fn assessment(say: &mut dyn FnMut(Measurement)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("report").display().to_string();
-    let start_s = crate::clock::wall_s();
-    crumple(&["--quiet", "assess", "--out", &out]);
-    say(Figure::at_most(60.0, "s", "`crumple assess` (wall clock)", crate::clock::wall_s() - start_s));
+    let start_s = crate::clock::wall_time_s();
+    run_crumple(&["--quiet", "assess", "--out", &out]);
+    say(Measurement::at_most(60.0, "s", "`crumple assess` (wall clock)", crate::clock::wall_time_s() - start_s));
 }

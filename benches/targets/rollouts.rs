@@ -4,14 +4,14 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
 
-use crate::clock::{least_s, least_wall_s, now_s};
-use crate::limits::normals;
-use crate::table::Figure;
+use crate::clock::{min_cpu_time_s, min_wall_time_s, cpu_time_s};
+use crate::limits::normals_per_second;
+use crate::table::Measurement;
 use crate::work::rollouts::{built_in, runs, scenarios, vehicle_steps};
 
 const RUNS: u64 = 256;
 
-pub fn measure(say: &mut dyn FnMut(Figure)) {
+pub fn measure(say: &mut dyn FnMut(Measurement)) {
     let scenarios = scenarios(RUNS);
     let truth = runs(&scenarios, built_in("baseline"), EstimatorKind::Truth);
     let kalman = runs(&scenarios, built_in("baseline"), EstimatorKind::Kalman);
@@ -20,22 +20,22 @@ pub fn measure(say: &mut dyn FnMut(Figure)) {
             std::hint::black_box(simulate_batch(runs, RecordingLevel::Summary, |_, result| result.outcome));
         }
     };
-    let [truth_s, kalman_s] = least_s(40, [&mut all(&truth), &mut all(&kalman)]);
+    let [truth_s, kalman_s] = min_cpu_time_s(40, [&mut all(&truth), &mut all(&kalman)]);
     let ns = |seconds: f64, runs| 1e9 * seconds / vehicle_steps(runs) as f64;
-    say(Figure::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
+    say(Measurement::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
     // The noise of two vehicles of three.
-    let share = 100.0 * (2.0 / 3.0) / normals() / (1e-9 * ns(truth_s, &truth));
-    say(Figure::at_least(25.0, "%", "the same, share of its time that its normal numbers alone would take", share));
-    say(Figure::at_most(25.0, "ns", "vehicle-step, baseline, Kalman filter", ns(kalman_s, &kalman)));
+    let share = 100.0 * (2.0 / 3.0) / normals_per_second() / (1e-9 * ns(truth_s, &truth));
+    say(Measurement::at_least(25.0, "%", "the same, share of its time that its normal numbers alone would take", share));
+    say(Measurement::at_most(25.0, "ns", "vehicle-step, baseline, Kalman filter", ns(kalman_s, &kalman)));
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
-    let [one_s, two_s] = least_wall_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);
-    say(Figure::at_least(1.9, "times", "rollouts, two threads against one (wall clock)", one_s / two_s));
+    let [one_s, two_s] = min_wall_time_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);
+    say(Measurement::at_least(1.9, "times", "rollouts, two threads against one (wall clock)", one_s / two_s));
 }
 
 /// Scenarios a second, one thread, from their making to their outcome: the paper's first scenario with a car-following model
 /// in all followers. A mean over some seconds.
 pub fn scenarios_per_second() -> f64 {
-    let paper = crumple_world::scenario::built_in("paper-1").expect("built in");
+    let paper = crumple_world::scenario::built_in_scenario("paper-1").expect("built in");
     let of_run = |index: u64| {
         let scenario = paper.edited(|spec| {
             spec.seed = index;
@@ -43,13 +43,13 @@ pub fn scenarios_per_second() -> f64 {
         });
         scenario.expect("valid")
     };
-    let (start_s, mut made) = (now_s(), 0);
-    while now_s() - start_s < 2.0 {
+    let (start_s, mut made) = (cpu_time_s(), 0);
+    while cpu_time_s() - start_s < 2.0 {
         let scenarios: Vec<_> = (made..made + RUNS).map(of_run).collect();
         let runs = runs(&scenarios, built_in("idm"), EstimatorKind::Truth);
         let outcomes = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome);
         assert!(outcomes.iter().all(|outcome| *outcome == Outcome::NoCollision), "all steps are made");
         made += RUNS;
     }
-    made as f64 / (now_s() - start_s)
+    made as f64 / (cpu_time_s() - start_s)
 }

@@ -2,16 +2,16 @@
 
 use std::hint::black_box;
 
-use crumple_report::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg};
-use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
+use crumple_report::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg};
+use crumple_search::falsify::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
 use crumple_search::falsify::{UnitCube, Method};
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
-use crate::clock::least_s;
-use crate::work::long_lines::line;
+use crate::clock::min_cpu_time_s;
+use crate::work::long_lines::platoon;
 use crate::work::networks::{batch, config, learner};
 use crate::work::rollouts::{built_in, runs};
 
@@ -25,10 +25,10 @@ pub struct Growth {
 impl Growth {
     fn measure(what: &'static str, sizes: &[usize], mut work: impl FnMut(usize) -> Box<dyn FnMut()>) -> Self {
         let point = |&size: &usize| {
-            let [seconds] = least_s(8, [&mut work(size)]);
+            let [seconds] = min_cpu_time_s(8, [&mut work(size)]);
             (size as f64, seconds)
         };
-        Self { what, points: sizes.iter().map(point).collect() }
+        Self { name: what, points: sizes.iter().map(point).collect() }
     }
 
     /// Slope of the straight line through the logarithms that has the least squares.
@@ -68,7 +68,7 @@ pub fn measure() -> Vec<Growth> {
 }
 
 fn drive(vehicles: usize, duration_s: f64, count: usize) -> Box<dyn FnMut()> {
-    let scenarios = vec![line(vehicles, duration_s); count];
+    let scenarios = vec![platoon(vehicles, duration_s); count];
     Box::new(move || {
         let runs = runs(&scenarios, built_in("idm"), EstimatorKind::Truth);
         black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
@@ -90,7 +90,7 @@ fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
         let mut made = 0;
         while made < budget {
             let points = search.ask();
-            let values = points.iter().take(budget - made).map(|point| robustness(&formula, &Inputs::from_unit(point)));
+            let values = points.iter().take(budget - made).map(|point| robustness(&formula, &ChasingCarsInputs::from_unit(point)));
             let values: Vec<f64> = values.collect::<Result<_, _>>().expect("fits");
             made += values.len();
             search.tell(&values);
@@ -103,20 +103,20 @@ pub fn figure(all: &[Growth]) -> Svg {
     const WIDTH: f64 = 640.0;
     const HEIGHT: f64 = 360.0;
     let octaves = |last: i32| (0..=last).map(|k| (f64::from(k), format!("{}", 1 << k))).collect::<Vec<_>>();
-    let frame = Frame { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 16.0, height: HEIGHT };
-    let x = Axis::marked("size, as a multiple of the smallest", (0.0, 5.2), octaves(5));
-    let y = Axis::marked("", (-0.2, 7.2), octaves(7));
+    let frame = PixelRect { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 16.0, height: HEIGHT };
+    let x = Axis::with_ticks("size, as a multiple of the smallest", (0.0, 5.2), octaves(5));
+    let y = Axis::with_ticks("", (-0.2, 7.2), octaves(7));
     let title = "Time as a multiple of that of the smallest size";
     let mut panel = Panel::new(frame, title, x, y);
-    panel.line(&[(0.0, 0.0), (5.2, 5.2)], Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
-    panel.note((4.3, 3.3), Anchor::Start, "proportional", Ink::Muted);
+    panel.add_line(&[(0.0, 0.0), (5.2, 5.2)], Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+    panel.add_note((4.3, 3.3), Anchor::Start, "proportional", Ink::Muted);
     for (index, growth) in all.iter().enumerate() {
         let points: Vec<_> = growth.relative().iter().map(|(x, y)| (x.log2(), y.log2())).collect();
-        panel.line(&points, Stroke::series(index));
+        panel.add_line(&points, Stroke::series(index));
         let marker = [Marker::Disc, Marker::Ring, Marker::Square, Marker::Cross][index % 4];
-        panel.marks(&points, marker, Ink::Series(index));
-        let label = format!("{}: exponent {:.2}", growth.what, growth.exponent());
-        panel.note((0.15, 6.8 - 0.45 * index as f64), Anchor::Start, &label, Ink::Series(index));
+        panel.add_markers(&points, marker, Ink::Series(index));
+        let label = format!("{}: exponent {:.2}", growth.name, growth.exponent());
+        panel.add_note((0.15, 6.8 - 0.45 * index as f64), Anchor::Start, &label, Ink::Series(index));
     }
     let content = panel.draw(&Svg::id("scaling", "frame"));
     let description = "Six quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";

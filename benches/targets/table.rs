@@ -33,7 +33,7 @@ impl Measurement {
             TargetBound::AtLeast => ("at least", ratio >= 1.0),
         };
         let met = if met { "met" } else { "not met" };
-        format!("| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |", digits(*measured))
+        format!("| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |", format_three_digits(*measured))
     }
 }
 

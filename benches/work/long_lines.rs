@@ -1,10 +1,10 @@
 //! Scenarios of any number of vehicles and any duration.
 
-use crumple_world::scenario::{Driver, Scenario, built_in};
+use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 
 /// The paper's first scenario with more vehicles under test, all of them at its distance, and a duration of its own.
 pub fn platoon(vehicles: usize, duration_s: f64) -> Scenario {
-    let paper_1 = built_in("paper-1").expect("built in");
+    let paper_1 = built_in_scenario("paper-1").expect("built in");
     let line = paper_1.edited(|spec| {
         let ego = spec.vehicles[1].clone();
         let (front_m, spacing_m) = (spec.vehicles[0].position_m, spec.vehicles[0].position_m - ego.position_m);

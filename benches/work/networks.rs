@@ -29,7 +29,7 @@ pub fn learner(config: &TrainingConfig) -> Learner {
 }
 
 pub fn batch(count: usize) -> Batch {
-    let mut stream = stream(1, Purpose::ReplayDraw, 0);
+    let mut stream = stream(1, Purpose::ReplaySampling, 0);
     let mut batch = Batch::default();
     for _ in 0..count {
         let mut seen = || -> [f32; STATE_LEN] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
@@ -78,16 +78,16 @@ pub fn acting_operations(width: usize) -> usize {
 
 /// A learner whose actor, asked about [`LARGE`] states, makes one large product and little else; and those states.
 pub fn large_product() -> (Learner, Vec<f32>, usize) {
-    let mut config = config(LARGE, LARGE);
-    config.network.hidden = vec![LARGE; 2];
-    (learner(&config), vec![0.5; LARGE * STATE_LEN], operations(&[[LARGE, STATE_LEN, LARGE], [LARGE; 3]]))
+    let mut config = config(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE);
+    config.network.hidden = vec![LARGE_PRODUCT_SIZE; 2];
+    (learner(&config), vec![0.5; LARGE_PRODUCT_SIZE * STATE_LEN], operations(&[[LARGE_PRODUCT_SIZE, STATE_LEN, LARGE_PRODUCT_SIZE], [LARGE_PRODUCT_SIZE; 3]]))
 }
 
 /// A policy of a width with small random weights.
 pub fn random_policy(width: usize) -> Policy {
     let hidden = vec![width; 3];
     let mut network = Network::zeros(&[&[STATE_LEN], hidden.as_slice(), &[1]].concat());
-    let mut stream = stream(1, Purpose::FirstWeights, 0);
+    let mut stream = stream(1, Purpose::InitialWeights, 0);
     network.parameters_mut().iter_mut().for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
     let header = PolicyHeader {
         version: POLICY_VERSION,

@@ -4,7 +4,7 @@
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, PaperDistribution, Scenario};
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 
 pub fn scenarios(count: u64) -> Vec<Scenario> {
     let draw = |index| {
@@ -15,7 +15,7 @@ pub fn scenarios(count: u64) -> Vec<Scenario> {
 }
 
 pub fn built_in(controller: &str) -> ControllerKind {
-    ControllerSpec::named(controller).expect("built in").into()
+    ControllerSpec::from_name(controller).expect("built in").into()
 }
 
 pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estimator: EstimatorKind) -> Vec<Run> {
@@ -24,12 +24,12 @@ pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estim
 }
 
 /// Steps that a run made; one that ends at a contact counts the steps up to it.
-pub fn steps(run: &Run, result: &Simulated) -> usize {
+pub fn steps(run: &Run, result: &SimulationResult) -> usize {
     let step_s = run.scenario().spec().step_s;
     result.outcome.contact().map_or(run.scenario().steps(), |contact| (contact.time_s / step_s) as usize + 1)
 }
 
 pub fn vehicle_steps(runs: &[Run]) -> usize {
-    let made = |index: usize, result: Simulated| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
+    let made = |index: usize, result: SimulationResult| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
     simulate_batch(runs, RecordingLevel::Summary, made).into_iter().sum()
 }

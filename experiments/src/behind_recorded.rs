@@ -13,7 +13,7 @@ use std::path::Path;
 
 use crate::ExperimentError;
 use crumple::world::control::ControllerSpec;
-use crumple::world::measure::Usefulness;
+use crumple::world::measure::UsefulnessMeasures;
 use crumple::world::observation::EstimatorKind;
 use crumple::world::recording::{CAR_LENGTH_M, RecordedPlatoon, load};
 use crumple::world::scenario::{
@@ -181,7 +181,7 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
     let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
         let trace = result.trace.as_ref();
-        let useful = trace.and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
+        let useful = trace.and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
         (result.outcome.contact().copied(), useful, trace.map(DriveSummary::new))
     });
     let mut sums = ReplayTotals::default();
@@ -198,7 +198,7 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
         let Some(useful) = useful else { continue };
         sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
         sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-        sums.induced_braking_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
+        sums.induced_braking_mps2.extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
     }
     Ok(sums)
 }
@@ -250,14 +250,14 @@ mod tests {
     #[test]
     fn arguments_that_make_no_sense_are_named() {
         let refused = |arguments: &[&str]| {
-            ReplayArgs::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+            ReplayArgs::parse(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
         };
         assert_eq!(refused(&[]), "which recordings?");
         assert_eq!(refused(&["idm"]), "which recordings?");
         assert_eq!(refused(&[PLATOON]), "which controllers?");
         assert!(refused(&["missing.csv", "idm"]).starts_with("missing.csv: "));
         assert!(refused(&[PLATOON, "hal"]).contains("`hal`"), "{}", refused(&[PLATOON, "hal"]));
-        let asked = ReplayArgs::by([PLATOON, "idm"].into_iter().map(str::to_owned)).unwrap();
+        let asked = ReplayArgs::parse([PLATOON, "idm"].into_iter().map(str::to_owned)).unwrap();
         assert!(!asked.scenarios.is_empty() && asked.controllers.len() == 1);
     }
 }

@@ -16,8 +16,8 @@
 use std::path::Path;
 
 use crate::ExperimentError;
-use crumple::report::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Svg};
-use crumple::world::measure::{UnnecessaryBraking, Usefulness};
+use crumple::report::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Svg};
+use crumple::world::measure::{UnnecessaryBraking, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -173,7 +173,7 @@ fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measure
 
 /// Safety against comfort: the better, the nearer to the lower left corner.
 fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
-    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
+    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
     let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
     let x = Axis::numeric("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
@@ -213,7 +213,7 @@ fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Resu
             (from..draws.min(from + BLOCK)).map(|index| space.draw(SEED, index)).collect::<Result<Vec<_>, _>>()?;
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
+            let useful = result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
             let firm = result.trace.as_ref().map(|trace| FirmBraking {
                 is_unnecessary: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
                     .is_some_and(|beyond| !beyond.is_empty()),
@@ -227,11 +227,11 @@ fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Resu
             sums.contacts += u64::from(contact.is_some());
             sums.leader_contacts += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
             let Some(useful) = useful else { continue };
-            sums.hard += u64::from(!useful.hard.is_none());
-            sums.unnecessary += u64::from(!useful.needless.is_none());
+            sums.hard += u64::from(!useful.hard.is_empty());
+            sums.unnecessary += u64::from(!useful.unnecessary.is_empty());
             sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
             sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            sums.induced_braking_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
+            sums.induced_braking_mps2.extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
             let Some(following) = useful.following else { continue };
             sums.left_behind += u64::from(following.left_behind);
             sums.progress.extend(following.progress);
@@ -246,22 +246,22 @@ mod tests {
     use super::*;
 
     fn parse_error(arguments: &[&str]) -> String {
-        SpaceComparisonArgs::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+        SpaceComparisonArgs::parse(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
     }
 
     #[test]
     fn arguments_that_make_no_sense_are_named() {
-        assert_eq!(refused(&[]), "how many draws?");
+        assert_eq!(parse_error(&[]), "how many draws?");
         for draws in ["policy", "0", "-1", "1.5", "1000001", ""] {
-            assert_eq!(refused(&[draws, "idm"]), format!("`{draws}` is no number of draws from 1 to 1000000"));
+            assert_eq!(parse_error(&[draws, "idm"]), format!("`{draws}` is no number of draws from 1 to 1000000"));
         }
-        assert_eq!(refused(&["10"]), "which controllers?");
-        assert_eq!(refused(&["10", "idm", "space=nowhere"]), "there is no built-in space `nowhere`");
-        assert_eq!(refused(&["10", "idm", "front.svg", "space=steady"]), "a figure needs the space `high-risk`");
-        assert!(refused(&["10", "idm", "hal"]).contains("`hal`"), "{}", refused(&["10", "idm", "hal"]));
-        assert!(refused(&["10", "idm", "none.csv"]).starts_with("none.csv: "));
-        assert!(refused(&["10", "none.safetensors"]).contains("none.safetensors"));
-        let asked = SpaceComparisonArgs::by(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
+        assert_eq!(parse_error(&["10"]), "which controllers?");
+        assert_eq!(parse_error(&["10", "idm", "space=nowhere"]), "there is no built-in space `nowhere`");
+        assert_eq!(parse_error(&["10", "idm", "front.svg", "space=steady"]), "a figure needs the space `high-risk`");
+        assert!(parse_error(&["10", "idm", "hal"]).contains("`hal`"), "{}", parse_error(&["10", "idm", "hal"]));
+        assert!(parse_error(&["10", "idm", "none.csv"]).starts_with("none.csv: "));
+        assert!(parse_error(&["10", "none.safetensors"]).contains("none.safetensors"));
+        let asked = SpaceComparisonArgs::parse(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
         assert_eq!((asked.draws, asked.spaces), (10, vec!["steady"]));
     }
 }

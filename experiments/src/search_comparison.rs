@@ -13,7 +13,7 @@ use std::path::Path;
 use crate::ExperimentError;
 use crumple::world::scenario::space::built_in_space;
 use crumple::world::sim::NamedController;
-use crumple::{Campaign, CampaignOptions, Method, Quiet, Summary};
+use crumple::{Campaign, CampaignOptions, Method, Quiet, CampaignSummary};
 
 /// Every built-in space, and who seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
@@ -34,7 +34,7 @@ const MEASURES: [(&str, bool); 3] =
     [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
 
 /// What a method reached by one seed, in the order of [`MEASURES`].
-fn method_measures(summary: &Summary, method: &Method, budget: u64) -> Option<[f64; 3]> {
+fn method_measures(summary: &CampaignSummary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
     let of_method = summary.methods.iter().find(|one| one.method == name)?;
     let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     Ok(())
 }
 
-fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, ExperimentError> {
+fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<CampaignSummary, ExperimentError> {
     let campaign = Campaign {
         method,
         budget,

@@ -5,7 +5,7 @@
 use crate::ExperimentError;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::{UnitCube, Method};
-use crumple_search::worst_case::{Aim, Envelope, attack};
+use crumple_search::worst_case::{AttackObjective, Envelope, attack};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
@@ -38,7 +38,7 @@ fn compare_with_samples() {
         let scenario = built_in_scenario(name).expect("built in");
         let options = options("baseline", EstimatorKind::Truth);
         let envelope = Envelope::from_scenario(&scenario);
-        let mildest = attack(&scenario, &options, Aim::Mildest, envelope, 0, &Quiet).expect("a scripted leader").attack;
+        let mildest = attack(&scenario, &options, AttackObjective::Mildest, envelope, 0, &Quiet).expect("a scripted leader").attack;
         let mildest = mildest.expect("the baseline collides");
         for (family, is_scaled) in [("uniform", false), ("scaled", true)] {
             let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
@@ -91,7 +91,7 @@ fn compare_with_searches() {
             let options = options("policy", EstimatorKind::Kalman);
             let envelope = Envelope::from_scenario(&scenario);
             let hunted =
-                attack(&scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
+                attack(&scenario, &options, AttackObjective::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
             let own = hunted.attack.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = UnitCube::new([KNOTS]).expect("not empty");
             let told = plain.clone().with_leader_coordinates(0..KNOTS);

@@ -10,12 +10,12 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use crumple_oracle::Oracle;
+use crumple_oracle::ReferenceLearner;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{FrameStack, Workspace};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use pulp::{Arch, Simd, WithSimd};
@@ -24,7 +24,7 @@ use pulp::{Arch, Simd, WithSimd};
 #[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
 mod networks;
 
-use networks::{LARGE, acting, batch, config, large, learner, operations, policy, products, seen, td3};
+use networks::{LARGE_WEIGHT_SHARE, acting, batch, config, large, learner, operations, policy, products, input_warning, td3};
 
 fn main() {
     // One thread: trainings run side by side, not inside one product.
@@ -44,14 +44,14 @@ fn items_count(products: &[[usize; 3]]) -> ItemsCount {
 fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let mut learner = learner(&config(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.counter(counted(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
+    bencher.counter(items_count(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn td3_update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let mut learner = learner(&td3(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.counter(counted(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
+    bencher.counter(items_count(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
 }
 
 /// Two trainings side by side, an update each: twice the operations of one.
@@ -63,7 +63,7 @@ fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, 
     let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
     let mut learners = [0; 2].map(|_| (learner(&config(width, count)), stream(1, Purpose::TargetNoise, 0)));
     let batch = batch(count);
-    bencher.counter(counted(&vec![one; 2 * each].concat())).bench_local(|| {
+    bencher.counter(items_count(&vec![one; 2 * each].concat())).bench_local(|| {
         std::thread::scope(|scope| {
             for (learner, noise) in &mut learners {
                 scope.spawn(|| (0..each).for_each(|_| _ = divan::black_box(learner.update(&batch, noise))));
@@ -75,9 +75,9 @@ fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let config = config(width, count);
-    let mut oracle = Oracle::new(&learner(&config), &config.learning, &config.td3).expect("tensors");
+    let mut oracle = ReferenceLearner::new(&learner(&config), &config.learning, &config.td3).expect("tensors");
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    let counter = counted(&products(width, count, 1));
+    let counter = items_count(&products(width, count, 1));
     bencher.counter(counter).bench_local(|| oracle.update(&batch, &mut noise).expect("tensors"));
 }
 
@@ -88,8 +88,8 @@ fn random_tensor(rows: usize, columns: usize) -> Tensor {
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
     let products = products(width, count, 1);
-    let factors: Vec<_> = products.iter().map(|&[m, k, n]| (random(m, k), random(k, n))).collect();
-    bencher.counter(counted(&products)).bench_local(|| {
+    let factors: Vec<_> = products.iter().map(|&[m, k, n]| (random_tensor(m, k), random_tensor(k, n))).collect();
+    bencher.counter(items_count(&products)).bench_local(|| {
         for (left, right) in &factors {
             divan::black_box(left.matmul(right).expect("shapes fit"));
         }
@@ -98,8 +98,8 @@ fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): 
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
-    let (left, right) = (random(LARGE, LARGE), random(LARGE, LARGE));
-    bencher.counter(counted(&[[LARGE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
+    let (left, right) = (random_tensor(LARGE_WEIGHT_SHARE, LARGE_WEIGHT_SHARE), random_tensor(LARGE_WEIGHT_SHARE, LARGE_WEIGHT_SHARE));
+    bencher.counter(items_count(&[[LARGE_WEIGHT_SHARE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
 }
 
 /// A wide network acts on many states: one large product, and little else.
@@ -159,7 +159,7 @@ fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
 
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
-    let (policy, seen, mut space) = (policy(width), seen(1), Workspace::default());
+    let (policy, seen, mut space) = (policy(width), input_warning(1), Workspace::default());
     let mut past = FrameStack::default();
     let bencher = bencher.counter(ItemsCount::new(acting(width)));
     bencher.bench_local(|| policy.choose(policy.look(&seen[0], &mut past), &mut space));
@@ -167,7 +167,7 @@ fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
 
 #[divan::bench(args = [64, 256])]
 fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
-    let (policy, seen, mut space) = (policy(width), seen(512), Workspace::default());
+    let (policy, seen, mut space) = (policy(width), input_warning(512), Workspace::default());
     let mut actions = vec![0.0; seen.len()];
     let counter = ItemsCount::new(seen.len() * acting(width));
     bencher.counter(counter).bench_local(|| {
@@ -183,7 +183,7 @@ fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
     let draws: Vec<_> = (0..512).map(|i| PaperDistribution { seed: 1 }.draw(i).expect("valid")).collect();
     let options = RunOptions::new(policy).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).expect("valid")).collect();
-    let steps = |index: usize, result: Simulated| match result.outcome.contact() {
+    let steps = |index: usize, result: SimulationResult| match result.outcome.contact() {
         Some(contact) => (contact.time_s / PAPER_STEP_S) as usize + 1,
         None => draws[index].steps(),
     };

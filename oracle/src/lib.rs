@@ -8,7 +8,7 @@ use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
 
 use rand_distr::{Distribution, StandardNormal};
 
-use crumple_learn::rl::{Batch, Learner, LearningConfig, Losses, Td3Config, Trained};
+use crumple_learn::rl::{Batch, Learner, LearningConfig, Losses, Td3Config, TrainableNetwork};
 use crumple_world::policy::Network;
 use crumple_world::random::Stream;
 
@@ -29,7 +29,7 @@ struct NetworkWithTarget {
 }
 
 impl NetworkWithTarget {
-    fn new(trained: &Trained, rate: f32) -> Result<Self> {
+    fn new(trained: &TrainableNetwork, rate: f32) -> Result<Self> {
         let network = Mlp::new(&trained.network)?;
         let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
         let optimiser = AdamW::new(network.vars.clone(), params)?;

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "everything here is a test")]
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple_oracle::Oracle;
+use crumple_oracle::ReferenceLearner;
 use crumple_world::policy::{Network, STATE_LEN};
 use crumple_world::random::{Purpose, Stream, stream};
 use proptest::prelude::*;
@@ -28,7 +28,7 @@ fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
     let mut batch = Batch::default();
     for _ in 0..count {
         let mut numbers = |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
-        let (state, next_state, privileged) = (numbers(OBSERVED), numbers(OBSERVED), numbers(2 * privileged));
+        let (state, next_state, privileged) = (numbers(OBSERVATION_SIZE), numbers(OBSERVATION_SIZE), numbers(2 * privileged));
         batch.push(&Transition {
             state: &state,
             next_state: &next_state,
@@ -43,7 +43,7 @@ fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(12))]
+    #![proptest_config(crumple_cases::with_cases(12))]
 
     /// Compares gradients and, over several updates, parameters, targets and losses: DDPG, and TD3 with any of its options.
     #[test]
@@ -58,7 +58,7 @@ proptest! {
         let mut config = config(&hidden);
         config.td3 = Td3Config { twin_critic, actor_every, target_noise, target_noise_limit: 0.3 };
         let mut learner = Learner::new(&config, seed);
-        let mut oracle = Oracle::new(&learner, &config.learning, &config.td3).unwrap();
+        let mut oracle = ReferenceLearner::new(&learner, &config.learning, &config.td3).unwrap();
         let noises = || [0; 2].map(|_| stream(seed, Purpose::TargetNoise, 0));
         let close = |found: &[f32], expected: &[f32], tolerance: f32| {
             let largest = expected.iter().fold(1e-3_f32, |largest, value| largest.max(value.abs()));
@@ -66,7 +66,7 @@ proptest! {
                 && found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
         };
         // A critic sees the observation, privileged numbers and the action.
-        let privileged = learner.critics[0].network.sizes()[0] - OBSERVED - 1;
+        let privileged = learner.critics[0].network.sizes()[0] - OBSERVATION_SIZE - 1;
         let first = batch(seed, count, privileged);
         let [mut noise, mut oracle_noise] = noises();
         let (critics, actor) = learner.gradients(&first, &mut noise);

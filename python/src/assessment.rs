@@ -16,8 +16,8 @@ use crate::values::serialize_to_python;
 use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Everything that an assessment found out.
-#[pyclass(frozen, module = "crumple")]
-pub(crate) struct PyAssessment(report::PyAssessment);
+#[pyclass(name = "Assessment", frozen, module = "crumple")]
+pub(crate) struct PyAssessment(report::AssessmentReport);
 
 #[pymethods]
 impl PyAssessment {
@@ -41,12 +41,12 @@ impl PyAssessment {
 
     /// The whole report as one page.
     fn html(&self) -> String {
-        self.0.html()
+        self.0.to_html()
     }
 
     /// The whole report as Markdown, without figures.
     fn markdown(&self) -> String {
-        self.0.markdown()
+        self.0.to_markdown()
     }
 
     /// Every file of the report by its path in the report's folder.
@@ -67,7 +67,7 @@ impl PyAssessment {
     }
 
     fn __str__(&self) -> String {
-        self.0.first_page.plain() + &self.0.first_page.gates_to_plain_text()
+        self.0.first_page.to_plain_text() + &self.0.first_page.gates_to_plain_text()
     }
 
     fn __repr__(&self) -> String {

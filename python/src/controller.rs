@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crumple_world::control::{BatchController, Controller, ControllerFailure, ControllerSource, Ego};
-use crumple_world::observation::{Neighbour, PyObservation as Seen};
+use crumple_world::observation::{Neighbour, Observation as Seen};
 use crumple_world::sim::NamedController;
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -20,7 +20,7 @@ const MAX_TRACEBACK_CHARS: usize = 4000;
 const ROW_WIDTH: usize = 8;
 
 /// What a controller may see. Numbers of a vehicle that is not there are None.
-#[pyclass(frozen, get_all, module = "crumple")]
+#[pyclass(name = "Observation", frozen, get_all, module = "crumple")]
 #[derive(Debug)]
 pub(crate) struct PyObservation {
     speed_mps: f64,

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crumple_learn::rl::{Ending, TrainingEpisode, ScenarioSource, EpisodeConfig, TrainingConfig, action_bounds, unsuitability};
+use crumple_learn::rl::{EpisodeEnding, TrainingEpisode, ScenarioSource, EpisodeConfig, TrainingConfig, action_bounds, unsuitability};
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE_LEN;
 use crumple_world::scenario::{Scenario, file};
@@ -113,7 +113,7 @@ impl SubEnvironment {
             return Err(MUST_BE_RESET.to_owned());
         };
         let led_to = episode.step(action.clamp(-1.0, 1.0));
-        self.is_over = led_to.ending != Ending::None;
+        self.is_over = led_to.ending != EpisodeEnding::None;
         *reward = led_to.reward;
         *terminated = self.is_over && !led_to.continues;
         *truncated = self.is_over && led_to.continues;
@@ -128,11 +128,11 @@ impl SubEnvironment {
 }
 
 /// The place of an ending in `crumple.env.ENDINGS`.
-fn ending_code(ending: Ending) -> u8 {
+fn ending_code(ending: EpisodeEnding) -> u8 {
     match ending {
-        Ending::Contact => 1,
-        Ending::AtRest => 2,
-        Ending::TimeOver => 3,
+        EpisodeEnding::Contact => 1,
+        EpisodeEnding::AtRest => 2,
+        EpisodeEnding::TimeLimit => 3,
         _ => 0,
     }
 }

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use crate::values::parse_choice;
 
 /// A picture as SVG.
-#[pyclass(frozen, module = "crumple")]
+#[pyclass(name = "Figure", frozen, module = "crumple")]
 pub(crate) struct PyFigure {
     /// The whole file.
     #[pyo3(get)]
@@ -30,7 +30,7 @@ impl PyFigure {
         let known = [("wide", PanelArrangement::Wide), ("stacked", PanelArrangement::Stacked), ("column", PanelArrangement::Column)];
         let labels = draw::vehicle_names(scenario);
         let figure = MotionFigure { prefix: "motion", title, labels: &labels, trace, impacts };
-        Ok(Self { svg: simulate_failures::motion(&figure, parse_choice("layout", layout, &known)?).document() })
+        Ok(Self { svg: draw::draw_motion(&figure, parse_choice("layout", layout, &known)?).document() })
     }
 }
 

@@ -10,7 +10,7 @@ use crate::errors::{self, ExceptionClass};
 use crate::values::serialize_to_python;
 
 /// A valid scenario.
-#[pyclass(frozen, eq, module = "crumple")]
+#[pyclass(name = "Scenario", frozen, eq, module = "crumple")]
 #[derive(PartialEq)]
 pub(crate) struct PyScenario(pub(crate) world::Scenario);
 
@@ -92,8 +92,8 @@ impl PyScenario {
 }
 
 /// A space in which every point is a valid scenario.
-#[pyclass(frozen, module = "crumple")]
-pub(crate) struct PySpace(pub(crate) space::PySpace);
+#[pyclass(name = "Space", frozen, module = "crumple")]
+pub(crate) struct PySpace(pub(crate) space::ScenarioSpace);
 
 #[pymethods]
 impl PySpace {
@@ -122,7 +122,7 @@ impl PySpace {
 
     /// The scenario at a point of the unit cube.
     fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<PyScenario> {
-        self.0.at(&point).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
+        self.0.scenario_at(&point).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
     /// The scenario in which every parameter is nominal.

@@ -24,7 +24,7 @@ pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] =
     [("kalman", EstimatorKind::Kalman), ("truth", EstimatorKind::Truth)];
 
 /// The motion of one vehicle: arrays with an entry a sample.
-#[pyclass(frozen, get_all, module = "crumple")]
+#[pyclass(name = "Track", frozen, get_all, module = "crumple")]
 pub(crate) struct PyTrack {
     length_m: f64,
     mass_kg: f64,
@@ -35,7 +35,7 @@ pub(crate) struct PyTrack {
 }
 
 /// The motion of all vehicles of a run.
-#[pyclass(frozen, get_all, module = "crumple")]
+#[pyclass(name = "Trace", frozen, get_all, module = "crumple")]
 pub(crate) struct PyTrace {
     time_s: Py<PyArray1<f64>>,
     vehicles: Vec<Py<PyTrack>>,

@@ -1,7 +1,7 @@
 //! How little lead braking makes a controller collide.
 
 use crumple_core::observer::RunProgress;
-use crumple_search::worst_case::{Aim, AttackReport, Envelope, attack};
+use crumple_search::worst_case::{AttackObjective, AttackReport, Envelope, attack};
 use crumple_world::sim::RunOptions;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -36,7 +36,7 @@ pub(crate) fn worst_case<'py>(
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;
     let estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
-    let aim = parse_choice("aim", aim, &Aim::ALL.map(|aim| (aim.name(), aim)))?;
+    let aim = parse_choice("aim", aim, &AttackObjective::ALL.map(|aim| (aim.name(), aim)))?;
     let scenario = scenario.0.clone();
     let usual = Envelope::from_scenario(&scenario);
     let envelope = Envelope {

@@ -208,6 +208,6 @@ mod tests {
             assert!(help.trim_end().ends_with("130  interrupted"), "{}: {help}", command.get_name());
             command.get_subcommands_mut().filter(|sub| sub.get_name() != "help").for_each(check);
         }
-        check(&mut commands());
+        check(&mut build_command());
     }
 }

@@ -156,7 +156,7 @@ mod tests {
             ("counterexamples/01-failed_runs.toml", None),
             ("  threshold", None),
         ] {
-            let shown = coloured(line);
+            let shown = colour_verdict(line);
             let plain = anstream::adapter::strip_str(&shown).to_string();
             assert_eq!(plain, line);
             assert_eq!(word.is_some(), shown != line, "{shown}");

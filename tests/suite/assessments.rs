@@ -7,7 +7,7 @@ use std::process::Command;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
-    AssessConfig, Assessment, AssessmentPlan, Gate, CertificateStatus, CertificateSubject, Standing, Store, Strength, assess,
+    AssessConfig, AssessmentReport, AssessmentPlan, AssessmentGate, CertificateStatus, CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
@@ -15,7 +15,7 @@ use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::file;
-use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::sim::{NamedController, RunOptions};
 
 /// A small assessment of these controllers on draws of the paper's space, without its scenarios.
@@ -29,18 +29,18 @@ pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     config
 }
 
-pub(crate) fn run(config: AssessConfig, folder: &Path) -> Assessment {
-    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &Store::none(), None, &Quiet).expect("runs")
+pub(crate) fn run(config: AssessConfig, folder: &Path) -> AssessmentReport {
+    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &EvidenceCache::disabled(), None, &Quiet).expect("runs")
 }
 
-fn standings(assessment: &Assessment) -> Vec<&Standing> {
-    assessment.summary.claims.iter().flat_map(|row| &row.standings).collect()
+fn standings(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
+    assessment.summary.claims.iter().flat_map(|row| &row.statuses).collect()
 }
 
 /// The claim about a rate, of the controller at that place.
-fn rate_strength(assessment: &Assessment, place: usize) -> &Strength {
+fn rate_strength(assessment: &AssessmentReport, place: usize) -> &Strength {
     let row = assessment.summary.claims.iter().find(|row| row.claim.contains("at most")).expect("claimed");
-    &row.standings[place].strength
+    &row.statuses[place].strength
 }
 
 /// Runs of every count here that certificates are made of.
@@ -49,7 +49,7 @@ const RUNS: u64 = 1500;
 fn count_certificate(
     controller: &str,
     against: Option<&str>,
-    space: &Space,
+    space: &ScenarioSpace,
     estimator: EstimatorKind,
     folder: &Path,
 ) -> Certificate {
@@ -62,7 +62,7 @@ fn count_certificate(
         ..RateConfig::new(find(controller), space.clone(), RUNS)
     };
     let plan = RatePlan::new(config).expect("valid");
-    let mut tally = plan.tally();
+    let mut tally = plan.empty_tally();
     while tally.runs < RUNS {
         plan.count_batch(&mut tally).expect("runs");
     }
@@ -85,26 +85,26 @@ fn foreign_certificates_change_no_claim() {
     fs::write(there.join("own.safetensors"), Policy::reference_bytes()).expect("writes");
     let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
     let stale = {
-        let mut certificate = counted("own.safetensors", None, &paper, kalman, folder.path());
+        let mut certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
         let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
         rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
         rate.registration_sha256 = rate.registration.digest();
         certificate
     };
     let renamed = {
-        let mut certificate = counted("idm", None, &paper, kalman, folder.path());
+        let mut certificate = count_certificate("idm", None, &paper, kalman, folder.path());
         let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
         rate.registration.configuration.insert("controller".to_owned(), "own.safetensors".to_owned());
         rate.registration_sha256 = rate.registration.digest();
         certificate
     };
     let hostile = [
-        counted("own.safetensors", None, &paper, truth, folder.path()),
-        counted("own.safetensors", None, &gentle, kalman, folder.path()),
-        counted("own.safetensors", None, &paper, kalman, &there),
-        counted("shield:own.safetensors", None, &paper, kalman, folder.path()),
-        counted("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
-        counted("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
+        count_certificate("own.safetensors", None, &paper, truth, folder.path()),
+        count_certificate("own.safetensors", None, &gentle, kalman, folder.path()),
+        count_certificate("own.safetensors", None, &paper, kalman, &there),
+        count_certificate("shield:own.safetensors", None, &paper, kalman, folder.path()),
+        count_certificate("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
+        count_certificate("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
         stale,
         renamed,
     ];
@@ -116,14 +116,14 @@ fn foreign_certificates_change_no_claim() {
         let mut with = config(&controllers);
         with.certificates = Some(vec![path]);
         let with = run(with, folder.path());
-        let strengths = |of: &Assessment| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
+        let strengths = |of: &AssessmentReport| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
         let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
-        let is_foreign = matches!(&proof.speaks_of, CertificateSubject::Foreign { because } if !because.is_empty());
-        assert!(is_foreign || place == 0, "{place}: {:?}", proof.speaks_of);
+        let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { because } if !because.is_empty());
+        assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
     let genuine = folder.path().join("genuine.json");
-    let certificate = counted("own.safetensors", None, &paper, kalman, folder.path());
+    let certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
     fs::write(&genuine, serde_json::to_string(&certificate).expect("JSON")).expect("writes");
     let mut with = config(&controllers);
     with.certificates = Some(vec![genuine]);
@@ -145,18 +145,18 @@ fn names_prove_nothing() {
     let assessment = run(asked, folder.path());
     let rows: Vec<_> = assessment.summary.claims.iter().filter(|row| row.claim.contains("kernel")).collect();
     let proved = |strength: &Strength| matches!(strength, Strength::Proved { .. });
-    let is_proved = |place: usize| rows.iter().any(|row| proved(&row.standings[place].strength));
+    let is_proved = |place: usize| rows.iter().any(|row| proved(&row.statuses[place].strength));
     assert_eq!([0, 1, 2, 3, 4, 5].map(is_proved), [false, false, false, true, false, false]);
     let is_claimed = |place: usize| rows.iter().filter(|row| row.claims[place].is_some()).count();
     assert_eq!([0, 1, 2, 3, 4, 5].map(is_claimed), [0, 0, 0, 1, 1, 1]);
     let words = &rows[1].claim;
     assert!(words.contains("harder than 0.1 m/s², while its filter is off by no more than the shield"), "{words}");
     for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of initial states")) {
-        assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
-        assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
+        assert_eq!(row.statuses[1], row.statuses[2], "the copy is that policy");
+        assert!(matches!(row.statuses[3].strength, Strength::Untried), "before a shield it is another controller");
     }
     assert!(assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. })));
-    assert!(!assessment.markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
+    assert!(!assessment.to_markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
 }
 
 /// Every command that a report prints runs in its folder, whatever policies, spaces and scenarios are called and wherever they
@@ -169,7 +169,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let space = space_file::to_toml(&built_in_space("high-risk").expect("built in")).expect("written");
     fs::write(folder.path().join("own space.toml"), space.replacen("high-risk", "own", 1)).expect("writes");
     fs::create_dir(folder.path().join("episodes")).expect("made");
-    let episode = crumple_world::scenario::built_in("paper-2")
+    let episode = crumple_world::scenario::built_in_scenario("paper-2")
         .expect("built in")
         .edited(|spec| spec.name = "an episode".to_owned());
     let episode = crumple_world::scenario::file::to_toml(&episode.expect("valid")).expect("written");
@@ -192,7 +192,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
         let ran = ran.expect("a shell");
         assert!(ran.status.success(), "{command}: {}", String::from_utf8_lossy(&ran.stderr));
     };
-    let page = assessment.html();
+    let page = assessment.to_html();
     let codes = page.split("<code>crumple ").skip(1).filter_map(|rest| rest.split("</code>").next());
     let plain =
         |code: &str| code.replace("&quot;", "\"").replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
@@ -253,8 +253,8 @@ fn gates_find_the_draws_of_own_spaces() {
     let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
-    let rate = |controller: &str, percent| Gate::RateAtMost { controller: controller.into(), percent, space: space() };
-    let fewer = |controller: &str, than: &str| Gate::RateNotAbove {
+    let rate = |controller: &str, percent| AssessmentGate::RateAtMost { controller: controller.into(), percent, space: space() };
+    let fewer = |controller: &str, than: &str| AssessmentGate::RateNotAbove {
         controller: controller.into(),
         than: than.into(),
         space: space(),
@@ -277,12 +277,12 @@ fn gates_on_spaces_look_at_random_scenarios() {
     let mut asked = config(&["idm", "full-throttle"]);
     asked.everyday_draws = 20;
     asked.scenarios = vec!["recorded.toml".into()];
-    let in_space = |controller: &str, space: &str| Gate::NoCollisionInSpace {
+    let in_space = |controller: &str, space: &str| AssessmentGate::NoCollisionInSpace {
         controller: controller.to_owned(),
         space: space.to_owned(),
     };
     asked.gates = vec![
-        Gate::NoCollisionInScenarioFiles { controller: "full-throttle".to_owned() },
+        AssessmentGate::NoCollisionInScenarioFiles { controller: "full-throttle".to_owned() },
         in_space("full-throttle", "traffic"),
         in_space("full-throttle", "high-risk"),
         in_space("full-throttle", "paper"),
@@ -303,12 +303,12 @@ fn gates_on_spaces_look_at_random_scenarios() {
 
     // The first page ends with the gates on a terminal, and has them in both forms of the report.
     assert!(found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"), "{}", found.first_page.gates_to_plain_text());
-    for page in [found.first_page_to_html(), found.markdown()] {
+    for page in [found.first_page_to_html(), found.to_markdown()] {
         let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"].map(|text| page.find(text));
         assert!(gates.is_some() && space > gates, "{page}");
     }
-    let claims = found.markdown().find("## Claims").expect("a part");
-    assert!(found.markdown().find("2 of 5 gates hold.") < Some(claims), "on the first page");
+    let claims = found.to_markdown().find("## Claims").expect("a part");
+    assert!(found.to_markdown().find("2 of 5 gates hold.") < Some(claims), "on the first page");
 
     for (space, said) in
         [("standing", "gates[0].space: `standing` is neither among"), ("traffic", "needs `everyday_draws`")]
@@ -357,11 +357,11 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
     asked.search.spaces = Some(vec!["others.toml".to_owned()]);
     (asked.search.budget, asked.everyday_draws) = (20, 0);
     let (controller, than) = ("idm".to_owned(), "full-throttle".to_owned());
-    asked.gates = vec![Gate::RateNotAbove { controller, than, space: None }];
+    asked.gates = vec![AssessmentGate::RateNotAbove { controller, than, space: None }];
     let found = run(asked, folder.path());
     let said = |row: &str| -> Vec<&Strength> {
         let rows = found.summary.claims.iter().filter(|known| known.claim.starts_with(row));
-        rows.flat_map(|row| row.standings.iter().map(|standing| &standing.strength)).collect()
+        rows.flat_map(|row| row.statuses.iter().map(|standing| &standing.strength)).collect()
     };
     for row in ["no contact in", "no contact that a search", "no contact anywhere", "fewer failures"] {
         assert!(said(row).iter().all(|strength| **strength == Strength::Untried), "{row}: {:?}", said(row));
@@ -413,9 +413,9 @@ fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     (config.draws, config.everyday_draws) = (0, 0);
     (config.search.spaces, config.search.budget) = (Some(vec!["high-risk".to_owned()]), 20);
     let rules = ["no braking without cause", "always v1.speed_mps >= 0"];
-    config.search.rules = rules.map(str::to_owned).to_vec();
+    config.search.specifications = rules.map(str::to_owned).to_vec();
     let assessment = run(config, Path::new(""));
-    let found = assessment.rules.as_ref().expect("asked for");
+    let found = assessment.specification_searches.as_ref().expect("asked for");
     let violations = |place: usize| -> Vec<u64> {
         found.searches[place].controllers.iter().map(|search| search.violations).collect()
     };
@@ -430,10 +430,10 @@ fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     let judged = rule.judge_scenario(&scenario, RunOptions::new(controller)).expect("runs");
     assert!((judged.robustness - worst.robustness.value()).abs() < 1e-3 && judged.is_violation());
     let row = |claim: &str| assessment.summary.claims.iter().find(|row| row.claim.starts_with(claim)).expect("claimed");
-    assert!(row("no braking without cause that a search").standings[1].words().contains("60"));
+    assert!(row("no braking without cause that a search").statuses[1].describe().contains("60"));
     assert!(
         row("always (v1.speed_mps")
-            .standings
+            .statuses
             .iter()
             .all(|standing| matches!(standing.strength, Strength::Tested { .. }))
     );
@@ -446,7 +446,7 @@ fn a_count_in_vain_is_not_outweighed() {
     let own = folder.path().join("own.safetensors");
     fs::write(&own, Policy::retrained_bytes()).expect("writes");
     let paper = built_in_space("paper").expect("built in");
-    let mut forged = counted("own.safetensors", Some("idm"), &paper, EstimatorKind::Kalman, folder.path());
+    let mut forged = count_certificate("own.safetensors", Some("idm"), &paper, EstimatorKind::Kalman, folder.path());
     let Statement::Comparison(two) = &mut forged.statement else { panic!("a comparison") };
     (two.only_first_failed, two.only_second_failed) = (0, 0);
     for (counted, _) in &mut two.blocks {
@@ -460,10 +460,10 @@ fn a_count_in_vain_is_not_outweighed() {
     asked.certificates = Some(vec![path]);
     let found = run(asked, folder.path());
     let row = found.summary.claims.iter().find(|row| row.claim.contains("fewer failures") && row.part == "proofs");
-    let standing = &row.expect("claimed").standings[1];
-    assert!(matches!(standing.strength, Strength::CountedInVain { runs: 4000, .. }), "{standing:?}");
+    let standing = &row.expect("claimed").statuses[1];
+    assert!(matches!(standing.strength, Strength::NotShownByCounting { runs: 4000, .. }), "{standing:?}");
     assert!(
-        matches!(standing.beside[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
+        matches!(standing.secondary[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
         "{standing:?}"
     );
 }
@@ -482,8 +482,8 @@ fn a_recording_is_assessed_as_its_episodes() {
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";
     let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
-    let found = assess(&plan, &Store::none(), None, &Quiet).expect("runs");
-    let traffic = found.traffic.as_ref().expect("a part");
+    let found = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).expect("runs");
+    let traffic = found.file_scenarios.as_ref().expect("a part");
     assert_eq!(
         (traffic.scenarios.len(), found.summary.gates[0].holds),
         (2, true),
@@ -505,9 +505,9 @@ fn damaged_evidence_is_gathered_again() {
     let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
     let kept = folder.path().join("evidence");
     let gather = || {
-        let store = Store::open(&kept, "this program", false).expect("a folder");
+        let store = EvidenceCache::open(&kept, "this program", false).expect("a folder");
         let assessment = assess(&plan, &store, None, &Quiet).expect("runs");
-        (assessment.files().expect("renders"), store.reused(), store.damaged().len())
+        (assessment.files().expect("renders"), store.reuse_counts(), store.damaged_files().len())
     };
     let (genuine, (pieces, reused), _) = gather();
     assert!(pieces >= 4 && reused == 0, "{pieces} pieces, {reused} reused");

@@ -1,7 +1,7 @@
 //! No claim is shown to be stronger than the evidence allows, by a second opinion that reads the JSON.
 
 use crumple_report::assessment::{
-    Claim, Domain, Evidence, Known, Ledger, Property, Rounded, Source, Strength, Subject, UncomparedText,
+    AssuranceClaim, Domain, Evidence, ContentId, Ledger, Property, Rounded, EvidenceSource, Strength, Subject, UncomparedText,
 };
 use crumple_world::observation::EstimatorKind;
 use proptest::prelude::*;
@@ -9,12 +9,12 @@ use proptest::sample::select;
 use serde_json::Value;
 
 /// A few of each kind, so that claims meet: names are equal where hashes are not, and the other way round.
-fn any_known(kind: &'static str) -> impl Strategy<Value = Known> {
-    (0..2_u8, 0..2_u8).prop_map(move |(name, content)| Known::of(format!("{kind} {name}"), format!("{kind} {content}")))
+fn any_known(kind: &'static str) -> impl Strategy<Value = ContentId> {
+    (0..2_u8, 0..2_u8).prop_map(move |(name, content)| ContentId::new(format!("{kind} {name}"), format!("{kind} {content}")))
 }
 
 fn subject() -> impl Strategy<Value = Subject> {
-    (known("controller"), select(&EstimatorKind::ALL[..]))
+    (any_known("controller"), select(&EstimatorKind::ALL[..]))
         .prop_map(|(controller, estimator)| Subject { controller, estimator })
 }
 
@@ -24,20 +24,20 @@ fn property() -> impl Strategy<Value = Property> {
         Just(Property::NoContactAhead),
         Just(Property::FailureRate),
         (0..3_u8).prop_map(|percent| Property::RateAtMost { percent: Rounded::new(f64::from(percent)) }),
-        known("controller").prop_map(|than| Property::FailsLessOften { than }),
-        Just(Property::NoNeedlessBraking),
+        any_known("controller").prop_map(|than| Property::FailsLessOften { than }),
+        Just(Property::NoUnnecessaryBraking),
         Just(Property::KeepsUp),
     ]
 }
 
 fn domain() -> impl Strategy<Value = Domain> {
     prop_oneof![
-        prop::collection::vec(known("scenario"), 1..3)
+        prop::collection::vec(any_known("scenario"), 1..3)
             .prop_map(|all| Domain::Scenarios { about: UncomparedText("some".to_owned()), all }),
-        (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws { space, seed, draws: 10 }),
-        known("space").prop_map(|space| Domain::Space { space }),
-        (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search { space, seed, budget: 10 }),
-        known("box").prop_map(|around| Domain::Box { around }),
+        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws { space, seed, draws: 10 }),
+        any_known("space").prop_map(|space| Domain::Space { space }),
+        (any_known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search { space, seed, budget: 10 }),
+        any_known("box").prop_map(|around| Domain::Box { around }),
     ]
 }
 
@@ -55,10 +55,10 @@ fn strength() -> impl Strategy<Value = Strength> {
         (1..9_u64).prop_map(|runs| Strength::Tested { runs }),
         between,
         (1..3_u64).prop_map(move |runs| Strength::Counted { confidence_percent, runs }),
-        (1..3_u64).prop_map(move |runs| Strength::CountedInVain { confidence_percent, runs }),
+        (1..3_u64).prop_map(move |runs| Strength::NotShownByCounting { confidence_percent, runs }),
         (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
-        Just(Strength::Found { failures: 2, avoidable: 1, because: None }),
+        Just(Strength::Falsified { failures: 2, avoidable: 1, because: None }),
         (any::<bool>(), 0..2_u64).prop_map(|(refutes, failures)| Strength::Unanswered {
             unanswered: 3,
             failures,
@@ -66,17 +66,17 @@ fn strength() -> impl Strategy<Value = Strength> {
             because: "at 1.00 s, it is gone".to_owned(),
             refutes,
         }),
-        Just(Strength::ProvedIn { share_percent: Rounded::new(40.0) }),
+        Just(Strength::PartlyProved { share_percent: Rounded::new(40.0) }),
         Just(Strength::Untried),
     ]
 }
 
-fn claim() -> impl Strategy<Value = Claim> {
-    (subject(), property(), domain()).prop_map(|(subject, property, domain)| Claim { subject, property, domain })
+fn claim() -> impl Strategy<Value = AssuranceClaim> {
+    (subject(), property(), domain()).prop_map(|(subject, property, domain)| AssuranceClaim { subject, property, domain })
 }
 
 fn evidence() -> impl Strategy<Value = Evidence> {
-    (claim(), strength()).prop_map(|(claim, strength)| Evidence { claim, strength, source: Source::part("x", "y") })
+    (claim(), strength()).prop_map(|(claim, strength)| Evidence { claim, strength, source: EvidenceSource::from_part("x", "y") })
 }
 
 /// What is said of a claim: that it does not hold, nothing, that it was tried, that it holds often, always.
@@ -150,7 +150,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
             && own["subject"]["estimator"] == claim["subject"]["estimator"];
         let (p, q, d, e) = (&own["property"], &claim["property"], &own["domain"], &claim["domain"]);
-        let mut says = level(one);
+        let mut says = strength_level(one);
         let applies = if same_property(p, q) && equal(d, e) {
             !counts(one) || decides(one)
         } else if p["kind"] == "failure_rate"
@@ -212,18 +212,18 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(4000))]
+    #![proptest_config(crumple_cases::with_cases(4000))]
     #[test]
     fn no_claim_is_stronger_than_its_evidence(evidence in prop::collection::vec(evidence(), 0..7), claim in claim()) {
         let ledger = Ledger::new(evidence);
         let json = serde_json::to_value(&ledger).unwrap();
-        let standing = ledger.standing(&claim);
-        let shown = level(&serde_json::to_value(&standing).unwrap());
-        let allowed = allowed(json.as_array().unwrap(), &serde_json::to_value(&claim).unwrap());
+        let standing = ledger.claim_status(&claim);
+        let shown = strength_level(&serde_json::to_value(&standing).unwrap());
+        let allowed = allowed_level(json.as_array().unwrap(), &serde_json::to_value(&claim).unwrap());
         prop_assert!(shown <= allowed, "{shown} where {allowed} is allowed: {standing:#?}");
         // Nor is anything kept back that speaks against a claim, or for it.
         prop_assert_eq!(shown, allowed, "{:#?}", standing);
         let read_back: Ledger = serde_json::from_value(json).unwrap();
-        prop_assert_eq!(read_back.standing(&claim), standing);
+        prop_assert_eq!(read_back.claim_status(&claim), standing);
     }
 }

@@ -4,15 +4,15 @@ use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
-use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, Store, assess};
+use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess};
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, Needs, ShieldSettings};
+use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, RequiredNeighbours, ShieldSettings};
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::scenario::{Driver, Scenario, built_in};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
+use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{
-    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, Shielded,
+    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldedSource,
     simulate, simulate_batch,
 };
 use proptest::prelude::*;
@@ -24,14 +24,14 @@ use crate::generate::cases;
 struct FailingController {
     fails_at: usize,
     answer: Result<f64, ControllerFailure>,
-    needs: Needs,
+    needs: RequiredNeighbours,
     identity: Option<&'static str>,
     answered: usize,
 }
 
 impl FailingController {
     fn new(fails_at: usize, answer: Result<f64, ControllerFailure>) -> Self {
-        Self { fails_at, answer, needs: Needs::Nothing, identity: Some("failing"), answered: 0 }
+        Self { fails_at, answer, needs: RequiredNeighbours::Nothing, identity: Some("failing"), answered: 0 }
     }
 
     fn into_kind(self) -> ControllerKind {
@@ -48,8 +48,8 @@ impl ControllerSource for FailingController {
         self.identity.map(str::to_owned)
     }
 
-    fn needs(&self) -> Needs {
-        self.needs
+    fn required_neighbours(&self) -> RequiredNeighbours {
+        self.required_neighbours
     }
 
     fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
@@ -73,7 +73,7 @@ fn died_failure() -> ControllerFailure {
 
 /// Paper scenario 2 with all but the leader under test.
 fn all_under_test_scenario() -> Scenario {
-    let edited = built_in("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
+    let edited = built_in_scenario("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
     edited.unwrap()
 }
 
@@ -85,15 +85,15 @@ proptest! {
     #[test]
     fn both_engines_end_the_run_at_the_same_instant(
         fails_at in prop::collection::vec(0..1200_usize, 1..9),
-        answer in prop_oneof![Just(Ok(f64::NAN)), Just(Ok(f64::NEG_INFINITY)), Just(Err(died()))],
+        answer in prop_oneof![Just(Ok(f64::NAN)), Just(Ok(f64::NEG_INFINITY)), Just(Err(died_failure()))],
         estimator in prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)],
         after_contact in crate::generate::any_after_contact(),
         shielded in any::<bool>(),
     ) {
-        let scenario = line();
+        let scenario = all_under_test_scenario();
         let kind = |&fails_at: &usize| {
-            let controller = FailingController::at(fails_at, answer.clone()).kind();
-            if shielded { Shielded { controller, settings: ShieldSettings::default() }.into() } else { controller }
+            let controller = FailingController::new(fails_at, answer.clone()).into_kind();
+            if shielded { ShieldedSource { controller, settings: ShieldSettings::default() }.into() } else { controller }
         };
         let runs: Vec<_> = fails_at
             .iter()
@@ -123,54 +123,54 @@ proptest! {
 
 #[test]
 fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
-    let scenario = line();
-    for (needs, missing) in [(Needs::Nothing, None), (Needs::Ahead, None), (Needs::AheadAndBehind, Some("behind"))] {
-        let refused = Run::new(&scenario, RunOptions::new(FailingController { needs, ..FailingController::at(9, Ok(0.0)) }.kind())).err();
-        assert_eq!(refused, missing.map(|missing| RunError::Needs { vehicle: 2, missing }));
+    let scenario = all_under_test_scenario();
+    for (needs, missing) in [(RequiredNeighbours::Nothing, None), (RequiredNeighbours::Ahead, None), (RequiredNeighbours::AheadAndBehind, Some("behind"))] {
+        let refused = Run::new(&scenario, RunOptions::new(FailingController { needs, ..FailingController::new(9, Ok(0.0)) }.into_kind())).err();
+        assert_eq!(refused, missing.map(|missing| RunError::MissingNeighbour { vehicle: 2, missing }));
     }
 }
 
 #[test]
 fn every_specification_is_violated_at_its_worst() {
-    let scenario = line();
-    let options = RunOptions::new(FailingController::at(100, Err(died())).kind());
+    let scenario = all_under_test_scenario();
+    let options = RunOptions::new(FailingController::new(100, Err(died_failure())).into_kind());
     for text in [Specification::NO_CONTACT, "always v1.speed_mps >= 0"] {
         let specification = Specification::parse(text, &scenario).unwrap();
         let verdict = specification.judge_scenario(&scenario, options.clone()).unwrap();
-        assert_eq!((verdict.robustness, verdict.failed), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");
+        assert_eq!((verdict.robustness, verdict.failure), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");
     }
 }
 
-fn paper_space() -> Space {
+fn paper_space() -> ScenarioSpace {
     built_in_space("paper").unwrap()
 }
 
 fn rate_plan(controller: NamedController) -> Result<RatePlan, InvalidRate> {
-    RatePlan::new(RateConfig { seed: 1, estimator: EstimatorKind::Truth, ..RateConfig::new(controller, paper(), 50) })
+    RatePlan::new(RateConfig { seed: 1, estimator: EstimatorKind::Truth, ..RateConfig::new(controller, paper_space(), 50) })
 }
 
 #[test]
 fn a_rate_counts_it_and_says_so() {
-    let plan = rate(FailingController::at(10, Err(died())).named()).unwrap();
-    let mut tally = plan.tally();
+    let plan = rate_plan(FailingController::new(10, Err(died_failure())).into_named()).unwrap();
+    let mut tally = plan.empty_tally();
     plan.count_batch(&mut tally).unwrap();
     assert_eq!((tally.runs, tally.failures), (50, 50));
     let configuration = &plan.registration().configuration;
     assert_eq!(configuration["failure"], "vehicles touch, or a controller fails");
     assert_eq!(configuration["controller_sha256"], "failing");
-    let unknown = FailingController { identity: None, ..FailingController::at(10, Err(died())) }.named();
-    assert!(matches!(rate(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing"));
+    let unknown = FailingController { identity: None, ..FailingController::new(10, Err(died_failure())) }.into_named();
+    assert!(matches!(rate_plan(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing"));
 }
 
 fn campaign(controller: NamedController) -> Campaign {
-    Campaign { estimator: EstimatorKind::Truth, budget: 30, ..Campaign::new(controller, paper()) }
+    Campaign { estimator: EstimatorKind::Truth, budget: 30, ..Campaign::new(controller, paper_space()) }
 }
 
 #[test]
 fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("campaign");
-    let own = campaign(FailingController::at(10, Err(died())).named());
+    let own = campaign(FailingController::new(10, Err(died_failure())).into_named());
     let summary = own.run(&out, CampaignOptions::default(), &Quiet).unwrap();
     assert!(summary.falsified);
     let found = &summary.counterexamples[0];
@@ -179,13 +179,13 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
     let again = own.run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
-    let other = FailingController { identity: Some("other"), ..FailingController::at(10, Err(died())) }.named();
+    let other = FailingController { identity: Some("other"), ..FailingController::new(10, Err(died_failure())) }.into_named();
     let refused = campaign(other)
         .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
         .unwrap_err()
         .to_string();
     assert!(refused.contains("another `controller_sha256`"), "{refused}");
-    let unknown = FailingController { identity: None, ..FailingController::at(10, Err(died())) }.named();
+    let unknown = FailingController { identity: None, ..FailingController::new(10, Err(died_failure())) }.into_named();
     let refused = campaign(unknown)
         .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
         .unwrap_err()
@@ -205,12 +205,12 @@ fn an_assessment_says_who_failed_and_when() {
     (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);
     (config.search.spaces, config.certificates) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     config.distributions = Some(vec!["paper".to_owned()]);
-    let own = [FailingController::at(100, Ok(f64::NAN)).named()];
+    let own = [FailingController::new(100, Ok(f64::NAN)).into_named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
-    let assessment = assess(&plan, &Store::none(), None, &Quiet).unwrap();
+    let assessment = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
     let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];
     assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
-    assert!(assessment.markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
+    assert!(assessment.to_markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
     let drawn =
         assessment.distributions.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
     assert_eq!((drawn.collisions, drawn.failures()), (0, 20), "all draws fail, and nobody touches");

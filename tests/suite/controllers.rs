@@ -77,7 +77,7 @@ proptest! {
 /// A rule that was added is generated, with its own settings.
 #[test]
 fn every_rule_is_generated() {
-    for rule in ControllerSpec::built_in().into_iter().filter(|spec| spec.role() <= Role::Reference) {
+    for rule in ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference) {
         assert!(crumple_fuzzing::CONTROLLERS.contains(&rule), "{}", rule.name());
     }
 }

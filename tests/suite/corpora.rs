@@ -12,11 +12,11 @@ fn scenario_corpus() -> PathBuf {
 
 #[test]
 fn every_kept_scenario_still_ends_as_recorded() {
-    let path = folder().join(EXPECTED_FILE_NAME);
+    let path = scenario_corpus().join(EXPECTED_FILE_NAME);
     let mut index = ExpectedFile::load(&path).unwrap();
     if std::env::var_os("UPDATE_CORPORA").is_some() {
         for expected in &mut index.expected {
-            *expected = expected.renewed(&folder()).unwrap();
+            *expected = expected.renew(&scenario_corpus()).unwrap();
         }
         let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; with \
                      UPDATE_CORPORA=1 it\n# renews them.\n";
@@ -25,7 +25,7 @@ fn every_kept_scenario_still_ends_as_recorded() {
     assert!(index.expected.len() >= 4, "a handful at least");
     let mut failures = Vec::new();
     for expected in &index.expected {
-        let replayed = expected.replay(&folder()).unwrap();
+        let replayed = expected.replay(&scenario_corpus()).unwrap();
         if !replayed.as_recorded {
             failures.push(format!("{} under {}: {replayed:?}", expected.scenario, expected.controller));
         }
@@ -36,8 +36,8 @@ fn every_kept_scenario_still_ends_as_recorded() {
 /// Whoever it is named after still fails in it, and what convex programming says of it is recorded.
 #[test]
 fn every_kept_scenario_still_has_its_failure_and_its_class() {
-    let index = ExpectedFile::in_folder(&folder()).unwrap();
-    for path in index.scenarios(&folder()) {
+    let index = ExpectedFile::load_from_folder(&scenario_corpus()).unwrap();
+    for path in index.scenario_paths(&scenario_corpus()) {
         let file = path.file_name().unwrap().to_str().unwrap();
         let own: Vec<_> = index.expected.iter().filter(|expected| expected.scenario == file).collect();
         let named = own.iter().find(|expected| {
@@ -57,9 +57,9 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
 
 #[test]
 fn every_kept_scenario_is_recorded_and_says_why_it_is_there() {
-    let index = ExpectedFile::in_folder(&folder()).unwrap();
-    let recorded = index.scenarios(&folder());
-    let mut kept: Vec<PathBuf> = std::fs::read_dir(folder())
+    let index = ExpectedFile::load_from_folder(&scenario_corpus()).unwrap();
+    let recorded = index.scenario_paths(&scenario_corpus());
+    let mut kept: Vec<PathBuf> = std::fs::read_dir(scenario_corpus())
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.extension().is_some_and(|e| e == "toml"))

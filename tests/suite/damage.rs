@@ -8,11 +8,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::tiny;
-use crumple_core::observer::{Listener, Progress};
-use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
+use crumple_core::observer::{Listener, RunProgress};
+use crumple_evidence::rare::{SplittingConfig, RareMethod, RarePlan};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
-use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, Settings};
-use crumple_learn::rl::{Event, EvaluationSet, TrainingConfig, TrainingFolder};
+use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSettings};
+use crumple_learn::rl::{TrainingEvent, EvaluationSet, TrainingConfig, TrainingFolder};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_world::control::ControllerSpec;
@@ -34,7 +34,7 @@ fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         method: Method::Uniform,
         budget: 60,
         seed,
-        ..Campaign::new(ControllerSpec::named("baseline").unwrap(), built_in_space("paper").unwrap())
+        ..Campaign::new(ControllerSpec::from_name("baseline").unwrap(), built_in_space("paper").unwrap())
     };
     let options = CampaignOptions { resume: true, ..Default::default() };
     campaign
@@ -48,65 +48,65 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
         seed,
         estimator: EstimatorKind::Truth,
         confidence: 0.9,
-        ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 300)
+        ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 300)
     });
     let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| error.to_string());
     let mut count = plan.register_in(folder, true).map_err(error)?;
-    let certificate = count.certificate(&Listener(|_: &CountProgress| tick()));
+    let certificate = count.certify(&Listener(|_: &CountProgress| tick()));
     certificate.map(|_| ()).map_err(error)
 }
 
 fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RarePlan {
-        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         method: RareMethod::Splitting,
         seed,
-        effort: Effort { samples: 50, repetitions: 10 },
+        effort: SplittingConfig { samples: 50, repetitions: 10 },
     };
     let error = |error: crumple_evidence::rare::RareError| error.to_string();
-    let observer = Listener(|_: &Progress| tick());
-    let mut kept = plan.in_folder(folder, true).map_err(error)?;
-    if kept.kept().map_err(error)?.is_some() {
+    let observer = Listener(|_: &RunProgress| tick());
+    let mut kept = plan.open_folder(folder, true).map_err(error)?;
+    if kept.read_report().map_err(error)?.is_some() {
         return Ok(());
     }
-    let pilot = kept.pilot(&plan, &observer).map_err(error)?;
-    kept.report(&plan, &pilot, 0, &observer).map(|_| ()).map_err(error)
+    let pilot = kept.run_pilot(&plan, &observer).map_err(error)?;
+    kept.estimate(&plan, &pilot, 0, &observer).map(|_| ()).map_err(error)
 }
 
 fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
-    let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training()), Path::new("tiny")).unwrap();
+    let mut config = TrainingConfig::parse(&tiny::with_small_memory(&tiny::training()), Path::new("tiny")).unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
-    training.train(&held_out, &Listener(|_: &Event| tick())).map(|_| ()).map_err(error)
+    training.train(&held_out, &Listener(|_: &TrainingEvent| tick())).map(|_| ()).map_err(error)
 }
 
 fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RetrainingPlan {
-        first: Policy::reference(),
-        first_name: "policy".to_owned(),
+        initial_policy: Policy::reference(),
+        initial_policy_name: "policy".to_owned(),
         // A contact there is soon seen to have been avoidable.
         space: built_in_space("paper").unwrap(),
-        regression: vec![built_in_space("traffic").unwrap()],
-        training: TrainingConfig::parse(&tiny::forgetful(&tiny::retraining()), Path::new("tiny")).unwrap(),
+        regression_spaces: vec![built_in_space("traffic").unwrap()],
+        training: TrainingConfig::parse(&tiny::with_small_memory(&tiny::retraining()), Path::new("tiny")).unwrap(),
         method: Method::Uniform,
         seed,
-        settings: Settings {
+        settings: RetrainingSettings {
             rounds: 2,
             episodes: 22,
             budget: 5,
             draws: 5,
-            kept_aside: 3,
+            validation_draws: 3,
             nominal: 3,
             regression: 3,
-            judged: 3,
-            ..Settings::default()
+            test_draws: 3,
+            ..RetrainingSettings::default()
         },
-        picture: |_| "<svg/>".to_owned(),
+        render_svg: |_| "<svg/>".to_owned(),
     };
     plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick())).map(|_| ()).map_err(|error| error.to_string())
 }
@@ -144,7 +144,7 @@ fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
 
 /// The files that work leaves behind that is stopped at a tick, or never.
 fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
-    let (folder, ticks) = (scratch(), AtomicUsize::new(0));
+    let (folder, ticks) = (scratch_folder(), AtomicUsize::new(0));
     let tick = || {
         if stop == Some(ticks.fetch_add(1, Ordering::SeqCst) + 1) {
             resume_unwind(Box::new("stopped"));
@@ -153,7 +153,7 @@ fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTre
     let ended = catch_unwind(AssertUnwindSafe(|| work(folder.path(), seed, &tick)));
     assert_eq!(ended.is_err(), stop.is_some(), "stopped at {stop:?} of {ticks:?} ticks");
     let name = |name: String| name.replace(&format!("seed-{seed}"), "seed-1");
-    files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
+    read_files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
 }
 
 /// A file changed in every way, each with what was done to it.
@@ -173,14 +173,14 @@ fn damaged_variants<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Ite
 
 /// Damages each file of begun work, or of complete work, in every way. Returns the number of changes that are refused.
 fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
-    let genuine = left_behind(work, 1, None);
-    let (begun, other) = (left_behind(work, 1, stop), left_behind(work, 2, stop));
+    let genuine = files_after_stop(work, 1, None);
+    let (begun, other) = (files_after_stop(work, 1, stop), files_after_stop(work, 2, stop));
     let (mut refused, mut same) = (0, 0);
-    let folder = scratch();
-    write(folder.path(), &begun);
+    let folder = scratch_folder();
+    write_files(folder.path(), &begun);
     for (name, bytes) in &begun {
         let path = folder.path().join(name);
-        for (what, damaged) in changed(bytes, other.get(name)) {
+        for (what, damaged) in damaged_variants(bytes, other.get(name)) {
             match damaged {
                 Some(damaged) if damaged == *bytes => continue,
                 Some(damaged) => fs::write(&path, damaged).unwrap(),
@@ -194,20 +194,20 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
                     fs::write(&path, bytes).unwrap();
                 }
                 Ok(()) => {
-                    assert_same(&files(folder.path()), &genuine, &format!("{name}, {what}: believed"));
+                    assert_same_contents(&read_files(folder.path()), &genuine, &format!("{name}, {what}: believed"));
                     same += 1;
                     fs::remove_dir_all(folder.path()).unwrap();
-                    write(folder.path(), &begun);
+                    write_files(folder.path(), &begun);
                 }
             }
         }
     }
-    assert!(files(folder.path()) == begun, "what is refused is not changed");
+    assert!(read_files(folder.path()) == begun, "what is refused is not changed");
     // All of it of another run.
-    let folder = scratch();
-    write(folder.path(), &other);
+    let folder = scratch_folder();
+    write_files(folder.path(), &other);
     if work(folder.path(), 1, &|| {}).is_ok() {
-        assert_same(&files(folder.path()), &genuine, "another run's folder: believed");
+        assert_same_contents(&read_files(folder.path()), &genuine, "another run's folder: believed");
     }
     println!("{} files: {refused} refused, {same} the same", begun.len());
     refused
@@ -225,27 +225,27 @@ pub(crate) fn assert_same_contents(found: &BTreeMap<String, Vec<u8>>, expected: 
 #[test]
 fn no_damage_is_believed_in_a_campaign() {
     for stop in [Some(1), Some(3), None] {
-        assert!(attack(campaign, stop) > 20);
+        assert!(count_refused_damage(campaign, stop) > 20);
     }
 }
 
 #[test]
 fn no_damage_is_believed_in_a_count() {
     for stop in [Some(1), None] {
-        assert!(attack(count, stop) > 20);
+        assert!(count_refused_damage(count, stop) > 20);
     }
 }
 
 #[test]
 fn no_damage_is_believed_in_an_estimate() {
-    assert!(attack(estimate, Some(70)) > 3);
-    assert!(attack(estimate, None) > 10);
+    assert!(count_refused_damage(estimate, Some(70)) > 3);
+    assert!(count_refused_damage(estimate, None) > 10);
 }
 
 #[test]
 fn no_damage_is_believed_in_a_training() {
-    assert!(attack(training, Some(30)) > 20);
-    assert!(attack(training, None) > 20);
+    assert!(count_refused_damage(training, Some(30)) > 20);
+    assert!(count_refused_damage(training, None) > 20);
 }
 
 /// Tests that `.ci/run` adds to those of `cargo test`.
@@ -255,7 +255,7 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: a retraining goes on some 500 times"]
     fn no_damage_is_believed_in_a_retraining() {
-        assert!(attack(retraining, Some(32)) > 20);
-        assert!(attack(retraining, None) > 20);
+        assert!(count_refused_damage(retraining, Some(32)) > 20);
+        assert!(count_refused_damage(retraining, None) > 20);
     }
 }

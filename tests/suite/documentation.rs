@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// Returns a file, or all files of a folder and of those in it.
 fn files_below(path: PathBuf) -> Vec<PathBuf> {
     match fs::read_dir(&path) {
-        Ok(entries) => entries.flat_map(|entry| files(entry.unwrap().path())).collect(),
+        Ok(entries) => entries.flat_map(|entry| files_below(entry.unwrap().path())).collect(),
         Err(_) => vec![path],
     }
 }
@@ -17,7 +17,7 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeMap::new();
     for folder in ["docs", "corpora", "examples", "python", "reports", "README.md", "CONTRIBUTING.md"] {
-        for page in files(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
+        for page in files_below(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
         {
             let text = fs::read_to_string(&page).unwrap();
             let mut kind = None;
@@ -41,7 +41,7 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
 
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
-    for (page, commands) in commands() {
+    for (page, commands) in commands_by_page() {
         for command in &commands {
             for name in command.split('$').skip(1).map(|rest| rest.trim_start_matches(['{', '('])) {
                 let name: String = name.chars().take_while(|c| c.is_ascii_alphanumeric() || *c == '_').collect();
@@ -58,7 +58,7 @@ fn every_variable_of_a_command_is_set_on_its_page() {
 fn every_exception_is_a_command_of_a_page_with_its_reason_and_run_time() {
     let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/commands.toml")).unwrap();
     let list: toml::Table = text.parse().unwrap();
-    let pages = commands();
+    let pages = commands_by_page();
     for exception in list["exception"].as_array().unwrap() {
         let field = |name: &str| exception.get(name).and_then(toml::Value::as_str);
         let command = field("command").unwrap();

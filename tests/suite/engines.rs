@@ -1,27 +1,27 @@
 //! The two engines are one: the batch engine gives the scalar engine's results to the last bit, whatever shares a block,
 //! on any number of threads.
 
-use crumple_fuzzing::oracle::bits;
-use crumple_fuzzing::{Kind, Setup, Shape};
+use crumple_fuzzing::oracle::result_bits;
+use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
-use crate::generate::{any_after_contact, any_setup, any_shape, cases, scenario_of};
+use crate::generate::{any_after_contact, any_setup, any_shape, cases, any_scenario_of_shape};
 
 /// A scenario and how to run it.
-type ScenarioSetup = (Scenario, Setup);
+type ScenarioSetup = (Scenario, RunSetup);
 
 /// A shape and its twin that differs in one thing, with a few runs of each, shuffled: runs of one shape share a block and
 /// differ in everything else, and runs of the twin must not get into it.
 fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
-    let alike = |shape: &Shape, setup: &Setup| {
+    let alike = |shape: &ScenarioShape, setup: &RunSetup| {
         let setup = setup.clone();
-        let after = move |after_contact| Setup { after_contact, ..setup.clone() };
-        prop::collection::vec((scenario_of(shape), any_after_contact().prop_map(after)), 1..8)
+        let after = move |after_contact| RunSetup { after_contact, ..setup.clone() };
+        prop::collection::vec((any_scenario_of_shape(shape), any_after_contact().prop_map(after)), 1..8)
     };
-    (any_shape(), any_setup(), any::<u8>().prop_map(Kind::any), 0..5_u8)
+    (any_shape(), any_setup(), any::<u8>().prop_map(DriverKind::non_nominal), 0..5_u8)
         .prop_flat_map(move |(shape, setup, kind, difference)| {
             let (mut other, mut other_setup) = (shape.clone(), setup.clone());
             match difference {
@@ -44,7 +44,7 @@ fn build_runs<'s>(cases: impl IntoIterator<Item = &'s ScenarioSetup>) -> Vec<Run
 
 fn batch_bits(runs: &[Run], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-    pool.install(|| simulate_batch(runs, keep, |_, result| bits(&result)))
+    pool.install(|| simulate_batch(runs, keep, |_, result| result_bits(&result)))
 }
 
 proptest! {
@@ -52,11 +52,11 @@ proptest! {
 
     /// Traces, impacts and summaries of a mixed batch are those of the runs one by one.
     #[test]
-    fn a_batch_is_its_runs_one_by_one(batch in batch()) {
-        let runs = runs(&batch);
+    fn a_batch_is_its_runs_one_by_one(batch in any_batch()) {
+        let runs = build_runs(&batch);
         for keep in [RecordingLevel::Trace, RecordingLevel::Summary] {
-            let one_by_one: Vec<_> = runs.iter().map(|run| bits(&simulate(run, keep))).collect();
-            let together = simulate_batch(&runs, keep, |_, result| bits(&result));
+            let one_by_one: Vec<_> = runs.iter().map(|run| result_bits(&simulate(run, keep))).collect();
+            let together = simulate_batch(&runs, keep, |_, result| result_bits(&result));
             for (index, (one, other)) in one_by_one.iter().zip(&together).enumerate() {
                 prop_assert!(one == other, "run {index} differs with {keep:?}");
             }
@@ -65,12 +65,12 @@ proptest! {
 
     /// Neither the number of threads nor the order of the runs reaches a result.
     #[test]
-    fn threads_and_order_change_nothing(batch in batch()) {
-        let forwards = batch_bits(&runs(&batch), RecordingLevel::Trace, 1);
+    fn threads_and_order_change_nothing(batch in any_batch()) {
+        let forwards = batch_bits(&build_runs(&batch), RecordingLevel::Trace, 1);
         for threads in [2, 3] {
-            prop_assert!(batch_bits(&runs(&batch), RecordingLevel::Trace, threads) == forwards, "{threads} threads");
+            prop_assert!(batch_bits(&build_runs(&batch), RecordingLevel::Trace, threads) == forwards, "{threads} threads");
         }
-        let mut backwards = batch_bits(&runs(batch.iter().rev()), RecordingLevel::Trace, 2);
+        let mut backwards = batch_bits(&build_runs(batch.iter().rev()), RecordingLevel::Trace, 2);
         backwards.reverse();
         prop_assert!(backwards == forwards, "the other way round");
     }
@@ -80,14 +80,14 @@ proptest! {
 #[test]
 fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
     let draws: Vec<_> = (0..150).map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap()).collect();
-    for controller in ControllerSpec::built_in() {
+    for controller in ControllerSpec::all() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
             let options = RunOptions::new(controller.clone()).with_after_contact(after_contact);
             let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
             let together = batch_bits(&runs, RecordingLevel::Summary, 3);
             for (run, bits_together) in runs.iter().zip(together) {
                 let name = &run.scenario().spec().name;
-                assert!(bits(&simulate(run, RecordingLevel::Summary)) == bits_together, "{name} {}", controller.name());
+                assert!(result_bits(&simulate(run, RecordingLevel::Summary)) == bits_together, "{name} {}", controller.name());
             }
         }
     }
@@ -97,7 +97,7 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
 #[test]
 fn results_come_back_in_order() {
     let draws: Vec<_> = (0..100).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap()).collect();
-    let options = RunOptions::new(ControllerSpec::named("match-leader").unwrap());
+    let options = RunOptions::new(ControllerSpec::from_name("match-leader").unwrap());
     let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).unwrap()).collect();
     let indices = simulate_batch(&runs, RecordingLevel::Summary, |index, _| index);
     assert_eq!(indices, (0..100).collect::<Vec<_>>());

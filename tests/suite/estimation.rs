@@ -8,18 +8,18 @@ mod world;
 
 use std::sync::Arc;
 
-use crumple_fuzzing::oracle::estimates_are_sane;
+use crumple_fuzzing::oracle::estimates_within_bounds;
 use crumple_world::control::ControllerSpec;
 use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Accelerometer, Sensor, TrueState};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::random::Purpose;
-use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in};
+use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, Stepper};
 use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use self::world::WhiteJerk;
-use crate::generate::{any_test_case, ask, cases, traced};
+use crate::generate::{any_test_case, check_oracle, cases, simulate_traced};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
 fn is_in_band(sum: f64, count: usize, share: f64) -> bool {
@@ -36,7 +36,7 @@ fn innovations_are_chi_square_in_the_world_the_filter_believes_in() {
         let sensors = Sensors { dropout, ..Sensors::default() };
         let mut normalised: Vec<Vec<f64>> = Vec::new();
         for run in 0..200 {
-            let (tuning, mut world, mut filter) = WhiteJerk::observed(&sensors, run);
+            let (tuning, mut world, mut filter) = WhiteJerk::with_filter(&sensors, run);
             let mut sensor = Sensor::new(run, Purpose::GapAheadSensor, 1, sensors.gap_noise_m, &sensors);
             let mut innovations = Vec::new();
             for _ in 0..1500 {
@@ -67,7 +67,7 @@ fn errors_have_the_deviations_the_filter_says() {
     let sensors = Sensors::default();
     let errors: Vec<[f64; 3]> = (0..RUNS)
         .map(|run| {
-            let (tuning, mut world, mut filter) = WhiteJerk::observed(&sensors, run);
+            let (tuning, mut world, mut filter) = WhiteJerk::with_filter(&sensors, run);
             let mut sensor = Sensor::new(run, Purpose::GapAheadSensor, 1, sensors.gap_noise_m, &sensors);
             for _ in 0..400 {
                 filter.update(&tuning, sensor.measure(world.distance_m()));
@@ -97,8 +97,8 @@ struct Consistency {
 /// The same filter on the very measurements of a run: same seed, purpose and vehicle.
 fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consistency {
     let (spec, ego) = (scenario.spec(), 1);
-    let options = RunOptions::new(ControllerSpec::named(controller).expect("built in"));
-    let trace = traced(scenario, &options).trace.expect("kept");
+    let options = RunOptions::new(ControllerSpec::from_name(controller).expect("built in"));
+    let trace = simulate_traced(scenario, &options).trace.expect("kept");
     let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
     let gaps_behind_rear =
         |rear: usize| trace.pairs(rear).first().expect("a pair").gaps_m().map(|(_, gap_m)| gap_m).collect();
@@ -111,24 +111,24 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
         _ => (tuning.gap(), gap_m, 0.0, 1.0, Some(ego + 1), gaps_behind_rear(ego + 1)),
     };
     let mut sensor = Sensor::new(spec.seed, channel, ego, noise_m, &spec.sensors);
-    let mut filter = Filter::running(tuning, truth_m[0], rate_mps, [0.0; 3]);
+    let mut filter = Filter::new_steady(tuning, truth_m[0], rate_mps, [0.0; 3]);
     let own = &trace.vehicles[ego];
-    let mut inertia = Accelerometer::cruising(own.speed_mps[0]);
+    let mut inertia = Accelerometer::new(own.speed_mps[0]);
     let mut found = Consistency::default();
     let mut since_surprise = usize::MAX;
     // The last sample is the contact, which comes between two measurements.
     for k in 0..trace.len() - 1 {
         // A trace holds the acceleration of the step that begins; what is felt is that of the step that ended.
         let ended = |of: &[f64]| if k == 0 { 0.0 } else { of[k - 1] };
-        let felt = inertia.felt(spec.step_s, own.speed_mps[k], ended(&own.acceleration_mps2));
+        let felt = inertia.measure_change(spec.step_s, own.speed_mps[k], ended(&own.acceleration_mps2));
         let measured_m = sensor.measure(truth_m[k]).expect("nothing is lost");
         filter.feed_forward(tuning, &felt, sign);
         let innovation = filter.innovation(tuning, measured_m);
         filter.update(tuning, Some(measured_m));
         let part = match since_surprise {
-            0..50 => &mut found.surprised,
+            0..50 => &mut found.after_surprise,
             50..150 => &mut Default::default(),
-            _ => &mut found.otherwise,
+            _ => &mut found.undisturbed,
         };
         *part = (part.0 + innovation.residual_m.powi(2) / innovation.variance_m2, part.1 + 1);
         let jump_mps2 = neighbour.map_or(0.0, |index| {
@@ -153,16 +153,16 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
     for controller in ["baseline", "constant-brake"] {
         for channel in [Purpose::PositionSensor, Purpose::GapAheadSensor, Purpose::GapBehindSensor] {
             let draw = |index| PaperDistribution { seed: 21 }.draw(index).expect("valid");
-            let runs: Vec<_> = (0..300).map(|index| consistency(&draw(index), controller, channel)).collect();
-            let inside = runs.iter().filter(|run| is_in_band(run.otherwise.0, run.otherwise.1, 0.95)).count();
+            let runs: Vec<_> = (0..300).map(|index| measure_consistency(&draw(index), controller, channel)).collect();
+            let inside = runs.iter().filter(|run| is_in_band(run.undisturbed.0, run.undisturbed.1, 0.95)).count();
             assert!(inside >= 265, "{controller} {channel:?}: {inside} of 300 runs inside");
             let mean = |of: fn(&Consistency) -> (f64, usize)| {
                 let (sum, count) = runs.iter().map(of).fold((0.0, 0), |all, one| (all.0 + one.0, all.1 + one.1));
                 sum / count as f64
             };
-            let all = mean(|run| run.otherwise);
+            let all = mean(|run| run.undisturbed);
             assert!((0.97..1.0).contains(&all), "{controller} {channel:?}: mean NIS {all}");
-            let surprised = mean(|run| run.surprised);
+            let surprised = mean(|run| run.after_surprise);
             let expected = match channel {
                 Purpose::GapAheadSensor => 2.0..3.0,
                 Purpose::GapBehindSensor => 7.0..10.0,
@@ -179,8 +179,8 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
 #[test]
 fn without_noise_the_own_motion_is_exact_through_every_jump() {
     let sensors = Sensors { position_noise_m: 0.0, gap_noise_m: 0.0, ..Sensors::default() };
-    let scenario = built_in("paper-2").expect("built in").edited(|spec| spec.sensors = sensors).expect("valid");
-    let options = RunOptions::new(ControllerSpec::named("baseline").expect("built in"));
+    let scenario = built_in_scenario("paper-2").expect("built in").edited(|spec| spec.sensors = sensors).expect("valid");
+    let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
     let run = Run::new(&scenario, options).expect("valid");
     let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
     let mut last_mps2 = 0.0;
@@ -198,7 +198,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
         stepper.command(1, last_mps2);
         stepper.step();
     }
-    assert!(!stepper.has_touched() && last_mps2 == -7.0 && stepper.motion()[1].speed_mps == 0.0);
+    assert!(!stepper.has_collided() && last_mps2 == -7.0 && stepper.motion()[1].speed_mps == 0.0);
 }
 
 /// What a controller sees in steady driving: no bias, and errors known in closed form.
@@ -255,12 +255,12 @@ fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_say
 fn losing_one_measurement_in_five_changes_no_verdict() {
     for name in ["paper-1", "paper-2", "paper-3"] {
         for controller in ["baseline", "match-leader", "constant-brake"] {
-            let options = RunOptions::new(ControllerSpec::named(controller).expect("built in"));
-            let scenario = built_in(name).expect("built in");
-            let truth = traced(&scenario, &options.clone().with_estimator(EstimatorKind::Truth)).outcome;
+            let options = RunOptions::new(ControllerSpec::from_name(controller).expect("built in"));
+            let scenario = built_in_scenario(name).expect("built in");
+            let truth = simulate_traced(&scenario, &options.clone().with_estimator(EstimatorKind::Truth)).outcome;
             for seed in 0..10 {
                 let lossy = scenario.edited(|spec| (spec.seed, spec.sensors.dropout) = (seed, 0.2)).expect("valid");
-                match (truth.contact(), traced(&lossy, &options).outcome.contact()) {
+                match (truth.contact(), simulate_traced(&lossy, &options).outcome.contact()) {
                     (None, None) => {}
                     (Some(truth), Some(lossy)) => {
                         assert_eq!(truth.rear_vehicle, lossy.rear_vehicle, "{name} {controller} seed {seed}");
@@ -280,6 +280,6 @@ proptest! {
     /// noise and lag explain. Who sees the truth sees the truth.
     #[test]
     fn what_is_seen_is_near_the_truth(test_case in any_test_case()) {
-        ask(&test_case, estimates_are_sane)?;
+        check_oracle(&test_case, estimates_within_bounds)?;
     }
 }

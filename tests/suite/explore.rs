@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::command_line::{code, crumple, folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 /// Drags, draws, opens a failure, saves it and runs it again: `tests/browser/explore.py` says what. Skipped in so many words where there
 /// is no Python, no chromium or no driver.
@@ -47,9 +47,9 @@ fn explore_prints_its_address_and_ends_with_ctrl_c() {
 #[cfg(unix)]
 #[test]
 fn explore_opens_a_campaign_that_is_named_first() {
-    let folder = folder();
+    let folder = temp_folder();
     let search = ["falsify", "--controller", "idm", "--budget", "1", "--out", "found"];
-    assert_eq!(code(&crumple(folder.path(), &search)), 0);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &search)), 0);
     for (what, page) in [(["found", "paper-1"], "/campaigns"), (["paper-1", "found"], "/")] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
         command.arg("explore").args(what).args(["--quiet", "--format", "json"]).current_dir(folder.path());
@@ -66,11 +66,11 @@ fn explore_opens_a_campaign_that_is_named_first() {
 
 #[test]
 fn explore_refuses_what_it_cannot_offer() {
-    let folder = folder();
+    let folder = temp_folder();
     let refused = |arguments: &[&str], said: &str| {
-        let output = crumple(folder.path(), &[&["explore"], arguments].concat());
+        let output = run_crumple(folder.path(), &[&["explore"], arguments].concat());
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(code(&output) == 2 && text.contains(said) && text.lines().count() == 1, "{text}");
+        assert!(exit_code(&output) == 2 && text.contains(said) && text.lines().count() == 1, "{text}");
     };
     refused(&["no-such-scenario"], "neither a built-in scenario");
     refused(&["."], "no campaign has begun there");

@@ -5,17 +5,17 @@ mod changes;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
-    BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within,
+    BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, check_binding, check_covers_scenario,
     shipped_kernels,
 };
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
-use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_with};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
+use crumple_verify::{ProvedClaim, Certificate, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{ControllerKind, NamedController};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use changes::{Forged, Genuine, forged};
+use changes::{ForgedCertificate, GenuineCertificate, forge};
 
 /// What becomes of a forged certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,14 +39,14 @@ enum Verdict {
 }
 
 /// What becomes of a forged certificate, if counts are counted again.
-fn judge_forgery(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
+fn judge_forgery(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &ForgedCertificate) -> Verdict {
     let Ok(certificate) = Certificate::from_json(&forged.text) else { return Verdict::Refused };
     let policy = forged.policy.as_deref();
     // What costs least comes first.
-    if bound(&certificate, policy).is_err() {
+    if check_binding(&certificate, policy).is_err() {
         return Verdict::Refused;
     }
-    let Ok(_) = check_with(&certificate, policy, WorkLimit::billions(50)) else { return Verdict::Refused };
+    let Ok(_) = check_with(&certificate, policy, WorkLimit::from_billions(50)) else { return Verdict::Refused };
     match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(Sample::Whole, &Quiet)) {
         Ok(_) | Err(RerunError::NothingCounted(_)) => {}
         Err(_) => return Verdict::Refused,
@@ -55,13 +55,13 @@ fn judge_forgery(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdic
         return Verdict::Implied;
     }
     // Version 1 is about numbers of its own, all of which the checker has looked at; only what it leaves out could mislead.
-    let is_of_it = if certificate.is_old() {
-        let is_about = |scenario: &Scenario| lies_within(&certificate, scenario, policy).is_ok();
+    let is_of_it = if certificate.is_first_version() {
+        let is_about = |scenario: &Scenario| check_covers_scenario(&certificate, scenario, policy).is_ok();
         !has_all_assumptions(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
     } else {
         is_of_same_subject(&genuine.certificate, &certificate)
     };
-    if is_of_it { Verdict::Forgery } else { Verdict::OfAnother }
+    if is_of_it { Verdict::Forgery } else { Verdict::OtherSubject }
 }
 
 fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
@@ -70,43 +70,43 @@ fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
 
 /// Whether two certificates of version 2 speak of the same: the same texts, and the same policy.
 fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
-    let policy = |certificate: &Certificate| certificate.policy().map(|(_, digest)| digest.to_owned());
+    let policy = |certificate: &Certificate| certificate.policy_reference().map(|(_, digest)| digest.to_owned());
     one.provenance.scenario_text == other.provenance.scenario_text
         && one.provenance.box_text == other.provenance.box_text
         && policy(one) == policy(other)
 }
 
 /// Whether what is claimed follows from a certificate and from what the checker says that it shows.
-fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -> bool {
+fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate) -> bool {
     // Version 1 speaks of no subject: its numbers are all that it says.
-    let is_of_it = claimed.is_old() || is_of_same_subject(original, claimed);
+    let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
     has_all_assumptions(original, claimed)
         && is_of_it
         && match (&original.statement, &claimed.statement, shown) {
-            (Statement::Avoidable(one), Statement::Avoidable(other), Accepted::Avoidable { smallest_gap_m, .. }) => {
+            (Statement::Avoidable(one), Statement::Avoidable(other), ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) => {
                 one.scene == other.scene && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m
             }
             (Statement::Unavoidable(one), Statement::Unavoidable(other), _) => one.scene == other.scene,
-            (Statement::GapBound(one), Statement::GapBound(other), Accepted::GapBound { gap_m, .. }) => {
+            (Statement::GapBound(one), Statement::GapBound(other), ProvedClaim::GapBound { gap_m, .. }) => {
                 one.scene == other.scene && other.gap_m >= *gap_m
             }
             (Statement::Kernel(one), Statement::Kernel(other), _) => {
                 // The theorem is for every step and margin.
                 let (step_s, margin_m) = (one.step_s.clone(), one.margin_m.clone());
-                *one == crumple_verify::Kernel { step_s, margin_m, ..other.clone() }
+                *one == crumple_verify::KernelClaim { step_s, margin_m, ..other.clone() }
             }
             // The counts were counted again: what they show of the rate is the checker's.
             (Statement::Rate(one), Statement::Rate(other), _) => {
                 (&one.registration, one.failures) == (&other.registration, other.failures)
             }
             (Statement::Comparison(one), Statement::Comparison(other), _) => {
-                let counts = |claim: &crumple_verify::Comparison| (claim.only_first_failed, claim.only_second_failed);
+                let counts = |claim: &crumple_verify::ComparisonClaim| (claim.only_first_failed, claim.only_second_failed);
                 one.registration == other.registration && counts(one) == counts(other)
             }
             (
                 Statement::Reach(one),
                 Statement::Reach(other),
-                Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. },
+                ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. },
             ) => {
                 // A leader within a limit is one within any larger one.
                 let leads = match (one.leader_brakes_at_most_mps2, other.leader_brakes_at_most_mps2) {
@@ -127,7 +127,7 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
             (
                 Statement::AdaptiveCruise(one),
                 Statement::AdaptiveCruise(other),
-                Accepted::Cruise { margin_m, x_ego_width_m },
+                ProvedClaim::Cruise { margin_m, x_ego_width_m },
             ) => {
                 // However it is cut: what is accepted was derived for the same network.
                 (&one.policy_sha256, &one.source) == (&other.policy_sha256, &other.source)
@@ -138,23 +138,23 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
         }
 }
 
-fn avoidability_certificate(scenario: &Scenario) -> Genuine {
+fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
     let certificate = match avoid(scenario, AvoidOptions::default()).expect("options fit").verdict {
-        AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).expect("accepted"),
+        AvoidanceVerdict::Avoidable(escape) => certify(&ScenarioBox::point(scenario), &escape).expect("accepted"),
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
         AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
     };
-    Genuine { certificate, policy: None, scenario: Some(scenario.clone()) }
+    GenuineCertificate { certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
-fn gap_bound_certificate(scenario: &Scenario) -> Genuine {
+fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
     let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
     let certificate = avoid(scenario, options).expect("options fit").bound_certificate.expect("a bound");
-    Genuine { certificate: *certificate, policy: None, scenario: Some(scenario.clone()) }
+    GenuineCertificate { certificate: *certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
-fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
-    let find = |name: &str| NamedController::from(ControllerSpec::named(name).expect("built in"));
+fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
+    let find = |name: &str| NamedController::from(ControllerSpec::from_name(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
         against: against.map(find),
         seed: 5,
@@ -162,51 +162,51 @@ fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genui
         ..RateConfig::new(find(controller), built_in_space("paper").expect("built in"), runs)
     })
     .expect("a plan");
-    let mut tally = plan.tally();
+    let mut tally = plan.empty_tally();
     while tally.runs < runs {
         plan.count_batch(&mut tally).expect("runs");
     }
-    Genuine { certificate: plan.certificate(&tally), policy: None, scenario: None }
+    GenuineCertificate { certificate: plan.certificate(&tally), policy: None, scenario: None }
 }
 
-fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
+fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> GenuineCertificate {
     let text = format!(
         "version = 1\nscenario = \"paper-2\"\n{of_leader}[ranges]\ngap_ahead_m = {{ low = 15.9, high = 16.1 }}"
     );
     let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(controller, &spec).expect("a plan");
     let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
-    Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
+    GenuineCertificate { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in_scenario("paper-2") }
 }
 
 fn controller_corpus_path(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
 }
 
-fn cruise_certificate(cells: u32) -> Genuine {
-    let plan = CruisePlan::new(NetworkFile::load(&network("acc-5x20.onnx")).expect("there")).expect("fits");
+fn cruise_certificate(cells: u32) -> GenuineCertificate {
+    let plan = CruisePlan::new(NetworkFile::load(&controller_corpus_path("acc-5x20.onnx")).expect("there")).expect("fits");
     let certificate = plan.prove(cells).expect("bounded").certificate;
-    Genuine { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
+    GenuineCertificate { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
 
 /// One of every kind, two of most.
-fn genuine_certificates() -> Vec<Genuine> {
-    let paper = built_in("paper-1").expect("built in");
+fn genuine_certificates() -> Vec<GenuineCertificate> {
+    let paper = built_in_scenario("paper-1").expect("built in");
     let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
     let noisy = paper.edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).expect("valid");
-    let mut all = vec![of_scene(&paper), of_scene(&close), of_scene(&noisy)];
-    all.extend([bounded(&paper), bounded(&built_in("paper-2").expect("built in"))]);
-    all.extend([counted("idm", None, 200), counted("idm", Some("baseline"), 150)]);
-    all.extend([reach(Policy::reference(), ""), reach(Policy::retrained(), "")]);
-    all.push(reach(NamedController::find("leaky-40-clip.onnx", &network("")).expect("there").kind, ""));
+    let mut all = vec![avoidability_certificate(&paper), avoidability_certificate(&close), avoidability_certificate(&noisy)];
+    all.extend([gap_bound_certificate(&paper), gap_bound_certificate(&built_in_scenario("paper-2").expect("built in"))]);
+    all.extend([rate_certificate("idm", None, 200), rate_certificate("idm", Some("baseline"), 150)]);
+    all.extend([reach_certificate(Policy::reference(), ""), reach_certificate(Policy::retrained(), "")]);
+    all.push(reach_certificate(NamedController::find("leaky-40-clip.onnx", &controller_corpus_path("")).expect("there").kind, ""));
     // One that is verified, and one that a leader within the limit falsifies.
-    all.extend([0.02, 7.5].map(|limit| reach(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
-    all.extend(["idm", "acc-aeb"].map(|law| reach(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))));
+    all.extend([0.02, 7.5].map(|limit| reach_certificate(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
+    all.extend(["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))));
     // One that departs from a law.
-    let road = Policy::load(&network("../policy/road.safetensors")).expect("there");
-    all.push(reach(std::sync::Arc::new(road), ""));
-    all.extend([cruise(1), cruise(2)]);
-    let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
+    let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).expect("there");
+    all.push(reach_certificate(std::sync::Arc::new(road), ""));
+    all.extend([cruise_certificate(1), cruise_certificate(2)]);
+    let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all
 }
@@ -215,11 +215,11 @@ fn genuine_certificates() -> Vec<Genuine> {
 fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let wanted: u64 = std::env::var("FORGERIES").ok().and_then(|text| text.parse().ok()).unwrap_or(1000);
     let begin = std::time::Instant::now();
-    let genuine = genuine();
-    let shown: Vec<Accepted> = genuine
+    let genuine = genuine_certificates();
+    let shown: Vec<ProvedClaim> = genuine
         .iter()
         .map(|one| {
-            bound(&one.certificate, one.policy.as_deref()).expect("bound");
+            check_binding(&one.certificate, one.policy.as_deref()).expect("bound");
             check_with(&one.certificate, one.policy.as_deref(), WorkLimit::default()).expect("accepted")
         })
         .collect();
@@ -228,14 +228,14 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
     let tried = (0..wanted).into_par_iter().map(|index| {
         let which = index as usize % genuine.len();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
-        let forged = forged(&genuine[which], &genuine, &mut random);
+        let forged = forge(&genuine[which], &genuine, &mut random);
         let kind = genuine[which].certificate.statement.name();
         // It may have come out as it was, or as another of the genuine ones.
         let read = Certificate::from_json(&forged.text).ok();
         if genuine.iter().any(|one| Some(&one.certificate) == read.as_ref() && one.policy == forged.policy) {
             return (kind, None);
         }
-        let verdict = judged(&genuine[which], &shown[which], &forged);
+        let verdict = judge_forgery(&genuine[which], &shown[which], &forged);
         assert_ne!(verdict, Verdict::Forgery, "{index}: {kind}: {}: {}", forged.change, forged.text);
         (kind, Some(verdict))
     });

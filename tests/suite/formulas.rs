@@ -1,13 +1,13 @@
 //! How runs are measured, and formulas over them.
 
-use crumple_fuzzing::any_formula;
+use crumple_fuzzing::formula_from_bytes;
 use crumple_world::measure::stl::{
-    Formula, Signals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
+    Formula, SampledSignals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
 };
 use crumple_world::sim::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, cases, traced};
+use crate::generate::{any_test_case, cases, simulate_traced};
 
 proptest! {
     #![proptest_config(cases(256))]
@@ -18,7 +18,7 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..80),
         (more, found) in prop::sample::select(vec![(")", "`)`"), ("x > 0", "`x`"), ("]", "`]`"), ("1", "1")]),
     ) {
-        let formula = any_formula(&bytes, &["x", "y"], 0.1).unwrap().to_string();
+        let formula = formula_from_bytes(&bytes, &["x", "y"], 0.1).unwrap().to_string();
         let error = format!("({formula}) {more}").parse::<Formula>().expect_err("more than a formula");
         prop_assert_eq!(error.column, formula.chars().count() + 4);
         match &error.problem {
@@ -48,7 +48,7 @@ proptest! {
         ]),
         [rate, other] in prop::array::uniform2(0.001..0.1_f64),
     ) {
-        let mut signals = Signals::new(0.01, samples).unwrap();
+        let mut signals = SampledSignals::new(0.01, samples).unwrap();
         for (name, rate) in [("x", rate), ("y", other)] {
             signals.insert(name, (0..samples).map(|k| (rate * k as f64).sin()).collect::<Vec<f64>>()).unwrap();
         }
@@ -61,7 +61,7 @@ proptest! {
     fn vehicles_that_touched_have_no_gap(mut test_case in any_test_case()) {
         test_case.setup.after_contact = AfterContact::Continue;
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
-        let result = traced(&test_case.scenario, &options);
+        let result = simulate_traced(&test_case.scenario, &options);
         let trace = result.trace.as_ref().expect("kept");
         let names = motion_signal_names(trace.vehicles.len());
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -96,7 +96,7 @@ fn rounding_opens_no_gap() {
 /// Where both sides are equal the robustness is zero, and strictness decides.
 #[test]
 fn equality_satisfies_what_is_not_strict() {
-    let mut signals = Signals::new(0.1, 1).unwrap();
+    let mut signals = SampledSignals::new(0.1, 1).unwrap();
     signals.insert("x", vec![1.0]).unwrap();
     let cases = [
         ("x > 1", false),
@@ -116,7 +116,7 @@ fn equality_satisfies_what_is_not_strict() {
 /// A sum that is no number is told with its time, and the definition tells the same.
 #[test]
 fn what_is_undefined_is_told_with_its_time() {
-    let mut signals = Signals::new(0.1, 10).unwrap();
+    let mut signals = SampledSignals::new(0.1, 10).unwrap();
     for name in ["x", "y"] {
         let samples: Vec<f64> = (0..10).map(|k| if k == 7 { f64::INFINITY } else { 0.0 }).collect();
         signals.insert(name, samples).unwrap();

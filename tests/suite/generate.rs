@@ -4,26 +4,26 @@
 //! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
 
 use arbitrary::Unstructured;
-pub(crate) use crumple_cases::cases;
+pub(crate) use crumple_cases::with_cases;
 use crumple_fuzzing::{
-    self, Checked, Crumple, LANE_CASE_BYTES, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES,
+    self, OracleOutcome, Crumple, LANE_CASE_BYTES, OracleFn, SCENARIO_BYTES, SETUP_BYTES, RunSetup, ScenarioShape, TEST_CASE_BYTES,
     TestCase,
 };
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
 /// Runs a scenario with everything recorded.
-pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> Simulated {
+pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> SimulationResult {
     simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
 }
 
 /// Asks an oracle; a test case that rounding decides does not count.
-pub(crate) fn check_oracle(test_case: &TestCase, oracle: Oracle) -> Result<(), TestCaseError> {
-    match test_case.ask(oracle, &Crumple) {
-        Ok(Checked::Holds | Checked::DoesNotApply) => Ok(()),
-        Ok(Checked::Undecided) => Err(TestCaseError::reject("rounding decides it")),
+pub(crate) fn check_oracle(test_case: &TestCase, oracle: OracleFn) -> Result<(), TestCaseError> {
+    match test_case.check(oracle, &Crumple) {
+        Ok(OracleOutcome::Holds | OracleOutcome::NotApplicable) => Ok(()),
+        Ok(OracleOutcome::Undecided) => Err(TestCaseError::reject("rounding decides it")),
         Err(violation) => Err(TestCaseError::fail(violation.to_string())),
     }
 }
@@ -35,33 +35,33 @@ pub(crate) fn any_bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
 
 /// Any test case.
 pub(crate) fn any_test_case() -> impl Strategy<Value = TestCase> {
-    bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes(&bytes))
+    any_bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes(&bytes))
 }
 
 /// Any test case in which vehicles may enter the lane and leave it.
 pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
-    bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes_with_lanes(&bytes))
+    any_bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes_with_lanes(&bytes))
 }
 
 /// Any valid scenario, with all that a file can say.
 pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
-    bytes(SCENARIO_BYTES).prop_map(|bytes| crumple_fuzzing::scenario(&mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES).prop_map(|bytes| crumple_fuzzing::read_scenario(&mut Unstructured::new(&bytes)))
 }
 
 /// Any scenario of a shape.
-pub(crate) fn any_scenario_of_shape(shape: &Shape) -> impl Strategy<Value = Scenario> + use<> {
+pub(crate) fn any_scenario_of_shape(shape: &ScenarioShape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
-    bytes(SCENARIO_BYTES).prop_map(move |bytes| crumple_fuzzing::scenario_of(&shape, &mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES).prop_map(move |bytes| crumple_fuzzing::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
 }
 
 /// Any shape: 2 to 6 vehicles driven by anything.
-pub(crate) fn any_shape() -> impl Strategy<Value = Shape> {
-    bytes(Shape::BYTES).prop_map(|bytes| Shape::read(&mut Unstructured::new(&bytes)))
+pub(crate) fn any_shape() -> impl Strategy<Value = ScenarioShape> {
+    any_bytes(ScenarioShape::BYTES).prop_map(|bytes| ScenarioShape::read(&mut Unstructured::new(&bytes)))
 }
 
 /// Any controller under test, either estimator, the scenario's step or a finer one, either rule for contacts.
-pub(crate) fn any_setup() -> impl Strategy<Value = Setup> {
-    bytes(SETUP_BYTES).prop_map(|bytes| Setup::read(&mut Unstructured::new(&bytes)))
+pub(crate) fn any_setup() -> impl Strategy<Value = RunSetup> {
+    any_bytes(SETUP_BYTES).prop_map(|bytes| RunSetup::read(&mut Unstructured::new(&bytes)))
 }
 
 /// Either rule for contacts.
@@ -71,13 +71,13 @@ pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
 
 /// The `index`-th sort of lead profile.
 pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
-    bytes(32).prop_map(move |bytes| crumple_fuzzing::profile(index, &bytes))
+    any_bytes(32).prop_map(move |bytes| crumple_fuzzing::profile_from_bytes(index, &bytes))
 }
 
 /// The `index`-th built-in controller, with any sensible settings.
 pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
-    let index = 0..ControllerSpec::built_in().len() as u8;
-    (index, bytes(32)).prop_map(|(index, bytes)| crumple_fuzzing::controller(index, &bytes))
+    let index = 0..ControllerSpec::all().len() as u8;
+    (index, any_bytes(32)).prop_map(|(index, bytes)| crumple_fuzzing::controller_from_bytes(index, &bytes))
 }
 
 /// A scenario without noise, reaction or actuator delays left as they are.

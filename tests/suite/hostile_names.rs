@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_core::quoted::is_hidden;
+use crumple_core::quoting::is_hidden;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
-use crumple_world::scenario::{built_in, file};
+use crumple_world::scenario::{built_in_scenario, file};
 use pulldown_cmark::{Event, Options, Parser, Tag};
 use saphyr::LoadableYamlNode;
 
 use crate::assessments::{config, run};
-use crate::command_line::{code, crumple, folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 /// For fields that may not hold control characters: the rest is anybody's.
 const NAME: &str =
@@ -56,13 +56,13 @@ fn assert_harmless_markdown(text: &str) {
 
 /// A folder with a policy, a space, a scenario and a recording of hostile names.
 fn hostile_folder() -> tempfile::TempDir {
-    let folder = folder();
+    let folder = temp_folder();
     let write = |name: &str, text: &[u8]| fs::write(folder.path().join(name), text).expect("writes");
     write(&format!("{FILE}.safetensors"), Policy::reference_bytes());
     let mut space = built_in_space("high-risk").expect("built in").spec().clone();
     (space.name, space.about) = (NAME.chars().take(100).collect(), format!("# {NAME}\n<!-- {FILE}"));
     write(&format!("{FILE}.toml"), toml::to_string(&space).expect("TOML").as_bytes());
-    let scenario = built_in("paper-2").expect("built in").edited(|spec| spec.name = NAME.to_owned()).expect("valid");
+    let scenario = built_in_scenario("paper-2").expect("built in").edited(|spec| spec.name = NAME.to_owned()).expect("valid");
     fs::create_dir(folder.path().join("scenarios")).expect("made");
     write(&format!("scenarios/{FILE}.toml"), file::to_toml(&scenario).expect("TOML").as_bytes());
     write(&format!("{FILE}.csv"), b"nonsense\n");
@@ -92,7 +92,7 @@ fn reports_show_hostile_names_as_text() {
         }
     }
     saphyr::Yaml::load_from_str(&text("assessment.gsn.yaml")).expect("YAML");
-    assert_no_hidden_characters("the first page", &crumple_core::quoted::Lines(&assessment.first_page.plain()).to_string());
+    assert_no_hidden_characters("the first page", &crumple_core::quoting::TerminalLines(&assessment.first_page.to_plain_text()).to_string());
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");
@@ -139,10 +139,10 @@ fn terminals_show_hostile_names_as_text() {
         (2, &[FILE]),
     ];
     for (expected, arguments) in commands {
-        let output = crumple(folder.path(), arguments);
+        let output = run_crumple(folder.path(), arguments);
         let (said, noted) = (String::from_utf8(output.stdout.clone()), String::from_utf8(output.stderr.clone()));
         let (said, noted) = (said.expect("text"), noted.expect("text"));
-        assert_eq!(code(&output), *expected, "{arguments:?}: {noted}");
+        assert_eq!(exit_code(&output), *expected, "{arguments:?}: {noted}");
         assert_no_hidden_characters(&format!("{arguments:?}"), &(said.clone() + &noted));
         if arguments.contains(&"json") {
             said.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).expect("JSON")));

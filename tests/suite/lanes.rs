@@ -3,19 +3,19 @@
 use std::path::Path;
 
 use crumple_fuzzing::oracle::{
-    entering_at_once_is_being_there, estimates_are_sane, lanes_are_kept, monitor_agrees, one_story,
-    step_size_decides_nothing, who_leaves_behind_changes_nothing_ahead,
+    entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent, monitor_agrees, metrics_agree,
+    step_size_changes_nothing, leaving_last_vehicle_changes_nothing_ahead,
 };
-use crumple_fuzzing::{Checked, Crumple, LANE_ORACLES, Law, Oracle, System, TestCase};
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Reason, avoid};
+use crumple_fuzzing::{OracleOutcome, Crumple, LANE_ORACLES, Invariant, OracleFn, System, TestCase};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LaneChange};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, Track, simulate};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::generate::{any_lane_case, ask, cases};
+use crate::generate::{any_lane_case, check_oracle, cases};
 
 proptest! {
     #![proptest_config(cases(256))]
@@ -23,14 +23,14 @@ proptest! {
     /// All laws but that of the step, which rounding leaves undecided now and then.
     #[test]
     fn lanes_keep_their_laws(test_case in any_lane_case()) {
-        for oracle in LANE_ORACLES.into_iter().filter(|&oracle| oracle as usize != step_size_decides_nothing as Oracle as usize) {
-            ask(&test_case, oracle)?;
+        for oracle in LANE_ORACLES.into_iter().filter(|&oracle| oracle as usize != step_size_changes_nothing as OracleFn as usize) {
+            check_oracle(&test_case, oracle)?;
         }
     }
 
     #[test]
     fn steps_decide_nothing_where_lanes_change(test_case in any_lane_case()) {
-        ask(&test_case, step_size_decides_nothing)?;
+        check_oracle(&test_case, step_size_changes_nothing)?;
     }
 }
 
@@ -43,7 +43,7 @@ fn first_lane_cases(count: usize) -> Vec<TestCase> {
 /// What is generated changes lanes, by every trigger, and the laws of lanes are decided.
 #[test]
 fn what_is_generated_changes_lanes() {
-    let all = first(200);
+    let all = first_lane_cases(200);
     let entered = |test_case: &&TestCase| {
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
         let result = simulate(&Run::new(&test_case.scenario, options).unwrap(), RecordingLevel::Trace);
@@ -56,8 +56,8 @@ fn what_is_generated_changes_lanes() {
     for field in ["at_s", "gap_m", "ttc_s"] {
         assert!(changes().flatten().any(|change| change.field() == field), "{field}");
     }
-    for oracle in [entering_at_once_is_being_there, who_leaves_behind_changes_nothing_ahead] {
-        let holds = all.iter().filter(|one| one.ask(oracle, &Crumple) == Ok(Checked::Holds)).count();
+    for oracle in [entering_at_start_changes_nothing, leaving_last_vehicle_changes_nothing_ahead] {
+        let holds = all.iter().filter(|one| one.check(oracle, &Crumple) == Ok(OracleOutcome::Holds)).count();
         assert!(holds >= 1, "{holds}");
     }
 }
@@ -74,7 +74,7 @@ enum LaneFault {
 }
 
 impl System for LaneFault {
-    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         let scenario = run.scenario();
         let late = scenario.edited(|spec| {
             for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters == Some(LaneChange::At(0.0))) {
@@ -82,13 +82,13 @@ impl System for LaneFault {
             }
         });
         let mut result = match (self, late) {
-            (Self::Late, Ok(late)) => simulate(&Run::new(&late, run.options().clone()).unwrap(), keep),
+            (Self::EntryLate, Ok(late)) => simulate(&Run::new(&late, run.options().clone()).unwrap(), keep),
             _ => simulate(run, keep),
         };
         let tracks = result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles);
         match self {
-            Self::Forgotten => tracks.for_each(|track| track.in_lane_s = Track::THROUGHOUT_S),
-            Self::Felt if !scenario.keeps_lanes() => {
+            Self::EntryForgotten => tracks.for_each(|track| track.in_lane_s = Track::THROUGHOUT_S),
+            Self::LeaderMoved if !scenario.keeps_lanes() => {
                 tracks.take(1).for_each(|track| track.position_m.iter_mut().for_each(|position_m| *position_m += 1e-6));
             }
             _ => {}
@@ -99,17 +99,17 @@ impl System for LaneFault {
 
 #[test]
 fn laws_of_lanes_notice_their_faults() {
-    let wrong: [(LaneFault, Oracle, Law); 6] = [
-        (LaneFault::Forgotten, lanes_are_kept, Law::Lanes),
-        (LaneFault::Forgotten, one_story, Law::OneStory),
-        (LaneFault::Forgotten, monitor_agrees, Law::Monitor),
-        (LaneFault::Forgotten, estimates_are_sane, Law::Estimates),
-        (LaneFault::Late, entering_at_once_is_being_there, Law::Lanes),
-        (LaneFault::Felt, who_leaves_behind_changes_nothing_ahead, Law::Lanes),
+    let wrong: [(LaneFault, OracleFn, Invariant); 6] = [
+        (LaneFault::EntryForgotten, lane_times_are_consistent, Invariant::Lanes),
+        (LaneFault::EntryForgotten, metrics_agree, Invariant::MetricsAgree),
+        (LaneFault::EntryForgotten, monitor_agrees, Invariant::Monitor),
+        (LaneFault::EntryForgotten, estimates_within_bounds, Invariant::Estimates),
+        (LaneFault::EntryLate, entering_at_start_changes_nothing, Invariant::Lanes),
+        (LaneFault::LeaderMoved, leaving_last_vehicle_changes_nothing_ahead, Invariant::Lanes),
     ];
-    let all = first(400);
+    let all = first_lane_cases(400);
     for (fault, oracle, law) in wrong {
-        let notices = |one: &TestCase| matches!(one.ask(oracle, &fault), Err(found) if found.law == law);
+        let notices = |one: &TestCase| matches!(one.check(oracle, &fault), Err(found) if found.invariant == law);
         assert!(all.iter().any(notices), "{fault:?} is missed by {law}");
     }
 }
@@ -120,13 +120,13 @@ fn laws_of_lanes_notice_their_faults() {
 fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
     let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
     let mut asked = [0; 2];
-    for TestCase { scenario, .. } in first(300).into_iter().filter(|one| !one.scenario.keeps_lanes()) {
+    for TestCase { scenario, .. } in first_lane_cases(300).into_iter().filter(|one| !one.scenario.keeps_lanes()) {
         let verdict = avoid(&scenario, AvoidOptions::default()).map(|found| found.verdict);
         match verdict {
-            Ok(AvoidanceVerdict::Undecided(Reason::LaneChanges)) => asked[0] += 1,
+            Ok(AvoidanceVerdict::Undecided(UndecidedReason::LaneChanges)) => asked[0] += 1,
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 assert!(!escape.scenario.keeps_lanes());
-                let run = Run::new(&escape.scenario, RunOptions::new(ControllerSpec::named("idm").unwrap())).unwrap();
+                let run = Run::new(&escape.scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
                 assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
             }
             Ok(other) => panic!("{other:?}"),

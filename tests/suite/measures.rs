@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::command_line::{code, crumple, folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 /// One sample of a vehicle: time, speed, gap to the one ahead.
 struct TrackSample {
@@ -34,14 +34,14 @@ fn parse_tracks(csv: &str) -> Vec<Vec<TrackSample>> {
 
 #[test]
 fn five_measures_of_the_report_follow_from_the_exported_trace() {
-    let folder = folder();
+    let folder = temp_folder();
     let report =
         fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/reports/assessment.json")).expect("committed");
     let report: Value = serde_json::from_str(&report).expect("JSON");
     for controller in ["match-leader", "constant-brake", "idm", "policy"] {
         let arguments = ["simulate", "paper-1", "--controller", controller, "--trace", "trace.csv"];
-        assert_eq!(code(&crumple(folder.path(), &arguments)), 0);
-        let tracks = tracks(&fs::read_to_string(folder.path().join("trace.csv")).expect("written"));
+        assert_eq!(exit_code(&run_crumple(folder.path(), &arguments)), 0);
+        let tracks = parse_tracks(&fs::read_to_string(folder.path().join("trace.csv")).expect("written"));
         let (ahead, own) = (&tracks[0], &tracks[1]);
         let (mut gap_m, mut ttc_s, mut drac_mps2) = (f64::INFINITY, f64::INFINITY, 0.0_f64);
         let (mut tet_s, mut tit_s2) = (0.0, 0.0);

@@ -12,13 +12,13 @@ use crumple_world::policy::{Policy, Workspace};
 use crumple_world::scenario::controller_file::controller_file_schema;
 use crumple_world::scenario::{PaperDistribution, Scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Deserialize;
 
-use crate::command_line::{code, crumple};
+use crate::command_line::{exit_code, run_crumple};
 use crate::schema::{assert_committed, validate};
 
 fn controller_corpus() -> PathBuf {
@@ -33,7 +33,7 @@ struct ReferenceAnswers {
 }
 
 fn load_reference_answers(file: &str) -> BTreeMap<String, ReferenceAnswers> {
-    serde_json::from_str(&fs::read_to_string(corpus().join(file)).expect("there")).expect("as it was written")
+    serde_json::from_str(&fs::read_to_string(controller_corpus().join(file)).expect("there")).expect("as it was written")
 }
 
 /// The largest difference of answers, relative to the larger of 1 and the answer.
@@ -41,11 +41,11 @@ fn largest_difference(path: &Path, inputs: &[f32], answers: &[f64]) -> f64 {
     let network = NetworkFile::load(path).unwrap_or_else(|error| panic!("{error}")).network;
     let batch = inputs.len() / network.inputs();
     let mut space = Workspace::default();
-    let together = network.answers(inputs, batch, &mut space).to_vec();
+    let together = network.forward(inputs, batch, &mut space).to_vec();
     assert_eq!(together.len(), answers.len(), "{}", path.display());
     // Alone each has the same bits.
     for (row, own) in inputs.chunks_exact(network.inputs()).zip(together.chunks_exact(network.outputs())).take(100) {
-        assert_eq!(network.answers(row, 1, &mut space), own);
+        assert_eq!(network.forward(row, 1, &mut space), own);
     }
     let differences =
         together.iter().zip(answers).map(|(own, other)| (f64::from(*own) - other).abs() / other.abs().max(1.0));
@@ -54,9 +54,9 @@ fn largest_difference(path: &Path, inputs: &[f32], answers: &[f64]) -> f64 {
 
 #[test]
 fn networks_answer_as_their_makers_do() {
-    for (file, expected) in expected("networks.json").into_iter().chain(expected("models.json")) {
+    for (file, expected) in load_reference_answers("networks.json").into_iter().chain(load_reference_answers("models.json")) {
         let (inputs, answers) = (expected.inputs.concat(), expected.answers.concat());
-        let difference = largest_difference(&corpus().join(&file), &inputs, &answers);
+        let difference = largest_difference(&controller_corpus().join(&file), &inputs, &answers);
         assert!(difference <= 1e-5, "{file}: {difference:e}");
     }
 }
@@ -83,14 +83,14 @@ fn networks_agree_with_their_makers() {
 }
 
 fn controller_kind(name: &str) -> ControllerKind {
-    NamedController::find(name, &corpus()).unwrap_or_else(|error| panic!("{error}")).kind
+    NamedController::find(name, &controller_corpus()).unwrap_or_else(|error| panic!("{error}")).kind
 }
 
 fn draw_scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(|index| PaperDistribution { seed: 20 }.draw(index).unwrap()).collect()
 }
 
-fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Simulated> {
+fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<SimulationResult> {
     let run = |(index, scenario): (usize, _)| {
         Run::new(scenario, RunOptions::new(kinds[index % kinds.len()].clone())).unwrap()
     };
@@ -100,9 +100,9 @@ fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Si
 
 #[test]
 fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
-    let (own, outside) = (ControllerKind::from(Policy::reference()), kind("reference.onnx"));
-    let scenarios = draws(300);
-    assert_eq!(together(&scenarios, slice::from_ref(&own)), together(&scenarios, slice::from_ref(&outside)));
+    let (own, outside) = (ControllerKind::from(Policy::reference()), controller_kind("reference.onnx"));
+    let scenarios = draw_scenarios(300);
+    assert_eq!(simulate_together(&scenarios, slice::from_ref(&own)), simulate_together(&scenarios, slice::from_ref(&outside)));
     for scenario in &scenarios[..20] {
         let alone = |kind: &ControllerKind| {
             simulate(&Run::new(scenario, RunOptions::new(kind.clone())).unwrap(), RecordingLevel::Trace)
@@ -115,9 +115,9 @@ fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
 /// Whatever stands beside it in a block, with memory of its last decisions or without.
 #[test]
 fn outside_networks_in_lockstep_drive_as_alone() {
-    let kinds = ["stacked.toml", "acc.toml", "a2c.toml", "sac-gsde.zip", "leaky-40-clip.onnx"].map(kind);
-    let scenarios = draws(100);
-    for (index, simulated) in together(&scenarios, &kinds).into_iter().enumerate() {
+    let kinds = ["stacked.toml", "acc.toml", "a2c.toml", "sac-gsde.zip", "leaky-40-clip.onnx"].map(controller_kind);
+    let scenarios = draw_scenarios(100);
+    for (index, simulated) in simulate_together(&scenarios, &kinds).into_iter().enumerate() {
         let run = Run::new(&scenarios[index], RunOptions::new(kinds[index % kinds.len()].clone())).unwrap();
         assert_eq!(simulate(&run, RecordingLevel::Trace), simulated, "run {index}");
     }
@@ -144,7 +144,7 @@ driver = "under-test"
 #[test]
 fn the_network_of_the_arch_benchmarks_shape_follows() {
     let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
-    let run = Run::new(&scenario, RunOptions::new(kind("acc.toml"))).unwrap();
+    let run = Run::new(&scenario, RunOptions::new(controller_kind("acc.toml"))).unwrap();
     let min_gap_m = simulate(&run, RecordingLevel::Summary).vehicles[1].min_gap_m.expect("a vehicle ahead");
     assert!((10.0..26.8).contains(&min_gap_m), "{min_gap_m}");
 }
@@ -155,7 +155,7 @@ fn the_network_of_the_arch_benchmarks_shape_follows() {
 fn scenario_files_take_drivers_from_files() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["acc-5x20.onnx", "acc.toml"] {
-        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
     }
     let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
     let path = folder.path().join("following.toml");
@@ -166,16 +166,16 @@ fn scenario_files_take_drivers_from_files() {
         RunOptions::new(controller).with_estimator(crumple_world::observation::EstimatorKind::Truth)
     };
     let run = |scenario, controller| simulate(&Run::new(scenario, truth(controller)).unwrap(), RecordingLevel::Trace);
-    let driven = run(&scenario, kind("reference.onnx"));
-    assert_eq!(driven, run(&under_test, kind("acc.toml")));
-    let batch = [Run::new(&scenario, truth(kind("ppo.zip"))).unwrap()];
+    let driven = run(&scenario, controller_kind("reference.onnx"));
+    assert_eq!(driven, run(&under_test, controller_kind("acc.toml")));
+    let batch = [Run::new(&scenario, truth(controller_kind("ppo.zip"))).unwrap()];
     assert_eq!(simulate_batch(&batch, RecordingLevel::Trace, |_, simulated| simulated), [driven]);
 
     let written = file::to_toml(&scenario).unwrap();
     let again = file::from_toml(&written, Path::new("elsewhere/following.toml")).unwrap();
     assert_eq!(again, scenario);
     assert_eq!(file::to_toml(&again).unwrap(), written);
-    let controller = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    let controller = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     fs::write(folder.path().join("acc.toml"), controller.replace("1.4 #", "1.5 #")).unwrap();
     let error = file::from_toml(&written, &path).expect_err("another controller").to_string();
     assert!(error.contains("vehicles[1].driver.file.path: ") && error.contains("is wanted"), "{error}");
@@ -193,7 +193,7 @@ fn the_schema_of_controller_files_is_committed() {
 fn the_controller_files_of_the_corpus_follow_the_schema() {
     let schema = controller_file_schema();
     for name in ["acc.toml", "stacked.toml", "a2c.toml", "normalised/ppo.toml"] {
-        let file: serde_json::Value = toml::from_str(&fs::read_to_string(corpus().join(name)).unwrap()).unwrap();
+        let file: serde_json::Value = toml::from_str(&fs::read_to_string(controller_corpus().join(name)).unwrap()).unwrap();
         validate(&schema, &schema, &file, name).unwrap();
     }
 }
@@ -201,14 +201,14 @@ fn the_controller_files_of_the_corpus_follow_the_schema() {
 #[test]
 fn what_decides_how_a_network_drives_is_its_identity() {
     let folder = tempfile::tempdir().unwrap();
-    fs::copy(corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
-    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::copy(controller_corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     let identity = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         NamedController::find("a.toml", folder.path()).unwrap().disambiguating_hash().expect("not said by its name")
     };
     let own = identity(&text);
-    assert_eq!(Some(&own), kind("acc.toml").identity().as_ref());
+    assert_eq!(Some(&own), controller_kind("acc.toml").identity().as_ref());
     assert_eq!(own, identity(&format!("# a comment\n{text}")));
     for (was, is) in [("1.4 #", "1.5 #"), ("-7.5", "-7.25"), ("interval_s = 0.1", "interval_s = 0.2")] {
         assert_ne!(own, identity(&text.replacen(was, is, 1)), "{is}");
@@ -218,8 +218,8 @@ fn what_decides_how_a_network_drives_is_its_identity() {
 #[test]
 fn controller_files_are_refused_by_file_line_and_field() {
     let folder = tempfile::tempdir().unwrap();
-    fs::copy(corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
-    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    fs::copy(controller_corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     let cases = [
         ("version = 1", "version = 2", "a.toml:2: version: version 2 is not supported"),
         ("interval_s = 0.1", "interval_s = 0", "a.toml:4: decision_interval_s: must be positive, found 0"),
@@ -256,7 +256,7 @@ fn controller_files_are_refused_by_file_line_and_field() {
 
 #[test]
 fn networks_that_need_a_controller_file_say_so() {
-    let refused = |name: &str| NamedController::find(name, &corpus()).expect_err(name).to_string();
+    let refused = |name: &str| NamedController::find(name, &controller_corpus()).expect_err(name).to_string();
     for (name, said) in [
         ("acc-5x20.onnx", "it makes 1 of 5 numbers"),
         ("a2c.zip", "its space of actions is -7.5 to 3, where crumple's own policies answer with -1 to 1"),
@@ -265,43 +265,43 @@ fn networks_that_need_a_controller_file_say_so() {
         ("normalised-64-64-64.onnx", ""),
     ] {
         if said.is_empty() {
-            kind(name);
+            controller_kind(name);
         } else {
             let error = refused(name);
             assert!(error.contains(said) && error.contains("docs/controllers.md"), "{error}");
         }
     }
     let folder = tempfile::tempdir().unwrap();
-    fs::copy(corpus().join("sac-gsde.zip"), folder.path().join("m.zip")).unwrap();
+    fs::copy(controller_corpus().join("sac-gsde.zip"), folder.path().join("m.zip")).unwrap();
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
     let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
     assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
     // What it saw is that of the file, wherever the pickle is: this one says that it left observations alone.
-    fs::copy(normalised("rewards-alone.pkl"), folder.path().join("vecnormalize.pkl")).unwrap();
+    fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("vecnormalize.pkl")).unwrap();
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
 }
 
 fn normalised_path(name: &str) -> PathBuf {
-    corpus().join("normalised").join(name)
+    controller_corpus().join("normalised").join(name)
 }
 
 /// The file of a model trained behind `VecNormalize` tells so, with its statistics beside it or without.
 #[test]
 fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     use crumple_world::network::VecNormalizeUse as Trace;
-    let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().trace;
-    assert_eq!(trace(&normalised("ppo.zip")), Trace::Behind);
-    assert_eq!(["ppo.zip", "sac.zip"].map(|name| trace(&corpus().join(name))), [Trace::None, Trace::Unknown]);
+    let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().vec_normalize;
+    assert_eq!(trace(&normalised_path("ppo.zip")), Trace::Behind);
+    assert_eq!(["ppo.zip", "sac.zip"].map(|name| trace(&controller_corpus().join(name))), [Trace::None, Trace::Unknown]);
 
     let folder = tempfile::tempdir().unwrap();
-    let told = fs::read_to_string(normalised("ppo.toml")).unwrap();
+    let told = fs::read_to_string(normalised_path("ppo.toml")).unwrap();
     let untold = told.replace("normalised = true\n", "");
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         NamedController::find("a.toml", folder.path()).map(|found| found.disambiguating_hash())
     };
-    fs::copy(normalised("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
+    fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let said = find(&untold).expect_err("not told").to_string();
     assert!(said.contains("a.toml:1: normalised: is missing: ") && said.contains("as its own data tells"), "{said}");
     let said = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
@@ -310,11 +310,11 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     // What is said of its training changes nothing of how it drives.
     assert_eq!(find(&untold.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
     // With the statistics beside it nobody has to say that the inputs hold them, unless they do not.
-    fs::copy(normalised("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
+    fs::copy(normalised_path("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
     assert_eq!(find(&untold).unwrap(), identity);
     let said = find(&untold.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
     assert!(said.contains("`ppo_vecnormalize.pkl` seems to have the statistics"), "{said}");
-    fs::copy(normalised("rewards-alone.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
+    fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
     assert!(find(&untold.replace("high = 5.0", "high = 10.0")).is_ok());
 }
 
@@ -326,20 +326,20 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
         seen: Vec<Vec<f64>>,
         answers: Vec<Vec<f64>>,
     }
-    let text = fs::read_to_string(normalised("answers.json")).unwrap();
+    let text = fs::read_to_string(normalised_path("answers.json")).unwrap();
     let Answers { seen, answers } = serde_json::from_str(&text).unwrap();
-    let ControllerKind::Network(controller) = kind("normalised/ppo.toml") else { panic!("a network") };
+    let ControllerKind::Network(controller) = controller_kind("normalised/ppo.toml") else { panic!("a network") };
     let mapped = |row: Vec<f64>| -> Vec<f32> {
         let inputs = &controller.mapping().inputs;
-        let one = |(value, input): (f64, &crumple_world::control::Input)| {
+        let one = |(value, input): (f64, &crumple_world::control::InputMapping)| {
             ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
         };
         row.into_iter().zip(inputs).map(one).collect()
     };
     let inputs: Vec<f32> = seen.into_iter().flat_map(mapped).collect();
-    let difference = largest_difference(&normalised("ppo.zip"), &inputs, &answers.concat());
+    let difference = largest_difference(&normalised_path("ppo.zip"), &inputs, &answers.concat());
     assert!(difference <= 1e-5, "{difference:e}");
-    assert!(controller.doubts().is_empty(), "{:?}", controller.doubts());
+    assert!(controller.warnings().is_empty(), "{:?}", controller.warnings());
 }
 
 /// Which of several answers drives has to be said; a model's spaces are compared with what the file says of it.
@@ -347,15 +347,15 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
 fn what_does_not_fit_a_model_is_told() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a2c.zip", "elu-7-5.onnx"] {
-        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
     }
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         NamedController::find("a.toml", folder.path())
     };
-    let fitting = fs::read_to_string(corpus().join("a2c.toml")).unwrap();
-    assert_eq!(find(&fitting).unwrap().kind.doubts(), Vec::<String>::new());
-    let doubts = |text: &str| find(text).unwrap().kind.doubts().join("\n");
+    let fitting = fs::read_to_string(controller_corpus().join("a2c.toml")).unwrap();
+    assert_eq!(find(&fitting).unwrap().kind.warnings(), Vec::<String>::new());
+    let doubts = |text: &str| find(text).unwrap().kind.warnings().join("\n");
     let unscaled = fitting.replacen("offset = 16.0\nscale = 16.0\nlow = -4.0\nhigh = 4.0\n", "", 1);
     assert!(doubts(&unscaled).contains("inputs[0] (gap_ahead_m) is 10 to 50, of -4 to 4"), "{}", doubts(&unscaled));
     for (said, doubt) in [
@@ -370,13 +370,13 @@ fn what_does_not_fit_a_model_is_told() {
     }
     let said = find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
     assert!(said.contains("output: leaves nothing of the model's actions of -7.5 to 3"), "{said}");
-    let noted = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
-    assert_eq!(code(&noted), 2);
+    let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
+    assert_eq!(exit_code(&noted), 2);
     fs::write(folder.path().join("a.toml"), &unscaled).unwrap();
-    let noted = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml"]);
+    let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml"]);
     let said = String::from_utf8_lossy(&noted.stderr).into_owned();
     assert!(said.starts_with("note: shield:a.toml: in ordinary driving") && said.lines().count() == 1, "{said}");
-    let quiet = crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml", "--quiet"]);
+    let quiet = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml", "--quiet"]);
     assert!(quiet.stderr.is_empty() && quiet.stdout == noted.stdout);
 
     let several = "version = 1\nnetwork = \"elu-7-5.onnx\"\ndecision_interval_s = 0.1\n\
@@ -392,11 +392,11 @@ fn what_does_not_fit_a_model_is_told() {
 fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["ppo_0.5", "plain", "m.zip"] {
-        fs::copy(corpus().join("ppo.zip"), folder.path().join(name)).unwrap();
+        fs::copy(controller_corpus().join("ppo.zip"), folder.path().join(name)).unwrap();
     }
     for name in ["ppo_0.5", "plain"] {
         let found = NamedController::find(name, folder.path()).unwrap();
-        assert_eq!(found.kind.identity(), kind("ppo.zip").identity());
+        assert_eq!(found.kind.identity(), controller_kind("ppo.zip").identity());
     }
     let said = NamedController::find("m", folder.path()).expect_err("no ending").to_string();
     assert_eq!(said, "there is no controller `m`; did you mean the file `m.zip`?");
@@ -408,18 +408,18 @@ fn what_is_described_drives() {
     let folder = tempfile::tempdir().unwrap();
     let names = ["ppo.zip", "sac.zip", "td3.zip", "acc-5x20.onnx", "elu-7-5.onnx", "normalised/ppo.zip"];
     for name in names {
-        let path = corpus().join(name).display().to_string();
-        let described = crumple(folder.path(), &["describe", &path]);
-        assert_eq!(code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        let path = controller_corpus().join(name).display().to_string();
+        let described = run_crumple(folder.path(), &["describe", &path]);
+        assert_eq!(exit_code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        let json = crumple(folder.path(), &["describe", &path, "--format", "json"]);
+        let json = run_crumple(folder.path(), &["describe", &path, "--format", "json"]);
         let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
         let text = String::from_utf8_lossy(&described.stdout).into_owned();
         assert!(text.ends_with(json["controller_file"].as_str().unwrap()), "{name}");
         if name == "normalised/ppo.zip" {
             let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
-            let ControllerKind::Network(written) = kind("normalised/ppo.toml") else { panic!("a network") };
+            let ControllerKind::Network(written) = controller_kind("normalised/ppo.toml") else { panic!("a network") };
             assert_eq!(controller.mapping().inputs, written.mapping().inputs);
             assert!(text.contains("VecNormalize: it was trained behind one"), "{text}");
         }
@@ -431,8 +431,8 @@ fn what_is_described_drives() {
 fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
     let folder = tempfile::tempdir().unwrap();
     let drafted = |name: &str| {
-        let described = crumple(folder.path(), &["describe", &corpus().join(name).display().to_string()]);
-        assert_eq!(code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        let described = run_crumple(folder.path(), &["describe", &controller_corpus().join(name).display().to_string()]);
+        assert_eq!(exit_code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
         let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
@@ -465,7 +465,7 @@ fn weights_in_pytorchs_old_format_are_named() {
     // The beginning of what `torch.save(..., _use_new_zipfile_serialization=False)` writes: magic number, version, system.
     let mut legacy = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\x00.".to_vec();
     legacy.extend([0; 64]);
-    let model = fs::read(corpus().join("ppo.zip")).unwrap();
+    let model = fs::read(controller_corpus().join("ppo.zip")).unwrap();
     let mut whole = zip::ZipArchive::new(std::io::Cursor::new(model)).unwrap();
     let mut written = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for index in 0..whole.len() {
@@ -512,12 +512,12 @@ fn the_examples_make_controllers() {
         let controller = NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
         simulate(&Run::new(&scenario, RunOptions::new(controller.kind)).unwrap(), RecordingLevel::Summary).outcome
     };
-    if example("export_onnx.py", "torch, onnx, onnxscript", &["follower.onnx"], folder.path()) {
+    if run_example("export_onnx.py", "torch, onnx, onnxscript", &["follower.onnx"], folder.path()) {
         assert!(drive("follower.onnx").is_safe());
     }
-    let statistics = normalised("ppo_vecnormalize.pkl").display().to_string();
-    example("vecnormalize.py", "stable_baselines3", &[&statistics], folder.path());
-    if example("train_sb3.py", "stable_baselines3", &["follower.zip", "150"], folder.path()) {
+    let statistics = normalised_path("ppo_vecnormalize.pkl").display().to_string();
+    run_example("vecnormalize.py", "stable_baselines3", &[&statistics], folder.path());
+    if run_example("train_sb3.py", "stable_baselines3", &["follower.zip", "150"], folder.path()) {
         drive("follower.zip");
     }
 }
@@ -527,21 +527,21 @@ fn the_examples_make_controllers() {
 fn a_campaign_goes_on_by_the_identity_of_a_network() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["acc-5x20.onnx", "acc.toml"] {
-        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
     }
     let campaign = |resume: &[&str]| {
         let asked = ["falsify", "--controller", "acc.toml", "--space", "high-risk", "--budget", "30", "--out", "out"];
-        crumple(folder.path(), &[&asked, resume].concat())
+        run_crumple(folder.path(), &[&asked, resume].concat())
     };
     let first = campaign(&[]);
-    assert!(first.status.success() || code(&first) == 1, "{}", String::from_utf8_lossy(&first.stderr));
+    assert!(first.status.success() || exit_code(&first) == 1, "{}", String::from_utf8_lossy(&first.stderr));
     let summary = fs::read(folder.path().join("out/summary.json")).unwrap();
-    assert_eq!(code(&campaign(&["--resume"])), code(&first));
+    assert_eq!(exit_code(&campaign(&["--resume"])), exit_code(&first));
     assert_eq!(fs::read(folder.path().join("out/summary.json")).unwrap(), summary);
-    let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
+    let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     fs::write(folder.path().join("acc.toml"), text.replace("1.4 #", "1.5 #")).unwrap();
     let other = campaign(&["--resume"]);
-    assert_eq!(code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
+    assert_eq!(exit_code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
 }
 
 /// What lies beside a report makes the same controllers, so that its commands show what it says.
@@ -549,17 +549,17 @@ fn a_campaign_goes_on_by_the_identity_of_a_network() {
 fn a_report_of_networks_can_be_replayed_from_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
-        fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
+        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
     }
     let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = 20\n\
                   everyday_draws = 1\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
                   search = { spaces = [\"high-risk\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
-    assert_eq!(code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));
+    let assessed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    assert_eq!(exit_code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));
     let report = folder.path().join("report");
     let there = |name: &str| {
-        let identity = kind(name).identity().unwrap();
+        let identity = controller_kind(name).identity().unwrap();
         let path = format!("controllers/{}.toml", &identity[..16]);
         assert_eq!(NamedController::find(&path, &report).unwrap().kind.identity(), Some(identity));
         path
@@ -576,7 +576,7 @@ fn damaged_files_are_refused_and_nothing_worse() {
     let damages: usize = std::env::var("DAMAGES").map_or(150, |count| count.parse().expect("a number"));
     let mut stream = Xoshiro256PlusPlus::seed_from_u64(20);
     for file in ["reference.onnx", "acc-5x20.onnx", "leaky-40-clip.onnx", "ppo.zip", "sac.zip", "td3.zip"] {
-        let whole = fs::read(corpus().join(file)).unwrap();
+        let whole = fs::read(controller_corpus().join(file)).unwrap();
         let read = |bytes: &[u8]| {
             let begun = Instant::now();
             let read =

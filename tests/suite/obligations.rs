@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crumple_world::control::{ErrorBounds, Frame, Kernel, ShieldState, largest_closing_m, moved};
+use crumple_world::control::{ErrorBounds, ShieldParams, ViabilityKernel, ShieldState, max_closing_m, distance_and_speed_after};
 use crumple_world::scenario::VehicleClass;
 
 use term::Term;
@@ -27,32 +27,32 @@ fn exact_quotient(limit_mps2: f64) -> [String; 2] {
 
 /// What the code computes, by the names that the statements have for it.
 fn code_terms() -> [(&'static str, String); 13] {
-    let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::named);
-    let demanded = Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
-    let [covered, speed] = moved(v, a, h);
-    let frame = |share: &str, noise_mps2: Term| Frame {
+    let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::symbol);
+    let demanded = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
+    let [covered, speed] = distance_and_speed_after(v, a, h);
+    let frame = |share: &str, noise_mps2: Term| ShieldParams {
         step_s: h,
         brake_mps2: b,
-        accel_mps2: Term::named("most"),
+        accel_mps2: Term::symbol("most"),
         noise_mps2,
         ahead_brake_mps2: c,
         delay_steps: 0,
-        share: Term::named(share),
+        response_fraction: Term::symbol(share),
         errors: ErrorBounds::default(),
         behind: None,
-        margin_m: Term::named("m"),
+        margin_m: Term::symbol("m"),
     };
-    let state = ShieldState { gap_m: Term::named("g"), speed_mps: v, ahead_mps: w, response_mps2: Term::named("r") };
-    let [seen_gap_m, seen_mps, seen_ahead_mps] = ["seen-g", "seen-v", "seen-w"].map(Term::named);
+    let state = ShieldState { gap_m: Term::symbol("g"), speed_mps: v, ahead_mps: w, response_mps2: Term::symbol("r") };
+    let [seen_gap_m, seen_mps, seen_ahead_mps] = ["seen-g", "seen-v", "seen-w"].map(Term::symbol);
     let seen = ShieldState { gap_m: seen_gap_m, speed_mps: seen_mps, ahead_mps: seen_ahead_mps, ..state };
     let sluggish = frame("share", zero);
-    let predicted = frame("share", Term::named("n")).after(seen, a);
-    let own = Term::named("own");
+    let predicted = frame("share", Term::symbol("n")).after(seen, a);
+    let own = Term::symbol("own");
     [
         ("{demanded}", demanded.text()),
         ("{moved-covered}", covered.text()),
         ("{moved-speed}", speed.text()),
-        ("{largest-closing}", largest_closing_m(v, own, w, c, h).text()),
+        ("{largest-closing}", max_closing_m(v, own, w, c, h).text()),
         ("{admits}", frame("1.0", zero).admits(state, a).text()),
         ("{to-lose}", sluggish.speed_to_lose_mps(state).text()),
         ("{to-lose-after-braking}", sluggish.speed_to_lose_mps(sluggish.after(state, -b)).text()),
@@ -82,15 +82,15 @@ const STATEMENTS: [&str; 11] = [
 
 /// File name and contents of each obligation.
 fn obligations() -> Vec<(String, String)> {
-    let of_code = of_code();
+    let of_code = code_terms();
     let statement = |name: &str| {
-        let text = fs::read_to_string(folder().join("statements").join(format!("{name}.smt2"))).unwrap();
+        let text = fs::read_to_string(obligations_folder().join("statements").join(format!("{name}.smt2"))).unwrap();
         of_code.iter().fold(text, |text, (place, term)| text.replace(place, term))
     };
     let mut all = Vec::new();
     for own in VehicleClass::ALL {
         for ahead in VehicleClass::ALL {
-            let ([n, d], [m, e]) = (quotient(own.max_brake_mps2()), quotient(ahead.max_brake_mps2()));
+            let ([n, d], [m, e]) = (exact_quotient(own.max_brake_mps2()), exact_quotient(ahead.max_brake_mps2()));
             let title = format!("{} behind {}", own.name(), ahead.name());
             let filled = statement("definitions")
                 .replace("{title}", &title)
@@ -110,11 +110,11 @@ fn obligations() -> Vec<(String, String)> {
 
 #[test]
 fn obligations_are_those_of_the_shipped_limits_and_each_is_proved() {
-    let results = fs::read_to_string(folder().join("results.json")).unwrap_or_else(|_| "[]".to_owned());
+    let results = fs::read_to_string(obligations_folder().join("results.json")).unwrap_or_else(|_| "[]".to_owned());
     let results: Vec<serde_json::Value> = serde_json::from_str(&results).unwrap();
     let updating = std::env::var_os("UPDATE_OBLIGATIONS").is_some();
     for (file, contents) in obligations() {
-        let path = folder().join(&file);
+        let path = obligations_folder().join(&file);
         if updating {
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(&path, &contents).unwrap();
@@ -137,7 +137,7 @@ fn obligations_are_those_of_the_shipped_limits_and_each_is_proved() {
 
 #[test]
 fn a_solver_confirms_one_of_them_where_there_is_one() {
-    let path = folder().join("light-behind-heavy/invariance.smt2");
+    let path = obligations_folder().join("light-behind-heavy/invariance.smt2");
     match Command::new("z3").arg(&path).output() {
         Ok(done) => assert_eq!(String::from_utf8_lossy(&done.stdout).trim(), "unsat"),
         Err(_) => println!("skipped: no z3 here"),

@@ -33,13 +33,13 @@ fn varint_field(number: u8, value: usize) -> Vec<u8> {
 
 fn tensor(name: &str, shape: &[usize], numbers: &[f32]) -> Vec<u8> {
     let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-    let dims: Vec<u8> = shape.iter().flat_map(|&size| small(1, size)).collect();
-    [dims, small(2, 1), field(8, name.as_bytes()), field(9, &raw)].concat()
+    let dims: Vec<u8> = shape.iter().flat_map(|&size| varint_field(1, size)).collect();
+    [dims, varint_field(2, 1), bytes_field(8, name.as_bytes()), bytes_field(9, &raw)].concat()
 }
 
 fn value_info(name: &str, width: usize) -> Vec<u8> {
-    let dims = [1, width].map(|size| field(1, &small(1, size))).concat();
-    [field(1, name.as_bytes()), field(2, &field(1, &[small(1, 1), field(2, &dims)].concat()))].concat()
+    let dims = [1, width].map(|size| bytes_field(1, &varint_field(1, size))).concat();
+    [bytes_field(1, name.as_bytes()), bytes_field(2, &bytes_field(1, &[varint_field(1, 1), bytes_field(2, &dims)].concat()))].concat()
 }
 
 /// A model (opset 9) that takes one row of `inputs` numbers.
@@ -47,7 +47,7 @@ pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
     let (mut graph, mut constants, mut width) = (Vec::new(), Vec::new(), inputs);
     let mut add = |shape: &[usize], numbers: &[f32]| {
         let name = format!("c{}", constants.len());
-        constants.push(constant(&name, shape, numbers));
+        constants.push(tensor(&name, shape, numbers));
         name
     };
     for (index, node) in nodes.iter().enumerate() {
@@ -59,25 +59,25 @@ pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
                 width = *after;
                 ("Gemm", &[][..])
             }
-            TestOnnxNode::Plain(operator, attributes) => (*operator, attributes.as_slice()),
-            TestOnnxNode::With(operator, numbers) => {
+            TestOnnxNode::Unary(operator, attributes) => (*operator, attributes.as_slice()),
+            TestOnnxNode::WithConstant(operator, numbers) => {
                 names.push(add(&[numbers.len()], numbers));
                 (*operator, &[][..])
             }
         };
-        let mut bytes = names.iter().flat_map(|name| field(1, name.as_bytes())).collect::<Vec<u8>>();
-        bytes.extend(field(2, format!("h{}", index + 1).as_bytes()));
-        bytes.extend(field(4, operator.as_bytes()));
+        let mut bytes = names.iter().flat_map(|name| bytes_field(1, name.as_bytes())).collect::<Vec<u8>>();
+        bytes.extend(bytes_field(2, format!("h{}", index + 1).as_bytes()));
+        bytes.extend(bytes_field(4, operator.as_bytes()));
         for (name, value) in attributes {
             let value = [vec![2 << 3 | 5], value.to_le_bytes().to_vec()].concat();
-            bytes.extend(field(5, &[field(1, name.as_bytes()), value].concat()));
+            bytes.extend(bytes_field(5, &[bytes_field(1, name.as_bytes()), value].concat()));
         }
-        graph.extend(field(1, &bytes));
+        graph.extend(bytes_field(1, &bytes));
     }
-    constants.iter().for_each(|constant| graph.extend(field(5, constant)));
-    graph.extend(field(11, &shaped("h0", inputs)));
-    graph.extend(field(12, &shaped(&format!("h{}", nodes.len()), width)));
-    [small(1, 4), field(8, &small(2, 9)), field(7, &graph)].concat()
+    constants.iter().for_each(|constant| graph.extend(bytes_field(5, constant)));
+    graph.extend(bytes_field(11, &value_info("h0", inputs)));
+    graph.extend(bytes_field(12, &value_info(&format!("h{}", nodes.len()), width)));
+    [varint_field(1, 4), bytes_field(8, &varint_field(2, 9)), bytes_field(7, &graph)].concat()
 }
 
 /// A product with random weights of such a size that numbers stay of order one.
@@ -95,14 +95,14 @@ pub(crate) fn any_elementwise(width: usize, random: &mut Xoshiro256PlusPlus) -> 
     let (some, away_from_0) = (operands(-1.0, 1.0), operands(0.5, 2.0));
     let number = some[0];
     match random.random_range(0..9_u32) {
-        0 => TestOnnxNode::Plain("Relu", vec![]),
-        1 => TestOnnxNode::Plain("LeakyRelu", vec![("alpha", 0.5 * number)]),
-        2 => TestOnnxNode::Plain("Elu", vec![("alpha", number.abs())]),
-        3 => TestOnnxNode::Plain("Tanh", vec![]),
-        4 => TestOnnxNode::Plain("Sigmoid", vec![]),
-        5 => TestOnnxNode::With("Add", some),
-        6 => TestOnnxNode::With("Mul", some),
-        7 => TestOnnxNode::With("Div", away_from_0),
-        _ => TestOnnxNode::Plain("Clip", vec![("min", number - 0.5), ("max", number + 0.5)]),
+        0 => TestOnnxNode::Unary("Relu", vec![]),
+        1 => TestOnnxNode::Unary("LeakyRelu", vec![("alpha", 0.5 * number)]),
+        2 => TestOnnxNode::Unary("Elu", vec![("alpha", number.abs())]),
+        3 => TestOnnxNode::Unary("Tanh", vec![]),
+        4 => TestOnnxNode::Unary("Sigmoid", vec![]),
+        5 => TestOnnxNode::WithConstant("Add", some),
+        6 => TestOnnxNode::WithConstant("Mul", some),
+        7 => TestOnnxNode::WithConstant("Div", away_from_0),
+        _ => TestOnnxNode::Unary("Clip", vec![("min", number - 0.5), ("max", number + 0.5)]),
     }
 }

@@ -2,16 +2,16 @@
 
 use std::iter;
 
-use crumple::report::export::openscenario::{OpenScenarioError, actions, trajectories};
+use crumple::report::export::openscenario::{OpenScenarioError, actions, export_trajectories};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{
-    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, Pieces, Scenario, built_in, built_in_names,
+    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario, built_in_scenario_names,
 };
 use crumple_world::sim::{AfterContact, RunOptions, Trace};
 use proptest::prelude::*;
 use roxmltree::{Document, Node};
 
-use crate::generate::{any_scenario, cases, traced};
+use crate::generate::{any_scenario, cases, simulate_traced};
 
 /// Best agreement asked for: a centimetre, and a centimetre a second.
 const TOLERANCE: f64 = 0.01;
@@ -25,7 +25,7 @@ fn descendants_named<'a>(node: Node<'a, 'a>, name: &'static str) -> impl Iterato
 }
 
 fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
-    let mut found = all(node, name);
+    let mut found = descendants_named(node, name);
     let first = found.next().unwrap_or_else(|| panic!("no {name}"));
     assert!(found.next().is_none(), "more than one {name}");
     first
@@ -33,10 +33,10 @@ fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a>
 
 /// The entity of a name: how far its front bumper is ahead of its reference point, in metres.
 fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
-    let object = all(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(entity));
-    let (middle, size) = (only(object.expect("declared"), "Center"), only(object.expect("declared"), "Dimensions"));
-    assert!((number(size, "length") - length_m).abs() < 1e-8);
-    number(middle, "x") + length_m / 2.0
+    let object = descendants_named(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(entity));
+    let (middle, size) = (single_descendant(object.expect("declared"), "Center"), single_descendant(object.expect("declared"), "Dimensions"));
+    assert!((number_attribute(size, "length") - length_m).abs() < 1e-8);
+    number_attribute(middle, "x") + length_m / 2.0
 }
 
 /// What a list says at a time, linear in between and held outside.
@@ -53,33 +53,33 @@ fn interpolate(points: &[(f64, f64)], time_s: f64) -> f64 {
 
 /// Every place of every vehicle within a centimetre; every speed within a centimetre a second of the mean over the step that is read.
 fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
-    let made = trajectories(scenario, trace, None, "road.xodr").expect("exports");
+    let made = export_trajectories(scenario, trace, None, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
-    let groups: Vec<_> = all(document.root_element(), "ManeuverGroup").collect();
+    let groups: Vec<_> = descendants_named(document.root_element(), "ManeuverGroup").collect();
     assert_eq!(groups.len(), scenario.vehicles().len());
-    assert_eq!(all(document.root_element(), "TrajectoryFollowingMode").count(), groups.len());
-    let [first_m, last_m] = road(&made.road);
+    assert_eq!(descendants_named(document.root_element(), "TrajectoryFollowingMode").count(), groups.len());
+    let [first_m, last_m] = road_extent_m(&made.road);
     for ((group, track), index) in groups.into_iter().zip(&trace.vehicles).zip(0..) {
-        let entity = only(group, "EntityRef").attribute("entityRef").expect("stated");
+        let entity = single_descendant(group, "EntityRef").attribute("entityRef").expect("stated");
         assert_eq!(entity, format!("vehicle_{index}"));
-        let front_m = front_m(&document, entity, track.length_m);
-        let vertex = |node| (number(node, "time"), number(only(node, "WorldPosition"), "x") + front_m);
-        let mut points: Vec<(f64, f64)> = all(group, "Vertex").map(vertex).collect();
+        let front_m = front_offset_m(&document, entity, track.length_m);
+        let vertex = |node| (number_attribute(node, "time"), number_attribute(single_descendant(node, "WorldPosition"), "x") + front_m);
+        let mut points: Vec<(f64, f64)> = descendants_named(group, "Vertex").map(vertex).collect();
         let held = points.pop().expect("a vertex");
         assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0), "time goes on");
         assert!((held.1 - points.last().expect("a vertex").1).abs() < 1e-9 && held.0 > points.last().expect("one").0);
         for (&time_s, &position_m) in trace.time_s.iter().zip(&track.position_m) {
-            let read_m = at(&points, time_s);
-            assert!((read_m - position_m).abs() <= CLOSE, "vehicle {index} at {time_s} s: {read_m}, not {position_m}");
+            let read_m = interpolate(&points, time_s);
+            assert!((read_m - position_m).abs() <= TOLERANCE, "vehicle {index} at {time_s} s: {read_m}, not {position_m}");
             assert!((first_m..=last_m).contains(&read_m) && (first_m..=last_m).contains(&(read_m - track.length_m)));
         }
         for (k, step) in trace.time_s.windows(2).enumerate().filter(|(_, step)| step[1] - step[0] > 1e-5) {
             let duration_s = step[1] - step[0];
-            let read_mps = (at(&points, step[1]) - at(&points, step[0])) / duration_s;
+            let read_mps = (interpolate(&points, step[1]) - interpolate(&points, step[0])) / duration_s;
             let true_mps = (track.position_m[k + 1] - track.position_m[k]) / duration_s;
             assert!(
-                (read_mps - true_mps).abs() <= CLOSE,
+                (read_mps - true_mps).abs() <= TOLERANCE,
                 "vehicle {index} from {} s: {read_mps}, not {true_mps}",
                 step[0]
             );
@@ -91,25 +91,25 @@ fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
 fn road_extent_m(xml: &[u8]) -> [f64; 2] {
     let text = std::str::from_utf8(xml).expect("UTF-8");
     let document = Document::parse(text).expect("XML");
-    let geometry = only(document.root_element(), "geometry");
-    let lane = only(only(document.root_element(), "right"), "lane");
-    assert_eq!((only(geometry, "line").attributes().count(), lane.attribute("type")), (0, Some("driving")));
-    assert_eq!(number(geometry, "hdg"), 0.0);
-    assert!((number(geometry, "y") - number(only(lane, "width"), "a") / 2.0).abs() < 1e-12);
-    let from_m = number(geometry, "x");
-    [from_m, from_m + number(geometry, "length")]
+    let geometry = single_descendant(document.root_element(), "geometry");
+    let lane = single_descendant(single_descendant(document.root_element(), "right"), "lane");
+    assert_eq!((single_descendant(geometry, "line").attributes().count(), lane.attribute("type")), (0, Some("driving")));
+    assert_eq!(number_attribute(geometry, "hdg"), 0.0);
+    assert!((number_attribute(geometry, "y") - number_attribute(single_descendant(lane, "width"), "a") / 2.0).abs() < 1e-12);
+    let from_m = number_attribute(geometry, "x");
+    [from_m, from_m + number_attribute(geometry, "length")]
 }
 
 fn options(after_contact: AfterContact) -> RunOptions {
-    RunOptions::new(ControllerSpec::named("baseline").expect("built in")).with_after_contact(after_contact)
+    RunOptions::new(ControllerSpec::from_name("baseline").expect("built in")).with_after_contact(after_contact)
 }
 
 #[test]
 fn built_in_scenarios_are_read_back_as_they_ran() {
-    for (name, _) in built_in_names() {
-        let scenario = built_in(name).expect("built in");
+    for (name, _) in built_in_scenario_names() {
+        let scenario = built_in_scenario(name).expect("built in");
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
-            assert_matches_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+            assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_contact)).trace.expect("traced"));
         }
     }
 }
@@ -117,12 +117,12 @@ fn built_in_scenarios_are_read_back_as_they_ran() {
 /// On a road of one lane who drives beside it would drive through the others.
 #[test]
 fn changes_of_lanes_are_refused() {
-    let cut_in = built_in("paper-1").expect("built in").edited(|spec| {
+    let cut_in = built_in_scenario("paper-1").expect("built in").edited(|spec| {
         spec.vehicles[0].enters = Some(LaneChange::At(1.0));
     });
     let cut_in = cut_in.expect("valid");
-    let trace = traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
-    for refused in [trajectories(&cut_in, &trace, None, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
+    let trace = simulate_traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
+    for refused in [export_trajectories(&cut_in, &trace, None, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
         assert!(matches!(refused, Some(OpenScenarioError::LaneChanges)), "{refused:?}");
     }
 }
@@ -133,7 +133,7 @@ proptest! {
     #[test]
     fn random_scenarios_are_read_back_as_they_ran(scenario in any_scenario(), goes_on: bool) {
         let after_contact = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        assert_matches_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+        assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_contact)).trace.expect("traced"));
     }
 
     /// Scripts are driven anew from their actions alone, until vehicles touch.
@@ -146,10 +146,10 @@ proptest! {
 
 #[test]
 fn scripts_of_every_kind_are_driven_from_their_actions() {
-    for (name, _) in built_in_names() {
-        assert_scripts_are_actions(&built_in(name).expect("built in"));
+    for (name, _) in built_in_scenario_names() {
+        assert_scripts_are_actions(&built_in_scenario(name).expect("built in"));
     }
-    let pieces = Pieces { from_s: vec![0.5, 1.25, 4.0], accel_mps2: vec![2.0, -7.5, 1.0] };
+    let pieces = PiecewiseAcceleration { from_s: vec![0.5, 1.25, 4.0], accel_mps2: vec![2.0, -7.5, 1.0] };
     let scripts = [
         LeadProfile::Brake(Brake { onset_s: 1.237, rate_mps2: 7.5 }),
         LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s: 0.0, rate_mps2: 2.0, final_speed_mps: 7.5 }),
@@ -159,7 +159,7 @@ fn scripts_of_every_kind_are_driven_from_their_actions() {
         LeadProfile::ConstantSpeed,
     ];
     for script in scripts {
-        let edited = built_in("paper-1").expect("built in").edited(|spec| {
+        let edited = built_in_scenario("paper-1").expect("built in").edited(|spec| {
             spec.environment.friction = 0.6;
             spec.vehicles[0].driver = Driver::Profile(script.clone());
         });
@@ -172,30 +172,30 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
     let made = actions(scenario, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
-    let trace = traced(scenario, &options(AfterContact::Stop)).trace.expect("traced");
+    let trace = simulate_traced(scenario, &options(AfterContact::Stop)).trace.expect("traced");
     for (index, vehicle) in scenario.vehicles().iter().enumerate() {
         let entity = format!("vehicle_{index}");
-        let group = all(document.root_element(), "ManeuverGroup")
-            .find(|group| only(*group, "EntityRef").attribute("entityRef") == Some(&entity));
+        let group = descendants_named(document.root_element(), "ManeuverGroup")
+            .find(|group| single_descendant(*group, "EntityRef").attribute("entityRef") == Some(&entity));
         let object =
-            all(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(&entity));
+            descendants_named(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(&entity));
         let profile = if let Driver::Profile(profile) = &vehicle.driver { Some(profile) } else { None };
         let is_scripted = profile.is_some();
-        assert_eq!(all(object.expect("declared"), "Controller").count(), usize::from(!is_scripted));
+        assert_eq!(descendants_named(object.expect("declared"), "Controller").count(), usize::from(!is_scripted));
         assert!(is_scripted || group.is_none());
         if !is_scripted {
             continue;
         }
-        let speeds = group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speeds(group, vehicle.speed_mps));
+        let speeds = group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speed_profile(group, vehicle.speed_mps));
         let track = &trace.vehicles[index];
         // A step in which a script begins to ask for more than the road allows holds the mean of what it asks, which may be less than that.
         let asked_mps2 = profile.map_or(0.0, |profile| -profile.acceleration_range_mps2()[0]);
         let changes = if let Some(LeadProfile::Pieces(pieces)) = profile { pieces.from_s.len() } else { 1 };
         let beyond_mps2 = (asked_mps2 - scenario.usable_brake_mps2(index)).max(0.0);
-        let close_mps = CLOSE + beyond_mps2 * scenario.spec().step_s * changes as f64;
+        let close_mps = TOLERANCE + beyond_mps2 * scenario.spec().step_s * changes as f64;
         // The last step may be cut short by a contact.
         for (k, &time_s) in trace.time_s.iter().enumerate().rev().skip(1) {
-            let (read_mps, true_mps) = (at(&speeds, time_s), track.speed_mps[k]);
+            let (read_mps, true_mps) = (interpolate(&speeds, time_s), track.speed_mps[k]);
             assert!((read_mps - true_mps).abs() <= close_mps, "{entity} at {time_s} s: {read_mps}, not {true_mps}");
         }
     }
@@ -203,19 +203,19 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
 
 /// Speeds over time of a group's one action.
 fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
-    let from_s = number(only(only(group, "StartTrigger"), "SimulationTimeCondition"), "value");
-    if let Some(action) = all(group, "SpeedAction").next() {
+    let from_s = number_attribute(single_descendant(single_descendant(group, "StartTrigger"), "SimulationTimeCondition"), "value");
+    if let Some(action) = descendants_named(group, "SpeedAction").next() {
         let (rate, to_mps) = (
-            number(only(action, "SpeedActionDynamics"), "value"),
-            number(only(action, "AbsoluteTargetSpeed"), "value"),
+            number_attribute(single_descendant(action, "SpeedActionDynamics"), "value"),
+            number_attribute(single_descendant(action, "AbsoluteTargetSpeed"), "value"),
         );
-        assert_eq!(only(action, "SpeedActionDynamics").attribute("dynamicsDimension"), Some("rate"));
+        assert_eq!(single_descendant(action, "SpeedActionDynamics").attribute("dynamicsDimension"), Some("rate"));
         return vec![(0.0, start_mps), (from_s, start_mps), (from_s + (start_mps - to_mps).abs() / rate, to_mps)];
     }
     let mut time_s = from_s;
-    let entries = all(group, "SpeedProfileEntry").map(|entry| {
-        time_s += number(entry, "time");
-        (time_s, number(entry, "speed"))
+    let entries = descendants_named(group, "SpeedProfileEntry").map(|entry| {
+        time_s += number_attribute(entry, "time");
+        (time_s, number_attribute(entry, "speed"))
     });
     iter::once((0.0, start_mps)).chain(entries).collect()
 }
@@ -225,7 +225,7 @@ fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
 fn texts_of_users_stay_texts() {
     for wild in ["$speed", "<a b=\"c\">&amp;", "line\nbreak\u{1b}[31m\u{0}\u{fffe}", "]]>--", "'\""] {
         let name: String = wild.chars().filter(|c| !c.is_control()).collect();
-        let scenario = built_in("paper-1").expect("built in");
+        let scenario = built_in_scenario("paper-1").expect("built in");
         let scenario = scenario.edited(|spec| (spec.name, spec.about) = (name, wild.to_owned())).expect("free texts");
         let made = actions(&scenario, "road.xodr").expect("exports");
         for xml in [&made.scenario, &made.road] {

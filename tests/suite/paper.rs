@@ -2,24 +2,24 @@
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in};
-use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::scenario::{Scenario, built_in_scenario};
+use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
 fn scenario(name: &str) -> Scenario {
-    built_in(name).expect("built in")
+    built_in_scenario(name).expect("built in")
 }
 
 fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
-    RunOptions::new(ControllerSpec::named(controller).expect("built in")).with_estimator(estimator)
+    RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(estimator)
 }
 
-fn run(scenario: &Scenario, options: RunOptions) -> Simulated {
+fn run(scenario: &Scenario, options: RunOptions) -> SimulationResult {
     simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
 }
 
-fn run_with_truth(name: &str, controller: &str) -> Simulated {
+fn run_with_truth(name: &str, controller: &str) -> SimulationResult {
     run(&scenario(name), options(controller, EstimatorKind::Truth))
 }
 
@@ -28,8 +28,8 @@ fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
 }
 
 /// The follower hits the baseline, at that time and with these speeds of ego and follower.
-fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> Simulated {
-    let result = with_truth(name, "baseline");
+fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> SimulationResult {
+    let result = run_with_truth(name, "baseline");
     let contact = result.outcome.contact().expect("a rear collision");
     assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
     assert_near(contact.time_s, time_s, 0.02, "time of contact");
@@ -55,7 +55,7 @@ fn the_baseline_is_hit_from_behind_by_a_light_follower() {
 /// Scenario 3: the first two of three middle vehicles touch first, and then it is a pile-up, which is counted.
 #[test]
 fn three_middle_vehicles_pile_up() {
-    let first = with_truth("paper-3", "baseline").outcome;
+    let first = run_with_truth("paper-3", "baseline").outcome;
     let contact = first.contact().expect("a collision");
     assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
     assert_near(contact.time_s, 5.64, 0.02, "time of first contact");
@@ -72,7 +72,7 @@ fn three_middle_vehicles_pile_up() {
 /// Two controllers without any cleverness avoid all three collisions, through the filter too.
 #[test]
 fn trivial_controllers_avoid_all_three() {
-    for name in PAPERS {
+    for name in PAPER_SCENARIOS {
         for controller in ["match-leader", "constant-brake"] {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
                 let result = run(&scenario(name), options(controller, estimator));
@@ -99,8 +99,8 @@ fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
 /// With the filter, verdicts under the baseline are those with the truth, whatever the noise does: 20 seeds.
 #[test]
 fn with_the_filter_the_baselines_verdicts_are_the_same() {
-    for name in PAPERS {
-        let truth = with_truth(name, "baseline");
+    for name in PAPER_SCENARIOS {
+        let truth = run_with_truth(name, "baseline");
         let true_contact = truth.outcome.contact().expect("a collision");
         for seed in 0..20 {
             let noisy = scenario(name).edited(|spec| spec.seed = seed).unwrap();
@@ -116,8 +116,8 @@ fn with_the_filter_the_baselines_verdicts_are_the_same() {
 /// contact by more than 1 ms.
 #[test]
 fn the_integration_step_decides_nothing() {
-    for name in PAPERS {
-        for controller in ControllerSpec::built_in() {
+    for name in PAPER_SCENARIOS {
+        for controller in ControllerSpec::all() {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
                 for after_contact in [AfterContact::Stop, AfterContact::Continue] {
                     let options = options(controller.name(), estimator).with_after_contact(after_contact);
@@ -164,7 +164,7 @@ fn an_independent_simulation_of_scenario_1_agrees() {
             break;
         }
     }
-    let result = with_truth("paper-1", "baseline");
+    let result = run_with_truth("paper-1", "baseline");
     assert_near(result.outcome.contact().unwrap().time_s, contact_s.expect("a collision"), 1e-3, "time of contact");
     assert_near(result.vehicles[1].min_gap_m.unwrap(), smallest_front_gap, 1e-3, "smallest front gap");
 }

@@ -1,6 +1,6 @@
 //! Policy files as the simulator reads them and as the checker does: a certificate must not speak of what nobody can drive with.
 
-use crumple_verify::reach::{Actor, Idm};
+use crumple_verify::reach::{NeuralController, IdmLaw};
 use crumple_world::policy::Policy;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -29,19 +29,19 @@ fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
             }
             _ => bytes[random.random_range(0..8)] ^= 1 << random.random_range(0..8_u32),
         }
-        match (Actor::from_bytes(&bytes), Policy::from_bytes(&bytes)) {
+        match (NeuralController::from_bytes(&bytes), Policy::from_bytes(&bytes)) {
             (Ok(_), Err(error)) => panic!("{seed}: the checker accepts what the simulator refuses: {error}"),
             (Ok(actor), Ok(policy)) => {
                 accepted += 1;
                 let action = &policy.header().action;
-                assert_eq!(actor.action_mps2, [action.low_mps2, action.high_mps2], "{seed}");
+                assert_eq!(actor.action_bounds_mps2, [action.low_mps2, action.high_mps2], "{seed}");
                 assert_eq!(actor.decision_interval_s, policy.header().decision_interval_s, "{seed}");
-                let of_checker = actor.departs_from.map(|departure| {
-                    let Idm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = departure.idm;
+                let of_checker = actor.residual_over.map(|departure| {
+                    let IdmLaw { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = departure.idm;
                     let law = [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2];
                     ([departure.dead_zone, departure.rate_per_s, departure.idm.comfortable_brake_mps2], law)
                 });
-                let of_simulator = action.departs_from.as_ref().map(|departure| {
+                let of_simulator = action.residual_over.as_ref().map(|departure| {
                     let idm = &departure.idm;
                     let law = [idm.desired_speed_mps, idm.time_headway_s, idm.standstill_gap_m, idm.accel_mps2];
                     ([departure.dead_zone, departure.rate_per_s, idm.comfortable_brake_mps2], law)

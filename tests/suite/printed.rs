@@ -4,12 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crumple_report::suite::html;
-use crumple_suites::{Suite, run};
+use crumple_report::suite::render_html;
+use crumple_suites::{TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
-use crate::command_line::folder;
+use crate::command_line::temp_folder;
 use crate::report::BUILT_IN_ASSESSMENT;
 
 /// Elements that paper has no use for: links and buttons.
@@ -50,7 +50,7 @@ fn assert_prints_everything(page: &str, folded: usize) {
 
 /// Prints a page where there is a Chromium, and checks that each of its texts is on paper.
 fn print_in_browser(page: &str) {
-    let folder = folder();
+    let folder = temp_folder();
     let file = folder.path().join("page.html");
     fs::write(&file, page).unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser/printed.py");
@@ -64,15 +64,15 @@ fn print_in_browser(page: &str) {
 
 #[test]
 fn a_report_prints_everything() {
-    assert_prints_everything(&BUILT_IN_ASSESSMENT.html(), 60);
+    assert_prints_everything(&BUILT_IN_ASSESSMENT.to_html(), 60);
 }
 
 #[test]
 fn a_page_of_a_suite_prints_everything() {
-    let suite = Suite::shipped("afgbv-cut-in").unwrap().unwrap();
+    let suite = TestSuite::shipped("afgbv-cut-in").unwrap().unwrap();
     let controllers = [NamedController::find("full-throttle", Path::new("")).unwrap()];
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
+    let page = render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
     assert_prints_everything(&page, 1);
     print_in_browser(&page);
 }
@@ -84,6 +84,6 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: a browser prints a page of two megabytes"]
     fn a_browser_prints_everything_of_a_report() {
-        print_in_browser(&BUILT_IN_ASSESSMENT.html());
+        print_in_browser(&BUILT_IN_ASSESSMENT.to_html());
     }
 }

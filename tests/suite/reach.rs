@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
-use crumple_evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
-use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
-use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_with};
+use crumple_evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, check_binding};
+use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, InitialRanges, ReachProblem, reach_with_tube};
+use crumple_verify::{ProvedClaim, Certificate, Statement, WorkLimit, check_with};
 use crumple_world::control::{
-    ControllerSpec, HistoryPadding, Input, Mapping, NetworkController, Output, Quantity, Squash,
+    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, OutputMapping, ObservedQuantity, Squash,
 };
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
@@ -19,15 +19,15 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use crate::command_line::{code, crumple};
-use crate::onnx_bytes::{Node, any_each, model, product};
+use crate::command_line::{exit_code, run_crumple};
+use crate::onnx_bytes::{TestOnnxNode, any_elementwise, model_bytes, random_product};
 
 fn controller_corpus_path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
 }
 
 fn controller_kind(name: &str) -> ControllerKind {
-    NamedController::find(name, &corpus("")).unwrap_or_else(|error| panic!("{error}")).kind
+    NamedController::find(name, &controller_corpus_path("")).unwrap_or_else(|error| panic!("{error}")).kind
 }
 
 fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
@@ -37,7 +37,7 @@ fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
 
 /// A network of any shape and functions that sees any quantities that can be followed.
 fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
-    use Quantity as Q;
+    use ObservedQuantity as Q;
     let quantities = [
         (Q::GapAheadM, 16.0),
         (Q::GapBehindM, 16.0),
@@ -52,11 +52,11 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
         (Q::IsAhead, 1.0),
         (Q::IsBehind, 1.0),
     ];
-    let inputs: Vec<Input> = (0..random.random_range(2..9_usize))
+    let inputs: Vec<InputMapping> = (0..random.random_range(2..9_usize))
         .map(|place| {
             let (quantity, size) = *quantities.choose(random).expect("some");
             let is_constant = place == 0;
-            Input {
+            InputMapping {
                 quantity: (!is_constant).then_some(quantity),
                 variable: None,
                 constant: is_constant.then_some(1.4),
@@ -71,21 +71,21 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
     let (mut nodes, mut width) = (Vec::new(), inputs.len());
     for depth in 0..random.random_range(1..4_u32) {
         if depth > 0 {
-            nodes.push(any_each(width, random));
+            nodes.push(any_elementwise(width, random));
         }
         let after = random.random_range(1..14);
-        nodes.push(product(width, after, random.random_range(0.3..1.2), random));
+        nodes.push(random_product(width, after, random.random_range(0.3..1.2), random));
         width = after;
     }
     if random.random_bool(0.5) {
-        nodes.push(any_each(width, random));
+        nodes.push(any_elementwise(width, random));
     }
     let mapping = Mapping {
         decision_interval_s: Some(*[0.05, 0.1, 0.1, 0.25].choose(random).expect("some")),
         history: 1,
         history_padding: HistoryPadding::First,
         newest_first: false,
-        output: Output {
+        output: OutputMapping {
             variable: None,
             answer: Some(random.random_range(0..width)),
             squash: random.random_bool(0.5).then_some(Squash::Tanh),
@@ -96,12 +96,12 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
         },
         inputs,
     };
-    let file = NetworkFile::from_onnx(&model(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
+    let file = NetworkFile::from_onnx(&model_bytes(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
     NetworkController::new(file, mapping).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn random_point(ranges: &Ranges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
-    Dimension::ALL.map(|dimension| {
+fn random_point(ranges: &InitialRanges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
+    BoxDimension::ALL.map(|dimension| {
         let range = ranges.get(dimension);
         (range.low() + random.random::<f64>() * (range.high() - range.low())).clamp(range.low(), range.high())
     })
@@ -139,13 +139,13 @@ impl ReachComparison {
     fn compare_plan(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
         let partition = plan.partition(2, &Quiet).unwrap();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default());
-        assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");
-        bound(&partition.certificate, Some(plan.policy_bytes())).unwrap();
-        let actor = Actor::from_bytes(plan.policy_bytes()).unwrap();
+        assert!(matches!(accepted, Ok(ProvedClaim::Reach { .. })), "{seed}: {accepted:?}");
+        check_binding(&partition.certificate, Some(plan.policy_bytes())).unwrap();
+        let actor = NeuralController::from_bytes(plan.policy_bytes()).unwrap();
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
-        let whole = claim.scene(&actor).unwrap();
+        let whole = claim.problem(&actor).unwrap();
         for (cell, ranges, _) in claim.leaves().unwrap() {
-            if let Cell::Falsified(point) = cell {
+            if let PartitionCell::Falsified(point) = cell {
                 self.falsified += 1;
                 let outcome = simulate(
                     &Run::new(&plan.scenario_at(&point).unwrap(), options.clone()).unwrap(),
@@ -153,16 +153,16 @@ impl ReachComparison {
                 );
                 assert_ne!(outcome.outcome, Outcome::NoCollision, "{seed}");
             }
-            let scene = Scene { ranges, stop_at_doubt: false, ..whole.clone() };
+            let scene = ReachProblem { ranges, stop_when_undecided: false, ..whole.clone() };
             let (_, tube) = reach_with_tube(&scene);
             for _ in 0..4 {
-                let scenario = plan.scenario_at(&point(&ranges, random)).unwrap();
+                let scenario = plan.scenario_at(&random_point(&ranges, random)).unwrap();
                 let run = simulate(&Run::new(&scenario, options.clone()).unwrap(), RecordingLevel::Trace);
                 let trace = run.trace.as_ref().expect("recorded");
-                if cell == Cell::Verified {
+                if cell == PartitionCell::Verified {
                     self.verified += 1;
                     assert_eq!(run.outcome, Outcome::NoCollision, "{seed}");
-                    let gaps = (0..trace.time_s.len()).flat_map(|k| observed(trace, k));
+                    let gaps = (0..trace.time_s.len()).flat_map(|k| observed_values(trace, k));
                     let least =
                         gaps.filter(|(number, _)| *number < 2).map(|(_, gap)| gap).fold(f64::INFINITY, f64::min);
                     assert!(least >= claim.min_gap_m_at_least - 1e-8, "{seed}: {least}");
@@ -174,7 +174,7 @@ impl ReachComparison {
                     if k + 1 >= trace.time_s.len() && run.outcome != Outcome::NoCollision || k >= trace.time_s.len() {
                         break;
                     }
-                    for (number, seen) in observed(trace, k) {
+                    for (number, seen) in observed_values(trace, k) {
                         let bound = bounds[number];
                         let inside = bound.low() - 1e-7 <= seen && seen <= bound.high() + 1e-7;
                         assert!(inside, "{seed}: number {number} at decision {decision}: {seen} not in {bound:?}");
@@ -195,9 +195,9 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
         24.9 + size
     );
     let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
-    let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::named);
+    let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::from_name);
     let follower_drives = followers[seed as usize % 4 % 3].clone().map(Driver::Controller);
-    BoxSpec { follower_drives, ..spec(scenario, &ranges) }
+    BoxSpec { follower_drives, ..box_spec(scenario, &ranges) }
 }
 
 /// Random networks, random boxes, whoever follows.
@@ -210,7 +210,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
         let options = RunOptions::new(network.clone()).with_estimator(EstimatorKind::Truth);
         let spec = any_box(seed, random);
         let plan = ReachPlan::new(network, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
-        compared.certified(&plan, &options, random, seed);
+        compared.compare_plan(&plan, &options, random, seed);
     }
     println!("{compared:?}");
     let ReachComparison { verified, falsified, numbers } = compared;
@@ -221,13 +221,13 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
 /// and with other dead zones.
 #[test]
 fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
-    let road = Policy::load(&corpus("../policy/road.safetensors")).unwrap();
+    let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).unwrap();
     let mut compared = ReachComparison::default();
     for seed in 0..32 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let (mut header, mut network) = (road.header().clone(), road.network().clone());
         if seed % 4 > 0 {
-            let departure = header.action.departs_from.as_mut().expect("it departs");
+            let departure = header.action.residual_over.as_mut().expect("it departs");
             departure.dead_zone = random.random_range(0.0..0.9);
             departure.idm.time_headway_s = random.random_range(0.0..2.0);
             departure.idm.standstill_gap_m = random.random_range(0.5..4.0);
@@ -246,7 +246,7 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
         let options = RunOptions::new(policy.clone()).with_estimator(EstimatorKind::Truth);
         let spec = any_box(seed / 2, random);
         let plan = ReachPlan::new(policy, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
-        compared.certified(&plan, &options, random, seed);
+        compared.compare_plan(&plan, &options, random, seed);
     }
     println!("{compared:?}");
     let ReachComparison { verified, falsified, numbers } = compared;
@@ -256,8 +256,8 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
 /// Of the reference policy it is the same whichever file it came in: only its last tanh is done a step earlier.
 #[test]
 fn a_policy_written_as_onnx_proves_what_it_proves_as_a_policy() {
-    let spec = spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
-    let claims = [ControllerKind::from(Policy::reference()), kind("reference.onnx")].map(|kind| {
+    let spec = box_spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
+    let claims = [ControllerKind::from(Policy::reference()), controller_kind("reference.onnx")].map(|kind| {
         let plan = ReachPlan::new(kind, &spec).unwrap();
         let certificate = plan.partition(4, &Quiet).unwrap().certificate;
         check_with(&certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap();
@@ -277,12 +277,12 @@ fn networks_are_proved_and_checked_on_the_command_line() {
     let text = "version = 1\nscenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
     std::fs::write(folder.path().join("box.toml"), text).unwrap();
     let shown = |path: PathBuf| path.display().to_string();
-    let run = |words: &[&str]| crumple(folder.path(), words);
+    let run = |words: &[&str]| run_crumple(folder.path(), words);
     let said = |output: &std::process::Output| {
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
     };
     for name in ["acc.toml", "leaky-40-clip.onnx", "td3.zip"] {
-        let source = shown(corpus(name));
+        let source = shown(controller_corpus_path(name));
         let made = run(&[
             "verify",
             "reach",
@@ -295,28 +295,28 @@ fn networks_are_proved_and_checked_on_the_command_line() {
             "--certificate",
             "c.json",
         ]);
-        assert_eq!(code(&made), i32::from(said(&made).contains("nothing verified")), "{name}: {}", said(&made));
+        assert_eq!(exit_code(&made), i32::from(said(&made).contains("nothing verified")), "{name}: {}", said(&made));
         for policy in [&[][..], &["--policy", &source]] {
             let checked = run(&[&["check", "c.json"], policy].concat());
-            assert_eq!(code(&checked), 0, "{name}: {}", said(&checked));
+            assert_eq!(exit_code(&checked), 0, "{name}: {}", said(&checked));
             for words in ["accepted: reach", "read from a file in the format", "as crumple read it"] {
                 assert!(said(&checked).contains(words), "{words}: {}", said(&checked));
             }
         }
-        let other = run(&["check", "c.json", "--policy", &shown(corpus("reference.onnx"))]);
-        assert!(code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
+        let other = run(&["check", "c.json", "--policy", &shown(controller_corpus_path("reference.onnx"))]);
+        assert!(exit_code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
         let certificate: Certificate =
             Certificate::from_json(&std::fs::read_to_string(folder.path().join("c.json")).unwrap()).unwrap();
-        let path = folder.path().join(certificate.policy().expect("of a network").0);
+        let path = folder.path().join(certificate.policy_reference().expect("of a network").0);
         let mut bytes = std::fs::read(&path).unwrap();
         let last = bytes.len() - 2;
         bytes[last] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let other = run(&["check", "c.json"]);
-        assert!(code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
+        assert!(exit_code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
     }
-    let acc = std::fs::read_to_string(corpus("acc.toml")).unwrap();
-    std::fs::copy(corpus("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let acc = std::fs::read_to_string(controller_corpus_path("acc.toml")).unwrap();
+    std::fs::copy(controller_corpus_path("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
     let with = |name: &str, from: &str, to: &str| {
         assert!(acc.contains(from), "{from}");
         std::fs::write(folder.path().join(name), acc.replace(from, to)).unwrap();
@@ -324,7 +324,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
     with("time-gap.toml", "\"gap_ahead_m\"", "\"time_gap_ahead_s\"");
     with("memory.toml", "quantity = \"speed_mps\"", "quantity = \"last_answer_mps2\"");
     with("hard.toml", "low_mps2 = -7.5", "low_mps2 = -9.0");
-    let stacked = shown(corpus("stacked.toml"));
+    let stacked = shown(controller_corpus_path("stacked.toml"));
     for (controller, words) in [
         ("time-gap.toml", "inputs[3].quantity: `time_gap_ahead_s` is a quotient of what is observed"),
         ("memory.toml", "inputs[2].quantity: `last_answer_mps2` is memory"),
@@ -338,7 +338,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         ("exec:true", "`true` ended by itself with exit code 0"),
     ] {
         let refused = run(&["verify", "reach", "--controller", controller, "--box", "box.toml"]);
-        assert!(code(&refused) == 2 && said(&refused).contains(words), "{words}: {}", said(&refused));
+        assert!(exit_code(&refused) == 2 && said(&refused).contains(words), "{words}: {}", said(&refused));
     }
 }
 
@@ -348,23 +348,23 @@ fn imitation_network(subtracts: f32) -> Vec<u8> {
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0_f32];
     let mut nodes = Vec::new();
     if subtracts != 0.0 {
-        nodes.push(Node::With("Sub", vec![subtracts; 5]));
+        nodes.push(TestOnnxNode::WithConstant("Sub", vec![subtracts; 5]));
     }
     for layer in 0..5 {
         let before = if layer == 0 { 5 } else { 20 };
-        let Node::Gemm(_, _, mut weights, biases) = product(before, 20, 1.0, random) else { unreachable!() };
+        let TestOnnxNode::Gemm(_, _, mut weights, biases) = random_product(before, 20, 1.0, random) else { unreachable!() };
         if layer == 0 {
             weights.iter_mut().enumerate().for_each(|(place, weight)| *weight /= scales[place / 20]);
         }
-        nodes.extend([Node::Gemm(before, 20, weights, biases), Node::Plain("Relu", vec![])]);
+        nodes.extend([TestOnnxNode::Gemm(before, 20, weights, biases), TestOnnxNode::Unary("Relu", vec![])]);
     }
-    let hidden = NetworkFile::from_onnx(&model(5, &nodes)).unwrap().network;
+    let hidden = NetworkFile::from_onnx(&model_bytes(5, &nodes)).unwrap().network;
     let mut space = crumple_world::policy::Workspace::default();
     let mut rows = vec![[0.0_f64; 22]; 21];
     for _ in 0..4000 {
         let (v, d, r) =
             (random.random_range(15.0..33.0_f32), random.random_range(20.0..110.0), random.random_range(-12.0..4.0));
-        let answers = hidden.answers(&[30.0, 1.4, v, d, r], 1, &mut space).iter();
+        let answers = hidden.forward(&[30.0, 1.4, v, d, r], 1, &mut space).iter();
         let h: Vec<f64> = answers.map(|&x| f64::from(x)).chain([1.0]).collect();
         let target = f64::from(0.05 * (d - 30.0 - 1.4 * v) + 0.7 * r).clamp(-3.0, 1.0);
         for (row, own) in rows.iter_mut().zip(&h) {
@@ -382,15 +382,15 @@ fn imitation_network(subtracts: f32) -> Vec<u8> {
         }
     }
     let solved: Vec<f32> = rows.iter().map(|row| row[21] as f32).collect();
-    nodes.push(Node::Gemm(20, 1, solved[..20].to_vec(), vec![solved[20]]));
-    model(5, &nodes)
+    nodes.push(TestOnnxNode::Gemm(20, 1, solved[..20].to_vec(), vec![solved[20]]));
+    model_bytes(5, &nodes)
 }
 
 /// What is subtracted in the official file is not lost, the bound is no idle one, and what is proved is below what any start comes to.
 #[test]
 fn the_benchmark_of_adaptive_cruise_control_is_proved() {
     for subtracts in [0.0, 1.0] {
-        let plan = CruisePlan::new(NetworkFile::from_onnx(&imitation(subtracts)).unwrap()).unwrap();
+        let plan = CruisePlan::new(NetworkFile::from_onnx(&imitation_network(subtracts)).unwrap()).unwrap();
         let (coarse, proved) = (plan.prove(4).unwrap(), plan.prove(16).unwrap());
         let sampled = plan.sample(2000, 0);
         println!(
@@ -401,9 +401,9 @@ fn the_benchmark_of_adaptive_cruise_control_is_proved() {
         assert!(proved.margin_m > 0.0 && sampled.margin_m - proved.margin_m < 4.0, "{proved:?} {sampled:?}");
         assert!(proved.x_ego_m[0] <= sampled.x_ego_m[0] && sampled.x_ego_m[1] <= proved.x_ego_m[1]);
         let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::default());
-        assert!(matches!(accepted, Ok(Accepted::Cruise { .. })), "{accepted:?}");
-        bound(&proved.certificate, Some(plan.network_bytes())).unwrap();
-        assert_eq!(Certificate::from_json(&proved.certificate.canonical()).unwrap(), proved.certificate);
+        assert!(matches!(accepted, Ok(ProvedClaim::Cruise { .. })), "{accepted:?}");
+        check_binding(&proved.certificate, Some(plan.network_bytes())).unwrap();
+        assert_eq!(Certificate::from_json(&proved.certificate.to_canonical_json()).unwrap(), proved.certificate);
         for change in [0, 1, 2, 3] {
             let mut forged = proved.certificate.clone();
             let Statement::AdaptiveCruise(claim) = &mut forged.statement else { panic!("another") };
@@ -416,6 +416,6 @@ fn the_benchmark_of_adaptive_cruise_control_is_proved() {
             assert!(check_with(&forged, Some(plan.network_bytes()), WorkLimit::default()).is_err(), "{change}");
         }
     }
-    let wrong = CruisePlan::new(NetworkFile::load(&corpus("reference.onnx")).unwrap());
+    let wrong = CruisePlan::new(NetworkFile::load(&controller_corpus_path("reference.onnx")).unwrap());
     assert!(matches!(wrong, Err(CruiseError::Mapping(_))));
 }

@@ -34,16 +34,16 @@ const SOURCES: [(&str, FigureSource); 13] = [
         ]),
     ),
     ("`train --preset fast", FigureSource::Machine),
-    ("Chasing Cars", FigureSource::Slow(chasing_cars)),
+    ("Chasing Cars", FigureSource::Slow(mean_evaluations)),
     ("first contact", FigureSource::Printed(&["COLLISION at "])),
     ("smallest gap", FigureSource::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
     ("share of the boxes", FigureSource::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
-    ("four problems", FigureSource::Slow(known_probabilities)),
+    ("four problems", FigureSource::Slow(known_probability_figures)),
     ("largest memory", FigureSource::Machine),
     (
         "contacts with a leader",
         FigureSource::Slow(|printed| {
-            after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
+            numbers_after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
         }),
     ),
     ("one vehicle-step, baseline, lockstep engine, one core, true state", FigureSource::Machine),
@@ -55,7 +55,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn figure_rows() -> Vec<Row> {
+fn figure_rows() -> Vec<FigureRow> {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
     let (_, table) = text.split_once("\n## Figures\n").unwrap();
     let (table, _) = table.split_once("\n## ").unwrap();
@@ -63,7 +63,7 @@ fn figure_rows() -> Vec<Row> {
         let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
             panic!("{line}")
         };
-        Row { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
+        FigureRow { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
     };
     table.lines().filter(|line| line.starts_with("| ")).skip(1).map(row).collect()
 }
@@ -96,16 +96,16 @@ fn numbers_after(text: &str, marks: &[&str]) -> Vec<f64> {
     places.sort_unstable();
     places
         .iter()
-        .filter_map(|&place| numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
+        .filter_map(|&place| parse_numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
         .collect()
 }
 
 /// Returns the largest distance from the truth in per cent, intervals that hold it, all intervals, and most runs.
 fn known_probability_figures(printed: &str) -> Vec<f64> {
     let lines = || printed.lines().filter(|line| line.contains(" by Splitting: "));
-    let ratios = lines().flat_map(|line| numbers(line.split_once("ratios ").unwrap().1));
+    let ratios = lines().flat_map(|line| parse_numbers(line.split_once("ratios ").unwrap().1));
     let error_percent = ratios.map(|ratio| (100.0 * (ratio - 1.0).abs()).round()).fold(0.0, f64::max);
-    let field = |index: usize| lines().map(move |line| numbers(line.split(", ").nth(index).unwrap()));
+    let field = |index: usize| lines().map(move |line| parse_numbers(line.split(", ").nth(index).unwrap()));
     let [held, all] = [0, 1].map(|index| field(2).map(|numbers| numbers[index]).sum());
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
@@ -114,7 +114,7 @@ fn known_probability_figures(printed: &str) -> Vec<f64> {
 fn mean_evaluations(printed: &str) -> Vec<f64> {
     let means =
         printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
-    means.filter_map(|line| numbers(line).last().copied()).collect()
+    means.filter_map(|line| parse_numbers(line).last().copied()).collect()
 }
 
 fn run_shell(command: &str) -> String {
@@ -127,7 +127,7 @@ fn run_shell(command: &str) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-fn figure_source(row: &Row) -> &'static FigureSource {
+fn figure_source(row: &FigureRow) -> &'static FigureSource {
     let mut found = SOURCES.iter().filter(|(figure, _)| row.figure.starts_with(figure));
     let Some((_, source)) = found.next() else { panic!("no source of: {}", row.figure) };
     assert!(found.next().is_none(), "two sources of: {}", row.figure);
@@ -137,21 +137,21 @@ fn figure_source(row: &Row) -> &'static FigureSource {
 #[test]
 fn figures_are_those_of_their_commands() {
     let report = fs::read_to_string(root().join("reports/assessment.md")).unwrap();
-    let rows = rows();
+    let rows = figure_rows();
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
-        let printed = match source(&row) {
-            FigureSource::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
+        let printed = match figure_source(&row) {
+            FigureSource::Printed(marks) if cfg!(unix) => numbers_after(&run_shell(&row.command), marks),
             FigureSource::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
-                    after(row, &[mark]).first().copied()
+                    numbers_after(row, &[mark]).first().copied()
                 };
                 places.iter().filter_map(number).collect()
             }
             FigureSource::Printed(_) | FigureSource::Slow(_) | FigureSource::Machine => continue,
         };
-        assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
+        assert_eq!(parse_numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
     }
 }
 
@@ -160,9 +160,9 @@ fn figures_are_those_of_their_commands() {
 #[test]
 #[ignore = "15 minutes"]
 fn figures_that_take_long_are_those_of_their_commands() {
-    for row in rows() {
-        if let FigureSource::Slow(printed) = source(&row) {
-            assert_eq!(numbers(&row.value), printed(&run(&row.command)), "{} (`{}`)", row.figure, row.command);
+    for row in figure_rows() {
+        if let FigureSource::Slow(printed) = figure_source(&row) {
+            assert_eq!(parse_numbers(&row.value), printed(&run_shell(&row.command)), "{} (`{}`)", row.figure, row.command);
         }
     }
 }
@@ -181,8 +181,8 @@ fn claims_that_the_documentation_quotes_are_those_of_the_report() {
     for row in quoted {
         let (claim, cells) = row.trim_start_matches("| ").split_once(" | ").unwrap();
         if let Some(source) = report.lines().find(|line| line.starts_with(&format!("| {claim}"))) {
-            let there = numbers(source);
-            let missing = numbers(cells).into_iter().find(|number| !there.contains(number));
+            let there = parse_numbers(source);
+            let missing = parse_numbers(cells).into_iter().find(|number| !there.contains(number));
             assert_eq!(missing, None, "{row}\n{source}");
             compared += 1;
         }
@@ -193,8 +193,8 @@ fn claims_that_the_documentation_quotes_are_those_of_the_report() {
 #[test]
 fn numbers_of_a_text_are_found() {
     assert_eq!(
-        numbers("5.51 s, CC1 2.9; 92 777 of paper-1, 100 %. 8.35 of 8.39 m, 0 and 90"),
+        parse_numbers("5.51 s, CC1 2.9; 92 777 of paper-1, 100 %. 8.35 of 8.39 m, 0 and 90"),
         [5.51, 2.9, 92777.0, 100.0, 8.35, 8.39, 0.0, 90.0]
     );
-    assert_eq!(after("a 3 m, b 4\na 5.0", &["a ", "b "]), [3.0, 4.0, 5.0]);
+    assert_eq!(numbers_after("a 3 m, b 4\na 5.0", &["a ", "b "]), [3.0, 4.0, 5.0]);
 }

@@ -116,8 +116,8 @@ fn the_oracle_collides_as_often_as_the_published_code() {
     for (own_kmph, other_kmph, beside, rear) in CUT_INS {
         let [own_mps, other_mps] = [own_kmph, other_kmph].map(|kmph| f64::from(kmph) / 3.6);
         let mut collisions = [0, 0];
-        for (gap_m, lateral_mps) in runs(own_kmph) {
-            if let Some(is_beside) = cut_in(own_mps, other_mps, gap_m, lateral_mps).collides_beside {
+        for (gap_m, lateral_mps) in cut_in_grid(own_kmph) {
+            if let Some(is_beside) = simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps).collides_beside {
                 collisions[usize::from(!is_beside)] += 1;
             }
         }
@@ -148,7 +148,7 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
         vehicles: vec![other, vehicle(0.0, own_mps, Driver::UnderTest)],
     });
     let scenario = scenario.unwrap();
-    let driver = ControllerSpec::named("competent-human").unwrap();
+    let driver = ControllerSpec::from_name("competent-human").unwrap();
     let run = Run::new(&scenario, RunOptions::new(driver).with_estimator(EstimatorKind::Truth)).unwrap();
     simulate(&run, RecordingLevel::Summary).outcome.contact().is_some()
 }
@@ -162,9 +162,9 @@ fn the_competent_human_collides_with_vehicles_that_cut_in_where_the_published_on
     let mut compared = [0, 0];
     for (own_kmph, other_kmph, ..) in CUT_INS {
         let [own_mps, other_mps] = [own_kmph, other_kmph].map(|kmph| f64::from(kmph) / 3.6);
-        for (gap_m, lateral_mps) in runs(own_kmph).filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
+        for (gap_m, lateral_mps) in cut_in_grid(own_kmph).filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
         {
-            let published = cut_in(own_mps, other_mps, gap_m, lateral_mps);
+            let published = simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps);
             let Some(at_m) = published.reacts_at_m.filter(|at_m| *at_m > STEP_M) else { continue };
             let it_collides = published.collides_beside.is_some();
             let at_m = if it_collides { at_m - STEP_M } else { at_m + STEP_M };

@@ -5,12 +5,12 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use crumple_core::observer::Quiet;
-use crumple_report::assessment::{AssessConfig, Assessment, AssessmentPlan, Best, Store, assess};
+use crumple_report::assessment::{AssessConfig, AssessmentReport, AssessmentPlan, RoundedAvoidance, EvidenceCache, assess};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
-pub(crate) static BUILT_IN_ASSESSMENT: LazyLock<Assessment> =
-    LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &Quiet).expect("runs"));
+pub(crate) static BUILT_IN_ASSESSMENT: LazyLock<AssessmentReport> =
+    LazyLock::new(|| assess(&AssessmentPlan::built_in(), &EvidenceCache::disabled(), None, &Quiet).expect("runs"));
 
 fn read_committed(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);
@@ -38,7 +38,7 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
 
 fn assert_current(name: &str, now: &[u8]) {
     let now = without_build_info(name, std::str::from_utf8(now).expect("text"));
-    let then = without_build_info(name, &committed(name));
+    let then = without_build_info(name, &read_committed(name));
     let changed = then.lines().zip(now.lines()).find(|(then, now)| then != now);
     assert!(
         then == now,
@@ -63,7 +63,7 @@ fn no_claim_is_named_by_a_hash() {
 #[test]
 fn schemas_are_those_of_the_types() {
     use crate::schema::{assert_committed, validate};
-    let evidence = schemars::schema_for!(Assessment).to_value();
+    let evidence = schemars::schema_for!(AssessmentReport).to_value();
     assert_committed("crates/report/src/assessment/evidence.schema.json", &evidence);
     let config = schemars::schema_for!(AssessConfig).to_value();
     assert_committed("crates/report/src/assessment/configuration.schema.json", &config);
@@ -88,8 +88,8 @@ fn the_committed_report_is_current() {
         if name == "work.json" {
             // It says when, too, in what it says of the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
-            let found = crumple_store::work::examine(&reports).expect("it has a manifest");
-            assert!(found.is_whole() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
+            let found = crumple_store::run_folder::examine(&reports).expect("it has a manifest");
+            assert!(found.is_intact() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
         } else if name.ends_with(".safetensors") {
             let there = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name));
             assert!(there.is_ok_and(|there| there == *now), "reports/{name} is out of date");
@@ -129,7 +129,7 @@ fn junit_holds_each_gate_as_a_test() {
 /// evidence is defeated.
 #[test]
 fn the_goal_structure_has_no_dangling_reference() {
-    let text = BUILT_IN_ASSESSMENT.argument.yaml();
+    let text = BUILT_IN_ASSESSMENT.argument.to_yaml();
     let documents = Yaml::load_from_str(&text).expect("YAML");
     let elements = documents[0].as_mapping().expect("a mapping");
     let ids: Vec<&str> = elements.keys().map(|id| id.as_str().expect("a name")).collect();
@@ -170,7 +170,7 @@ fn the_goal_structure_has_no_dangling_reference() {
         let evidence = field("url").and_then(Yaml::as_str);
         if let Some(part) = evidence.and_then(|url| url.strip_prefix("assessment.html#")) {
             assert!(
-                BUILT_IN_ASSESSMENT.parts().iter().chain(&BUILT_IN_ASSESSMENT.appendix()).any(|known| known.heading().0 == part),
+                BUILT_IN_ASSESSMENT.parts().iter().chain(&BUILT_IN_ASSESSMENT.appendix()).any(|known| known.anchor_and_title().0 == part),
                 "{id} points to {part}"
             );
         }
@@ -207,15 +207,15 @@ fn every_counterexample_of_the_report_collides() {
 /// An earlier assessment beside this one: nothing changed against itself; one good claim turned bad is found, and only that.
 #[test]
 fn a_comparison_finds_what_was_changed() {
-    use crumple_report::assessment::Earlier;
+    use crumple_report::assessment::EarlierAssessment;
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("old.json");
     let again = |text: &str| {
         fs::write(&path, text).expect("writes");
-        let earlier = Earlier::load(&path).expect("evidence");
-        crumple_report::assessment::Comparison::of(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable")
+        let earlier = EarlierAssessment::load(&path).expect("evidence");
+        crumple_report::assessment::AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable")
     };
-    let json = BUILT_IN_ASSESSMENT.json().expect("serializes");
+    let json = BUILT_IN_ASSESSMENT.to_json().expect("serializes");
     let same = again(&json);
     assert_eq!((same.better.len(), same.worse.len(), same.new.len(), same.gone.len()), (0, 0, 0, 0));
     let mut evidence: Value = serde_json::from_str(&json).expect("JSON");
@@ -228,7 +228,7 @@ fn a_comparison_finds_what_was_changed() {
 /// The verdict table follows from the evidence alone.
 #[test]
 fn the_verdict_is_that_of_the_evidence() {
-    let evidence: Value = serde_json::from_str(&committed("assessment.json")).expect("JSON");
+    let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
     let names: Vec<_> = evidence["summary"]["controllers"].as_array().expect("names").clone();
     let claims = evidence["summary"]["claims"].as_array().expect("claims");
     for (index, name) in names.iter().enumerate() {
@@ -260,9 +260,9 @@ fn the_verdict_is_that_of_the_evidence() {
 #[test]
 fn nobody_beats_the_bound_and_regrets_add_up() {
     let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;
-    assert_eq!(scenarios.len(), crumple_world::scenario::built_in_names().len());
+    assert_eq!(scenarios.len(), crumple_world::scenario::built_in_scenario_names().len());
     for scenario in scenarios {
-        let Some(Best::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.best else { panic!("avoidable") };
+        let Some(RoundedAvoidance::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.avoidance else { panic!("avoidable") };
         let bound_m = min_gap_bound_m.expect("a bound").value();
         assert!(min_gap_m.value() <= bound_m);
         assert_eq!(scenario.cases.len(), BUILT_IN_ASSESSMENT.summary.controllers.len());
@@ -297,7 +297,7 @@ fn worst_profiles_collide_and_kernels_are_proved() {
 
 #[test]
 fn the_page_is_self_contained_and_its_links_lead_somewhere() {
-    let page = BUILT_IN_ASSESSMENT.html();
+    let page = BUILT_IN_ASSESSMENT.to_html();
     for outside in
         ["http://", "https://", "src=", "@import", "url(", "<script src", "<link", "fetch(", "XMLHttp", "import("]
     {

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crumple_core::digest::{Sha256, sha256};
-use crumple_learn::retrain::{Cases, Judged, Report, training_preset};
+use crumple_learn::retrain::{Cases, TestSetResults, RetrainingReport, training_preset};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::space::{Space, built_in_space};
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
 use crumple_world::sim::{ControllerKind, NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn corpora_folder() -> PathBuf {
@@ -17,10 +17,10 @@ fn corpora_folder() -> PathBuf {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(name: &str) -> T {
-    serde_json::from_slice(&fs::read(corpora().join("retraining").join(name)).unwrap()).unwrap()
+    serde_json::from_slice(&fs::read(corpora_folder().join("retraining").join(name)).unwrap()).unwrap()
 }
 
-fn space() -> Space {
+fn space() -> ScenarioSpace {
     built_in_space("high-risk").unwrap()
 }
 
@@ -33,12 +33,12 @@ fn count_contacts(controller: &ControllerKind, scenarios: &[Scenario], estimator
 
 #[test]
 fn the_committed_files_are_those_of_the_report() {
-    let report: Report = read("report.json");
+    let report: RetrainingReport = read_json("report.json");
     assert_eq!(sha256(Policy::retrained_bytes()), report.retrained_sha256);
     assert_eq!(Policy::reference().digest(), report.first_sha256, "it was retrained from the reference policy");
     for file in report.files.iter().filter(|file| file.file != "policy.safetensors") {
         assert_eq!(
-            sha256(fs::read(corpora().join("retraining").join(&file.file)).unwrap()),
+            sha256(fs::read(corpora_folder().join("retraining").join(&file.file)).unwrap()),
             file.sha256,
             "{}",
             file.file
@@ -53,7 +53,7 @@ fn the_committed_files_are_those_of_the_report() {
 
 #[test]
 fn the_cases_are_the_ones_whose_hash_is_stated() {
-    let cases: Cases = read("retrained-on.json");
+    let cases: Cases = read_json("retrained-on.json");
     let mut digest = Sha256::default();
     for case in cases.scenarios(&space()).unwrap() {
         digest.update(serde_json::to_string(case.spec()).unwrap());
@@ -65,14 +65,14 @@ fn the_cases_are_the_ones_whose_hash_is_stated() {
 #[test]
 fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
     let retrained = ControllerKind::Policy(Policy::retrained());
-    let paper: Vec<Scenario> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap()).into();
+    let paper: Vec<Scenario> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap()).into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert_eq!(contacts(&retrained, &paper, estimator), 0, "{estimator:?}");
+        assert_eq!(count_contacts(&retrained, &paper, estimator), 0, "{estimator:?}");
     }
     let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
-    assert_eq!(contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
+    assert_eq!(count_contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
     // A share of the draws it was judged on: counts within three standard deviations of the recorded rates.
-    let judged: Judged = read("judged-on.json");
+    let judged: TestSetResults = read_json("judged-on.json");
     let space = space();
     let indices: Vec<u64> = judged.corpus.indices().take(2000).collect();
     let part: Vec<_> = indices.iter().map(|&index| space.draw(judged.corpus.seed, index).unwrap()).collect();
@@ -80,7 +80,7 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
         [ControllerKind::Policy(Policy::reference()), ControllerKind::Policy(Arc::clone(&Policy::retrained()))];
     for (policy, tally) in policies.iter().zip(&judged.tallies) {
         let rate = tally.contacts as f64 / judged.corpus.avoidable as f64;
-        let (mean, found) = (2000.0 * rate, contacts(policy, &part, EstimatorKind::Kalman) as f64);
+        let (mean, found) = (2000.0 * rate, count_contacts(policy, &part, EstimatorKind::Kalman) as f64);
         assert!(
             (found - mean).abs() < 3.0 * (mean * (1.0 - rate)).sqrt() + 1.0,
             "{}: {found} {mean}",

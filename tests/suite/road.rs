@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use crumple_learn::rl::{LrDecay, TrainingConfig};
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Usefulness;
+use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn road_policy() -> Arc<Policy> {
@@ -18,12 +18,12 @@ fn road_policy() -> Arc<Policy> {
 
 #[test]
 fn the_preset_is_that_of_the_policy() {
-    let policy = policy();
+    let policy = road_policy();
     let preset = TrainingConfig::preset("road").unwrap();
     let mut training = policy.header().training.clone();
     let spaces = training.as_object_mut().unwrap().remove("scenarios").unwrap();
     assert_eq!(training, serde_json::to_value(&preset).unwrap());
-    assert_eq!(Some(spaces.as_str().unwrap().to_owned()), preset.source().unwrap().identity().unwrap());
+    assert_eq!(Some(spaces.as_str().unwrap().to_owned()), preset.scenario_source().unwrap().identity().unwrap());
     assert_eq!(policy.header().observation, preset.environment.observation.scaling());
 }
 
@@ -46,7 +46,7 @@ fn what_was_trained_is_made_of_configurations() {
         }
         // What is judged may be a mean of weights; by what it is judged is the same.
         let mut judged = config.evaluation.clone();
-        judged.mean_over_updates = 0;
+        judged.weight_average_updates = 0;
         assert_eq!((&config.network, &config.td3, &judged), (&road.network, &road.td3, &road.evaluation));
         assert_ne!(config, road);
         names.push(config.name);
@@ -70,27 +70,27 @@ fn what_was_tried_is_a_configuration_each() {
             Some(("smooth", _)) => smooth.clone(),
             _ => TrainingConfig::preset("road").unwrap(),
         };
-        let falls = |until_episode, to_share| Some(LrDecay { until_episode, to_share });
+        let falls = |until_episode, to_share| Some(LrDecay { until_episode, final_factor: to_share });
         let TrainingConfig { environment, learning, evaluation, episodes, .. } = &mut expected;
         match config.name.as_str() {
             "longer" => *episodes = 4000,
-            "mean-of-weights" => evaluation.mean_over_updates = 10_000,
+            "mean-of-weights" => evaluation.weight_average_updates = 10_000,
             "four-decisions" => (*episodes, environment.observation.history) = (750, 4),
-            "falling" => learning.rates_fall = falls(1000, 0.1),
-            "falling-privileged" => (learning.rates_fall, learning.privileged_critic) = (falls(1000, 0.1), true),
+            "falling" => learning.lr_decay = falls(1000, 0.1),
+            "falling-privileged" => (learning.lr_decay, learning.privileged_critic) = (falls(1000, 0.1), true),
             "falling-slow" => {
-                (*episodes, learning.rates_fall, learning.privileged_critic) = (750, falls(1000, 0.1), true);
-                environment.departs_from.as_mut().unwrap().rate_per_s = 10.0;
+                (*episodes, learning.lr_decay, learning.privileged_critic) = (750, falls(1000, 0.1), true);
+                environment.residual_over.as_mut().unwrap().rate_per_s = 10.0;
             }
             "looking-back-jerk" => (*episodes, environment.costs.jerk) = (1300, 3.0),
             "looking-back-mean" => {
-                (environment.costs.jerk, evaluation.mean_over_updates) = (1.5, 5000);
-                learning.rates_fall = falls(700, 0.05);
+                (environment.costs.jerk, evaluation.weight_average_updates) = (1.5, 5000);
+                learning.lr_decay = falls(700, 0.05);
             }
             "smooth-60" => (*episodes, learning.smoothness_penalty) = (600, 60.0),
             "smooth-6" => (*episodes, learning.smoothness_penalty) = (450, 6.0),
             "smooth-needless" => {
-                (*episodes, learning.smoothness_penalty, environment.costs.needless) = (525, 15.0, 1.0);
+                (*episodes, learning.smoothness_penalty, environment.costs.unnecessary_braking) = (525, 15.0, 1.0);
             }
             other => panic!("{other}"),
         }
@@ -139,7 +139,7 @@ fn an_ablation_changes_one_thing() {
                 (literal.learning.actor_rate, literal.learning.critic_rate) = (fast.actor_rate, fast.critic_rate);
             }
             // The same discount a second goes with it.
-            "interval" => (literal.environment.decision_steps, literal.learning.discount) = (10, 0.9999),
+            "interval" => (literal.environment.action_repeat, literal.learning.discount) = (10, 0.9999),
             other => panic!("{other}"),
         }
         assert_eq!(config, literal);
@@ -152,20 +152,20 @@ fn simulate_all(
     controller: impl Into<ControllerKind>,
     scenarios: &[Scenario],
     estimator: EstimatorKind,
-) -> Vec<(bool, Option<Usefulness>)> {
+) -> Vec<(bool, Option<UsefulnessMeasures>)> {
     let options = RunOptions::new(controller).with_estimator(estimator);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-        let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
+        let useful = result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
         (result.outcome.contact().is_some(), useful)
     })
 }
 
 #[test]
 fn it_is_safe_in_the_papers_task() {
-    let paper = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap());
+    let paper = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap());
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert!(driven(policy(), &paper, estimator).iter().all(|(touched, _)| !touched), "{estimator:?}");
+        assert!(simulate_all(road_policy(), &paper, estimator).iter().all(|(touched, _)| !touched), "{estimator:?}");
     }
 }
 
@@ -176,13 +176,13 @@ fn it_is_of_use_in_traffic() {
     let traffic = built_in_space("traffic").unwrap();
     let draws: Vec<_> = (0..200).map(|index| traffic.draw(0x726f_6164, index).unwrap()).collect();
     let mut squares = [[0.0; 2]; 2];
-    let both = [ControllerKind::from(policy()), ControllerSpec::named("idm").unwrap().into()];
+    let both = [ControllerKind::from(road_policy()), ControllerSpec::from_name("idm").unwrap().into()];
     for (controller, sums) in both.into_iter().zip(&mut squares) {
         let mut hard = 0;
-        for (touched, useful) in driven(controller, &draws, EstimatorKind::Kalman) {
+        for (touched, useful) in simulate_all(controller, &draws, EstimatorKind::Kalman) {
             let useful = useful.unwrap();
             assert!(!touched && !useful.following.unwrap().left_behind, "{useful:?}");
-            hard += u32::from(!useful.hard.is_none());
+            hard += u32::from(!useful.hard.is_empty());
             sums[0] += useful.rms_acceleration_mps2.unwrap().powi(2);
             sums[1] += useful.rms_jerk_mps3.unwrap().powi(2);
         }

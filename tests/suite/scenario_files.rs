@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple_world::scenario::{Scenario, built_in, built_in_names, json_schema};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, json_schema};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, cases};
@@ -58,7 +58,7 @@ fn check_error_line(format: ScenarioTextFormat, text: &str) -> Result<(), TestCa
     if let Err(error) = format.read(text) {
         let message = error.to_string();
         let lines = text.bytes().filter(|&byte| byte == b'\n').count() + 1;
-        let line = line_of(&message);
+        let line = error_line(&message);
         prop_assert!(line.is_some_and(|line| (1..=lines).contains(&line)), "{message}\n{text}");
     }
     Ok(())
@@ -120,9 +120,9 @@ proptest! {
         let line_start = text[..at].rfind('\n').map_or(0, |end| end + 1);
         let damaged = match damage {
             0 => text[..at].to_owned(),
-            1 => replaced(&text, line_start..line_end, ""),
-            2 => replaced(&text, line_end..line_end, &text[line_start..line_end]),
-            _ => replaced(&text, at..at, &other.to_string()),
+            1 => replace_range(&text, line_start..line_end, ""),
+            2 => replace_range(&text, line_end..line_end, &text[line_start..line_end]),
+            _ => replace_range(&text, at..at, &other.to_string()),
         };
         check_error_line(format, &damaged)?;
     }
@@ -137,12 +137,12 @@ proptest! {
     ) {
         // In JSON, the numbers that are not numbers do not exist: they would be another mistake on the same line.
         let text = format.write(&scenario);
-        let numbers = numbers(&text);
+        let numbers = number_ranges(&text);
         let at = numbers[place.index(numbers.len())].clone();
         let line = text[..at.start].matches('\n').count() + 1;
-        let damaged = replaced(&text, at, bad);
+        let damaged = replace_range(&text, at, bad);
         let message = format.read(&damaged).expect_err("must be refused").to_string();
-        prop_assert_eq!(line_of(&message), Some(line), "{}\n{}", message, damaged);
+        prop_assert_eq!(error_line(&message), Some(line), "{}\n{}", message, damaged);
     }
 
     /// What the program accepts, the schema accepts.
@@ -164,10 +164,10 @@ fn the_committed_schema_is_that_of_the_types() {
 fn the_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
     let schema = json_schema();
     let check = |value: &serde_json::Value| validate(&schema, &schema, value, "scenario");
-    for (name, _) in built_in_names() {
-        check(&serde_json::to_value(built_in(name).unwrap().spec()).unwrap()).unwrap();
+    for (name, _) in built_in_scenario_names() {
+        check(&serde_json::to_value(built_in_scenario(name).unwrap().spec()).unwrap()).unwrap();
     }
-    let paper_1 = serde_json::to_value(built_in("paper-1").unwrap().spec()).unwrap();
+    let paper_1 = serde_json::to_value(built_in_scenario("paper-1").unwrap().spec()).unwrap();
     let nonsense = [
         ("/version", serde_json::json!("one")),
         ("/duration_s", serde_json::json!(-1.0)),

@@ -3,17 +3,17 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
-use crumple_search::falsify::campaign::{Aim, Campaign, CampaignOptions, Summary};
-use crumple_search::falsify::{FailureCriterion, Method, Relation};
+use crumple_search::falsify::campaign::{Aim, Campaign, CampaignOptions, CampaignSummary};
+use crumple_search::falsify::{FailureCriterion, Method, MetamorphicRelation};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
-use crumple_world::scenario::space::{Space, built_in_space};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::sim::{NamedController, RunOptions};
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
-use crate::command_line::falsify::assert_same;
+use crate::command_line::falsify::assert_same_folders;
 use crate::generate::cases;
 
 /// Evaluations that suffice to meet what fails in an eighth of a space: nobody misses it in 1 of 10¹¹ random draws.
@@ -29,7 +29,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
         subsequence(spec.parameters.clone(), 1..=count).prop_map(move |parameters| {
             let mut spec = spec.clone();
             spec.parameters = parameters;
-            Space::new(spec, Path::new(".")).expect("a part of a space is one")
+            ScenarioSpace::new(spec, Path::new(".")).expect("a part of a space is one")
         })
     });
     let controller = select(vec!["baseline", "match-leader", "constant-brake", "idm", "acc-aeb"]);
@@ -40,7 +40,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {
             estimator,
             method,
-            aim,
+            objective: aim,
             budget,
             seed,
             ..Campaign::new(NamedController::find(controller, Path::new(".")).expect("built in"), space)
@@ -52,7 +52,7 @@ fn options(campaign: &Campaign) -> RunOptions {
     RunOptions::new(campaign.controller.kind.clone()).with_estimator(campaign.estimator)
 }
 
-fn run(campaign: &Campaign, folder: &Path, threads: usize) -> Summary {
+fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     pool.install(|| {
         campaign.run(folder, CampaignOptions::default(), &Quiet).expect("a valid campaign in an empty folder")
@@ -103,11 +103,11 @@ proptest! {
     fn what_counts_beside_another_run_fails_alone(campaign in any_campaign(), kind in 0..3_usize) {
         let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
         let contrast = match kind {
-            0 => FailureCriterion::Against(other.clone()),
-            1 => FailureCriterion::Metamorphic(Relation::LargerGap { by_m: 1.0 }),
-            _ => FailureCriterion::Metamorphic(Relation::MoreFriction { by: 0.1 }),
+            0 => FailureCriterion::Differential(other.clone()),
+            1 => FailureCriterion::Metamorphic(MetamorphicRelation::LargerGap { by_m: 1.0 }),
+            _ => FailureCriterion::Metamorphic(MetamorphicRelation::MoreFriction { by: 0.1 }),
         };
-        let campaign = Campaign { contrast: Some(contrast), ..campaign };
+        let campaign = Campaign { failure_criterion: Some(contrast), ..campaign };
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         for found in &summary.counterexamples {
@@ -133,7 +133,7 @@ proptest! {
     fn one_seed_decides_everything(campaign in any_campaign()) {
         let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         prop_assert_eq!(run(&campaign, one.path(), 1), run(&campaign, other.path(), 3));
-        assert_same(one.path(), other.path());
+        assert_same_folders(one.path(), other.path());
     }
 
     /// Where an eighth of a lattice fails, every method finds a failure, and uniform points fail as often as the lattice.
@@ -145,7 +145,7 @@ proptest! {
             // Roots of numbers that are no squares: points that fill the space evenly.
             let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
             let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
-            let scenario = space.at(&point).unwrap();
+            let scenario = space.scenario_at(&point).unwrap();
             campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap().is_violation()
         };
         let share = (0..LATTICE_POINTS).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE_POINTS);

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
-use crumple_fuzzing::{self, FileFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
-use crumple_verify::reach::{Cell, Dimension};
-use crumple_verify::{Certificate, Reach, Statement};
+use crumple_fuzzing::{self, ScenarioFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
+use crumple_verify::reach::{PartitionCell, BoxDimension};
+use crumple_verify::{Certificate, ReachClaim, Statement};
 use crumple_world::measure::stl::Formula;
 use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
 use crumple_world::scenario::Scenario;
@@ -94,13 +94,13 @@ fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
 
 /// As long as a test case can be, and shorter: what is cut off is nominal.
 fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
-    first(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes))
+    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes))
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
-    let generated = first(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(FileFormat::ALL.into_iter().cycle());
-    kept.chain(generated.map(|(scenario, format)| format.text(&scenario).into_bytes())).collect()
+    let generated = first_values(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(ScenarioFormat::ALL.into_iter().cycle());
+    kept.chain(generated.map(|(scenario, format)| format.to_text(&scenario).into_bytes())).collect()
 }
 
 /// Small networks; a trained one is too large for a seed.
@@ -122,16 +122,16 @@ fn policy_files() -> Vec<Vec<u8>> {
         network.parameters_mut().iter_mut().zip(weights.iter().cycle()).for_each(|(to, from)| *to = *from);
         Policy::new(header, network).and_then(|policy| policy.to_bytes())
     });
-    first(INPUTS_PER_TARGET, &policy).into_iter().flatten().collect()
+    first_values(INPUTS_PER_TARGET, &policy).into_iter().flatten().collect()
 }
 
 /// What is proved of scenarios that are kept or generated, the shipped kernels, and a box under the reference policy.
 fn certificates() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(_, scenario)| scenario);
-    let generated = first(INPUTS_PER_TARGET, &any_scenario());
-    let proved = kept.chain(generated).filter_map(|scenario| proved(&scenario));
+    let generated = first_values(INPUTS_PER_TARGET, &any_scenario());
+    let proved = kept.chain(generated).filter_map(|scenario| prove(&scenario));
     let kernels = shipped_kernels().into_iter().map(|(_, certificate)| certificate);
-    let reach = reaches();
+    let reach = reach_certificates();
     proved.chain(kernels).chain(reach).map(|certificate| serde_json::to_vec(&certificate).unwrap()).collect()
 }
 
@@ -144,12 +144,12 @@ fn reach_certificates() -> Vec<Certificate> {
     let Statement::Reach(claim) = &whole.statement else { panic!("a statement about reach") };
     let middle = [16.0, 16.0, 25.0, 25.0, 25.0, 3.0, 7.5, 120.0];
     let parts = [
-        vec![Cell::Verified],
-        vec![Cell::Cut(Dimension::LeaderBrakeMps2), Cell::Verified, Cell::Undecided],
-        vec![Cell::Falsified(middle)],
+        vec![PartitionCell::Verified],
+        vec![PartitionCell::Cut(BoxDimension::LeaderBrakeMps2), PartitionCell::Verified, PartitionCell::Undecided],
+        vec![PartitionCell::Falsified(middle)],
     ];
     let stating = |(partition, steps)| {
-        let statement = Statement::Reach(Reach { partition, steps, ..claim.clone() });
+        let statement = Statement::Reach(ReachClaim { partition, steps, ..claim.clone() });
         Certificate { statement, ..whole.clone() }
     };
     parts.into_iter().flat_map(|part| [100, 200].map(|steps| stating((part.clone(), steps)))).collect()
@@ -158,7 +158,7 @@ fn reach_certificates() -> Vec<Certificate> {
 fn prove(scenario: &Scenario) -> Option<Certificate> {
     match avoid(scenario, AvoidOptions::default()).ok()?.verdict {
         AvoidanceVerdict::Unavoidable(proof) => Some(*proof),
-        AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).ok(),
+        AvoidanceVerdict::Avoidable(escape) => certify(&ScenarioBox::point(scenario), &escape).ok(),
         AvoidanceVerdict::Undecided(_) => None,
     }
 }
@@ -167,9 +167,9 @@ fn prove(scenario: &Scenario) -> Option<Certificate> {
 fn recordings() -> Vec<Vec<u8>> {
     let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
     let beginning: String = kept.split_inclusive('\n').take(40).collect();
-    let simulated = first(INPUTS_PER_TARGET, &any_test_case())
+    let simulated = first_values(INPUTS_PER_TARGET, &any_test_case())
         .into_iter()
-        .flat_map(|test_case| [open_acc_csv(&test_case), car_following(&test_case)]);
+        .flat_map(|test_case| [open_acc_csv(&test_case), car_following_csv(&test_case)]);
     [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
 }
 
@@ -201,17 +201,17 @@ fn open_acc_csv(test_case: &TestCase) -> String {
         names.join(","),
         columns.collect::<Vec<_>>().join(",")
     );
-    let rows = sampled(test_case)
+    let rows = sample_run(test_case)
         .into_iter()
-        .map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", joined(&speeds), joined(&gaps)));
+        .map(|(t, speeds, gaps)| format!("{t:.2},{},{}\n", join_numbers(&speeds), join_numbers(&gaps)));
     head + &rows.collect::<String>()
 }
 
 fn car_following_csv(test_case: &TestCase) -> String {
     let head = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
-    let rows = sampled(test_case).into_iter().map(|(t, speeds, gaps)| {
+    let rows = sample_run(test_case).into_iter().map(|(t, speeds, gaps)| {
         let [leader, follower] = [speeds[0], speeds[1]];
-        format!("1,{t:.2},{}\n", joined(&[gaps[0], follower, leader - follower, leader]))
+        format!("1,{t:.2},{}\n", join_numbers(&[gaps[0], follower, leader - follower, leader]))
     });
     head + &rows.collect::<String>()
 }
@@ -219,6 +219,6 @@ fn car_following_csv(test_case: &TestCase) -> String {
 /// Over the names that the target has no trouble with.
 fn formulas() -> Vec<Vec<u8>> {
     let formula = prop::collection::vec(any::<u8>(), 0..80)
-        .prop_map(|bytes| crumple_fuzzing::any_formula(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
-    first(INPUTS_PER_TARGET, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
+        .prop_map(|bytes| crumple_fuzzing::formula_from_bytes(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
+    first_values(INPUTS_PER_TARGET, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
 }

@@ -1,13 +1,13 @@
 //! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::control::{ErrorBounds, Kernel, ShieldSettings};
+use crumple_world::control::{ErrorBounds, ViabilityKernel, ShieldSettings};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
-    Driver, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    Driver, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, Shielded, Simulated, simulate,
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource, SimulationResult, simulate,
     simulate_batch,
 };
 use proptest::prelude::*;
@@ -26,12 +26,12 @@ struct Chase {
     friction: f64,
     delay_s: f64,
     lag_s: f64,
-    leader: Pieces,
+    leader: PiecewiseAcceleration,
     seed: u64,
 }
 
 /// Mostly hard braking and full acceleration, in pieces of a few steps to a second: what a leader can do to a follower.
-fn any_leader() -> impl Strategy<Value = Pieces> {
+fn any_leader() -> impl Strategy<Value = PiecewiseAcceleration> {
     let action = prop_oneof![3 => Just(0.0_f64), 1 => Just(1.0_f64), 2 => 0.0..1.0_f64];
     let pieces = prop::collection::vec((prop_oneof![1..100_u32, 1..8_u32], action), 1..16);
     pieces.prop_map(|pieces| {
@@ -41,7 +41,7 @@ fn any_leader() -> impl Strategy<Value = Pieces> {
             // Every class can do this much; the shield must expect the leader's own limits.
             accel_mps2.push(-6.0 + 7.5 * share);
         }
-        Pieces { from_s, accel_mps2 }
+        PiecewiseAcceleration { from_s, accel_mps2 }
     })
 }
 
@@ -52,7 +52,7 @@ prop_compose! {
         spare_m in prop_oneof![Just(1e-4), 1e-4..0.1_f64, 0.0..30.0_f64],
         friction in prop_oneof![Just(1.0), 0.1..1.0_f64],
         (delay_s, lag_s) in (prop_oneof![Just(0.0), 0.0..0.5_f64], prop_oneof![Just(0.0), 0.01..0.6_f64]),
-        leader in leader(),
+        leader in any_leader(),
         at_limit in any::<bool>(),
         seed in 0..1_u64 << 40,
     ) -> Chase {
@@ -72,7 +72,7 @@ impl Chase {
     fn demanded_gap_m(&self) -> f64 {
         let [ahead, own] = self.classes.map(|class| class.max_brake_mps2() * self.friction);
         let [w, v] = self.speeds_mps;
-        let kernel = Kernel { own_brake_mps2: own, ahead_brake_mps2: ahead };
+        let kernel = ViabilityKernel { own_brake_mps2: own, ahead_brake_mps2: ahead };
         let until_s = self.delay_s.min(w / ahead);
         let covered_m = w * until_s - 0.5 * ahead * until_s * until_s;
         let later_mps = w - ahead * until_s;
@@ -105,7 +105,7 @@ impl Chase {
 }
 
 fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
-    Shielded { controller, settings }.into()
+    ShieldedSource { controller, settings }.into()
 }
 
 /// Who drives: the reckless ones, and the learned one.
@@ -117,7 +117,7 @@ fn drivers() -> [ControllerKind; 3] {
     ]
 }
 
-fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> Simulated {
+fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> SimulationResult {
     let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Summary)
 }
@@ -126,7 +126,7 @@ fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> Simul
 fn check_no_front_contact(chase: &Chase) -> Result<(), TestCaseError> {
     let scenario = chase.scenario();
     for driver in drivers() {
-        let result = with_truth(&scenario, shielded(driver, ShieldSettings::default()));
+        let result = simulate_with_truth(&scenario, with_shield(driver, ShieldSettings::default()));
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
         prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel));
     }
@@ -138,12 +138,12 @@ proptest! {
 
     #[test]
     fn nobody_hits_the_vehicle_ahead_from_behind_a_shield(chase in chase(false)) {
-        keeps_clear(&chase)?;
+        check_no_front_contact(&chase)?;
     }
 
     #[test]
     fn nobody_hits_the_vehicle_ahead_with_delay_and_lag(chase in chase(true)) {
-        keeps_clear(&chase)?;
+        check_no_front_contact(&chase)?;
     }
 
     /// Noise up to six standard deviations and every manoeuvre are inside the bounds the shield takes for the filter.
@@ -151,7 +151,7 @@ proptest! {
     fn nobody_hits_the_vehicle_ahead_with_the_kalman_filter(chase in chase(false)) {
         let scenario = chase.scenario();
         for driver in drivers() {
-            let options = RunOptions::new(shielded(driver, ShieldSettings::default()));
+            let options = RunOptions::new(with_shield(driver, ShieldSettings::default()));
             let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
             prop_assert_eq!(result.outcome, Outcome::NoCollision);
         }
@@ -164,7 +164,7 @@ proptest! {
             ahead_brake_mps2: Some(chase.classes[0].max_brake_mps2() + more_mps2),
             errors: Some(ErrorBounds { gap_m: 0.2, speed_mps: 0.1, ahead_speed_mps: 0.3 }),
         };
-        let result = with_truth(&chase.scenario(), shielded(ControllerSpec::FullThrottle(Default::default()).into(), settings));
+        let result = simulate_with_truth(&chase.scenario(), with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings));
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
 
@@ -172,7 +172,7 @@ proptest! {
     #[test]
     fn interventions_are_told_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
-        let controller = shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
+        let controller = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
         let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
@@ -188,7 +188,7 @@ proptest! {
     fn engines_agree_about_shields(chases in prop::collection::vec(chase(true), 2..6)) {
         let scenarios: Vec<_> = chases.iter().map(Chase::scenario).collect();
         for driver in drivers() {
-            let controller = shielded(driver, ShieldSettings::default());
+            let controller = with_shield(driver, ShieldSettings::default());
             let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, RunOptions::new(controller.clone())).unwrap()).collect();
             let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
             for (run, result) in runs.iter().zip(together) {
@@ -205,9 +205,9 @@ fn draw_chases(count: usize) -> impl Iterator<Item = Chase> {
 
 #[test]
 fn without_a_shield_drivers_hit_the_vehicle_ahead() {
-    let scenarios: Vec<_> = draws(200).map(|chase| chase.scenario()).collect();
+    let scenarios: Vec<_> = draw_chases(200).map(|chase| chase.scenario()).collect();
     let contacts = drivers().map(|driver| {
-        let hits = scenarios.iter().filter(|s| with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
+        let hits = scenarios.iter().filter(|s| simulate_with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
         hits.count()
     });
     assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5, "{contacts:?} of 200");
@@ -219,7 +219,7 @@ fn without_a_shield_drivers_hit_the_vehicle_ahead() {
 fn a_campaign() {
     let runs: usize = std::env::var("SHIELD_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(10_000);
     let names = ["full-throttle", "random-actions", "policy"];
-    let mut draws = draws(runs);
+    let mut draws = draw_chases(runs);
     let (mut hits, mut bare_hits, mut overridden) = ([0; 3], [0; 3], [0; 3]);
     loop {
         let scenarios: Vec<_> = draws.by_ref().take(10_000).map(|chase| chase.scenario()).collect();
@@ -228,7 +228,7 @@ fn a_campaign() {
         }
         for (index, driver) in drivers().into_iter().enumerate() {
             for (controller, hits) in [
-                (shielded(driver.clone(), ShieldSettings::default()), &mut hits[index]),
+                (with_shield(driver.clone(), ShieldSettings::default()), &mut hits[index]),
                 (driver, &mut bare_hits[index]),
             ] {
                 let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
@@ -250,19 +250,19 @@ fn a_campaign() {
 
 #[test]
 fn what_a_shield_cannot_vouch_for_is_refused() {
-    let scenario = draws(1).next().unwrap().scenario();
+    let scenario = draw_chases(1).next().unwrap().scenario();
     let refusal = |change: &dyn Fn(&mut ScenarioSpec)| {
         let changed = scenario.edited(|spec| change(spec)).unwrap();
-        let options = RunOptions::new(shielded(
+        let options = RunOptions::new(with_shield(
             ControllerSpec::FullThrottle(Default::default()).into(),
             ShieldSettings::default(),
         ));
         match Run::new(&changed, options) {
-            Err(RunError::Shield { vehicle: 1, why }) => why,
+            Err(RunError::Shield { vehicle: 1, refusal: why }) => why,
             _ => panic!("not refused"),
         }
     };
-    assert_eq!(refusal(&|spec| spec.vehicles[1].jerk_limit_mps3 = Some(10.0)), ShieldRefusal::Jerk);
+    assert_eq!(refusal(&|spec| spec.vehicles[1].jerk_limit_mps3 = Some(10.0)), ShieldRefusal::JerkLimit);
     assert_eq!(refusal(&|spec| spec.sensors.dropout = 0.1), ShieldRefusal::Dropout);
     let noisy = refusal(&|spec| spec.vehicles[1].acceleration_noise_mps2 = 2.0);
     assert!(matches!(noisy, ShieldRefusal::Noise { .. }));
@@ -271,10 +271,10 @@ fn what_a_shield_cannot_vouch_for_is_refused() {
 /// In the paper's first scenario the truck behind cannot stop for a car that must: the shield says so.
 #[test]
 fn a_conflict_with_the_vehicle_behind_is_reported() {
-    let scenario = crumple_world::scenario::built_in("paper-1").unwrap();
-    let result = with_truth(
+    let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap();
+    let result = simulate_with_truth(
         &scenario,
-        shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
+        with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
     );
     assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
@@ -284,14 +284,14 @@ fn a_conflict_with_the_vehicle_behind_is_reported() {
 #[test]
 fn a_vehicle_far_behind_is_no_conflict() {
     let conflict = |behind_m: f64, speed_mps: f64| {
-        let scenario = crumple_world::scenario::built_in("paper-1").unwrap().edited(|spec| {
+        let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.vehicles[2].position_m = spec.vehicles[1].position_m - behind_m;
             spec.vehicles[2].speed_mps = speed_mps;
             (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
         });
-        let result = with_truth(
+        let result = simulate_with_truth(
             &scenario.unwrap(),
-            shielded(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
+            with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
         );
         assert!(!result.interventions.is_empty());
         result.interventions.iter().any(|one| one.rear_conflict)
@@ -303,14 +303,14 @@ fn a_vehicle_far_behind_is_no_conflict() {
 #[test]
 fn a_livelier_vehicle_ahead_is_kept_farther_away() {
     let first_s = |accel_mps2: f64, noise_mps2: f64| {
-        let scenario = crumple_world::scenario::built_in("paper-1").unwrap().edited(|spec| {
+        let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.vehicles[0].max_accel_mps2 = Some(accel_mps2);
             spec.vehicles[0].acceleration_noise_mps2 = noise_mps2;
             spec.vehicles[1].position_m -= 30.0;
             spec.vehicles.truncate(2);
         });
         let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
-        let options = RunOptions::new(shielded(ControllerSpec::FullThrottle(Default::default()).into(), settings));
+        let options = RunOptions::new(with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings));
         let scenario = scenario.unwrap();
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
         result.interventions.first().expect("it has to brake").from_s

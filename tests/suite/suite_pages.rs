@@ -6,15 +6,15 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_core::observer::Quiet;
-use crumple_report::assessment::{AssessmentPlan, Gate, Property, Store, Strength, SuiteConfig, assess};
-use crumple_report::suite::html;
-use crumple_suites::{Beyond, MarginEnd, DISCLAIMER, Suite, run};
+use crumple_report::assessment::{AssessmentPlan, AssessmentGate, Property, EvidenceCache, Strength, SuiteConfig, assess};
+use crumple_report::suite::render_html;
+use crumple_suites::{SweepFailure, MarginEnd, DISCLAIMER, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
 use crate::assessments::config;
-use crate::command_line::{code, crumple, folder};
-use crate::tiny::changed;
+use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::tiny::replace_passages;
 
 fn find_controller(name: &str) -> NamedController {
     NamedController::find(name, Path::new("")).unwrap()
@@ -23,11 +23,11 @@ fn find_controller(name: &str) -> NamedController {
 /// One file, whatever names are: nothing from elsewhere, no identifier twice, nothing but text where a user wrote text.
 #[test]
 fn a_page_needs_nothing_else_and_says_what_it_is() {
-    let suite = Suite::shipped("euro-ncap-2023").unwrap().unwrap();
-    let mut controllers = vec![named("full-throttle"), named("policy")];
+    let suite = TestSuite::shipped("euro-ncap-2023").unwrap().unwrap();
+    let mut controllers = vec![find_controller("full-throttle"), find_controller("policy")];
     controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
+    let page = render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
     assert!(page.matches(DISCLAIMER).count() >= 2 && page.contains("prefers-color-scheme:dark"));
     assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
     assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
@@ -62,21 +62,21 @@ figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 /// The baseline stops from 75.06 km/h and no more: at 75 it passes, and fails within a tolerance of 2 km/h.
 #[test]
 fn a_tolerance_belongs_to_the_criterion() {
-    let load = |text: &str| Suite::from_toml(text, Path::new("stands.toml"));
+    let load = |text: &str| TestSuite::from_toml(text, Path::new("stands.toml"));
     let tested = |text: &str| {
-        let result = run(&load(text).unwrap(), &[named("baseline")], EstimatorKind::Truth).unwrap();
+        let result = run(&load(text).unwrap(), &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
         result.clauses[0].tests[0].controllers[0].clone()
     };
     let with = tested(STANDING_SUITE);
-    let within = with.within.as_ref().expect("a tolerance is searched within");
+    let within = with.worst_in_tolerance.as_ref().expect("a tolerance is searched within");
     assert!(with.verdict.is_passed() && within.verdict.is_failure() && !with.is_passed());
     let speed_kmph: f64 = within.point.split(' ').nth(2).unwrap().parse().unwrap();
     assert!((75.06..=77.0).contains(&speed_kmph), "{}", within.point);
-    assert!(within.failures > 0 && within.failures < within.tried, "points about 60 km/h pass");
-    let without = tested(&changed(STANDING_SUITE, &[(", tolerance = 2.0", "")]));
-    assert!(without.within.is_none() && without.is_passed());
-    let near = tested(&changed(STANDING_SUITE, &[("75.0", "70.0")]));
-    assert!(near.is_passed() && near.within.is_some());
+    assert!(within.failures > 0 && within.failures < within.points_run, "points about 60 km/h pass");
+    let without = tested(&replace_passages(STANDING_SUITE, &[(", tolerance = 2.0", "")]));
+    assert!(without.worst_in_tolerance.is_none() && without.is_passed());
+    let near = tested(&replace_passages(STANDING_SUITE, &[("75.0", "70.0")]));
+    assert!(near.is_passed() && near.worst_in_tolerance.is_some());
     for (tolerance, said) in [
         (
             "-1.0",
@@ -86,7 +86,7 @@ fn a_tolerance_belongs_to_the_criterion() {
         ("inf", "must be a number from 0 on, found inf"),
         ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
     ] {
-        let text = changed(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
+        let text = replace_passages(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
         let error = load(&text).unwrap_err().to_string();
         assert!(error.contains(said), "{tolerance}: {error}");
     }
@@ -94,16 +94,16 @@ fn a_tolerance_belongs_to_the_criterion() {
 
 #[test]
 fn a_margin_says_that_a_test_cannot_be_run() {
-    let suite = Suite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result = run(&suite, &[named("shield:policy")], EstimatorKind::Truth).unwrap();
+    let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
+    let result = run(&suite, &[find_controller("shield:policy")], EstimatorKind::Truth).unwrap();
     let margins = &result.clauses[0].tests[0].controllers[0].margins;
     assert!(!margins.is_empty());
-    assert!(margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Refused }), "{margins:?}");
+    assert!(margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Refused }), "{margins:?}");
 }
 
 #[test]
 fn maps_are_drawn_and_told_the_same_on_any_threads() {
-    let folder = folder();
+    let folder = temp_folder();
     let map = |threads: &str, arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
         command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).args(["suite", "map"]);
@@ -115,7 +115,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
     };
     let files: Vec<&str> = names.iter().flat_map(|name| ["--out", name]).collect();
     let text = map("1", &files);
-    assert_eq!(code(&text), 0);
+    assert_eq!(exit_code(&text), 0);
     let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
     let read_all = || names.iter().map(|name| read(name)).collect::<Vec<_>>();
     let first = read_all();
@@ -144,8 +144,8 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
         (&["cut-in-gap", "--out", "m.pdf"], "must end in .svg, .png, .html or .json"),
         (&["overtaking"], "possible values"),
     ] {
-        let output = crumple(folder.path(), &[&["suite", "map"], arguments].concat());
-        assert_eq!(code(&output), 2, "{arguments:?}");
+        let output = run_crumple(folder.path(), &[&["suite", "map"], arguments].concat());
+        assert_eq!(exit_code(&output), 2, "{arguments:?}");
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(error.contains(said), "{error}");
     }
@@ -154,31 +154,31 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
 /// Suites of an assessment are claims, a part of every rendering, tests of the build, and files that replay; they are kept.
 #[test]
 fn suites_are_evidence_of_an_assessment() {
-    let folder = folder();
-    fs::write(folder.path().join("own.toml"), changed(STANDING_SUITE, &[(", tolerance = 2.0", "")])).unwrap();
+    let folder = temp_folder();
+    fs::write(folder.path().join("own.toml"), replace_passages(STANDING_SUITE, &[(", tolerance = 2.0", "")])).unwrap();
     let suite = |suite: &str, controllers: &[&str]| -> SuiteConfig {
         serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers })).unwrap()
     };
     let mut asked = config(&["idm", "full-throttle", "policy"]);
     (asked.draws, asked.everyday_draws) = (0, 0);
     asked.suites = vec![suite("fmvss-127", &["full-throttle", "idm"]), suite("own.toml", &["policy", "idm"])];
-    let gate = |controller: &str, suite: &str| Gate::SuitePassed {
+    let gate = |controller: &str, suite: &str| AssessmentGate::SuitePassed {
         controller: controller.to_owned(),
         suite: suite.to_owned(),
     };
     asked.gates = vec![gate("idm", "fmvss-127"), gate("full-throttle", "fmvss-127"), gate("policy", "own.toml")];
     let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
     let gather = || {
-        let store = Store::open(&folder.path().join("kept"), "program", false).unwrap();
-        (assess(&plan, &store, None, &Quiet).unwrap(), store.reused())
+        let store = EvidenceCache::open(&folder.path().join("kept"), "program", false).unwrap();
+        (assess(&plan, &store, None, &Quiet).unwrap(), store.reuse_counts())
     };
     let (found, _) = gather();
     assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);
     let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
     assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
-    assert!(matches!(row.standings[0].strength, Strength::Tested { runs } if runs == 64 + 496), "{row:?}");
+    assert!(matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 64 + 496), "{row:?}");
     // Where tests fail, the points of the search are none of them.
-    assert_eq!(row.standings[1].strength, Strength::Refuted { failures: 64, runs: 64 });
+    assert_eq!(row.statuses[1].strength, Strength::Refuted { failures: 64, runs: 64 });
     assert!(row.claims[2].is_none(), "the policy is not tested by it");
     let files = found.files().unwrap();
     let text = |name: &str| String::from_utf8(files.iter().find(|(file, _)| file == name).unwrap().1.clone()).unwrap();
@@ -192,8 +192,8 @@ fn suites_are_evidence_of_an_assessment() {
     let (name, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();
     let replayed =
-        crumple(folder.path(), &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"]);
-    assert_eq!(code(&replayed), 0, "{name}");
+        run_crumple(folder.path(), &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"]);
+    assert_eq!(exit_code(&replayed), 0, "{name}");
     // What is called avoidable is shown avoided, beside it.
     let outcomes =
         found.suites.iter().flat_map(|part| &part.suites).flat_map(|one| &one.tests).flat_map(|test| &test.outcomes);
@@ -203,7 +203,7 @@ fn suites_are_evidence_of_an_assessment() {
     }
     let escape = worst.iter().find_map(|one| one.escape.as_ref()).expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0, "{escape:?}");
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0, "{escape:?}");
     assert!(text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)), "{escape:?}");
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");

@@ -4,24 +4,24 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_suites::{
-    Beyond, Figure, Lead, MarginEnd, UNSHIPPED_DOCUMENTS, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite,
-    TestVerdict, Unit, json_schema, run,
+    SweepFailure, TestParameter, LeadManeuver, MarginEnd, UNSHIPPED_DOCUMENTS, Origin, ParameterKind, Prevention, ReferenceRun, SHIPPED_SUITES, TestSuite,
+    TestVerdict, ParameterUnit, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-use crate::command_line::{code, crumple, folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 use crate::schema::{assert_committed, validate};
-use crate::tiny::changed;
+use crate::tiny::replace_passages;
 
 /// A figure that a document states: suite, test, what, every value or, where others lie between them, the smallest and the largest, unit.
-type StatedParameter = (&'static str, &'static str, Parameter, &'static [f64], Unit);
+type StatedParameter = (&'static str, &'static str, ParameterKind, &'static [f64], ParameterUnit);
 
 /// What the documents state, written down a second time and from nothing in the suites' files.
 const STATED_PARAMETERS: [StatedParameter; 83] = {
-    use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
-    use Unit::{Gravity, Kmph, Metre, Mps2, Second};
+    use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
+    use ParameterUnit::{Gravity, Kmph, Metre, Mps2, Second};
     [
         // 49 CFR 571.127, S7.1.
         ("fmvss-127", "stopped-lead", ClosingTime, &[5.0], Second),
@@ -133,16 +133,16 @@ const ALLOWED_IMPACTS: [(&str, &str, f64); 5] = [
     ("un-r152", "stationary-60", 35.0),
 ];
 
-fn shipped_suite(name: &str) -> Suite {
-    Suite::shipped(name).expect("shipped").expect("valid")
+fn shipped_suite(name: &str) -> TestSuite {
+    TestSuite::shipped(name).expect("shipped").expect("valid")
 }
 
 #[test]
 fn figures_that_a_document_states_are_those_of_a_second_transcription() {
     let (mut stated, mut allowed) = (0, 0);
-    for (name, _) in SHIPPED {
-        for test in shipped(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
-            for (parameter, figure) in test.figures.stated().filter(|(_, figure)| figure.origin != Origin::Chosen) {
+    for (name, _) in SHIPPED_SUITES {
+        for test in shipped_suite(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
+            for (parameter, figure) in test.parameters.iter().filter(|(_, figure)| figure.origin != Origin::Chosen) {
                 let rows = STATED_PARAMETERS.iter().filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
                 let rows: Vec<_> = rows.collect();
                 let place = format!("{name}, {}, {parameter:?}", test.name);
@@ -160,7 +160,7 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
             if let Some(limit) = &test.impact_at_most {
                 let row = ALLOWED_IMPACTS.iter().find(|row| (row.0, row.1) == (name, test.name.as_str()));
                 assert_eq!(
-                    row.map(|row| (row.2, Unit::Kmph)),
+                    row.map(|row| (row.2, ParameterUnit::Kmph)),
                     Some((limit.value, limit.unit)),
                     "{name}, {}",
                     test.name
@@ -177,13 +177,13 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
 #[test]
 fn times_of_cut_ins_are_those_of_their_formula() {
     for (suite, reaction_s, digit_s) in [("un-r157", 0.35, 1e-3), ("afgbv-cut-in", 0.25, 1e-2)] {
-        let suite = shipped(suite);
+        let suite = shipped_suite(suite);
         let tests = suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
-        let cut_ins: Vec<_> = tests.filter(|test| test.lead == Some(Lead::CutIn)).collect();
+        let cut_ins: Vec<_> = tests.filter(|test| test.lead == Some(LeadManeuver::CutIn)).collect();
         assert_eq!(cut_ins.len(), 6);
         for (test, slower_kmph) in cut_ins.into_iter().zip([10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) {
-            let first = |figure: &Option<Figure>| figure.as_ref().unwrap().values[0];
-            let figures = &test.figures;
+            let first = |figure: &Option<TestParameter>| figure.as_ref().unwrap().values[0];
+            let figures = &test.parameters;
             assert_eq!(first(&figures.own_speed) - first(&figures.lead_speed), slower_kmph, "{}", test.name);
             let over_s = first(&figures.closing_time) - (slower_kmph / 3.6 / (2.0 * 6.0) + reaction_s);
             match digit_s < 5e-3 {
@@ -198,7 +198,7 @@ fn times_of_cut_ins_are_those_of_their_formula() {
 fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
     let schema = json_schema();
     assert_committed("crates/suites/src/suite.schema.json", &schema);
-    for (name, text) in SHIPPED {
+    for (name, text) in SHIPPED_SUITES {
         let value: serde_json::Value = toml::from_str(text).unwrap();
         validate(&schema, &schema, &value, name).unwrap();
     }
@@ -227,8 +227,8 @@ figures.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
 figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
-fn own_suite() -> Suite {
-    Suite::from_toml(OWN, Path::new("own.toml")).unwrap()
+fn own_suite() -> TestSuite {
+    TestSuite::from_toml(OWN_SUITE, Path::new("own.toml")).unwrap()
 }
 
 fn find_controller(name: &str) -> NamedController {
@@ -282,23 +282,23 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
         ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
-        let error = Suite::from_toml(&changed(OWN, &[(from, to)]), Path::new("own.toml")).unwrap_err().to_string();
+        let error = TestSuite::from_toml(&replace_passages(OWN_SUITE, &[(from, to)]), Path::new("own.toml")).unwrap_err().to_string();
         assert!(error.contains(said), "{to}: {error}");
     }
     let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
-    let many = changed(OWN, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
+    let many = replace_passages(OWN_SUITE, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
     let times: Vec<_> = (0..100).map(|index| format!("5.{index:03}")).collect();
-    let many = changed(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
-    let error = Suite::from_toml(&many, Path::new("own.toml")).unwrap_err().to_string();
+    let many = replace_passages(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
+    let error = TestSuite::from_toml(&many, Path::new("own.toml")).unwrap_err().to_string();
     assert!(error.contains("makes 10000 points, and a suite may have 2000"), "{error}");
 }
 
 /// The baseline brakes at 7.5 m/s² once less than 1.4 s are left: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
 #[test]
 fn a_margin_ends_where_its_closed_form_does() {
-    let result = run(&own(), &[named("baseline")], EstimatorKind::Truth).unwrap();
+    let result = run(&own_suite(), &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
     let tested = &result.clauses[0].tests[0].controllers[0];
-    assert_eq!((&tested.verdict, tested.passed, tested.points), (&TestVerdict::Passed, 2, 2));
+    assert_eq!((&tested.verdict, tested.passed_points, tested.points), (&TestVerdict::Passed, 2, 2));
     let MarginEnd::Boundary { passes_at, fails_at, is_monotone, .. } = tested.margins[0].end else {
         panic!("{:?}", tested.margins);
     };
@@ -310,11 +310,11 @@ fn a_margin_ends_where_its_closed_form_does() {
 #[test]
 fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says() {
     let allowed = "lead = \"stopped\"\nimpact_at_most = { value = 36.0, unit = \"km/h\", origin = \"document\" }";
-    let text = changed(OWN, &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")]);
-    let suite = Suite::from_toml(&text, Path::new("own.toml")).unwrap();
-    let result = run(&suite, &[named("baseline")], EstimatorKind::Truth).unwrap();
+    let text = replace_passages(OWN_SUITE, &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")]);
+    let suite = TestSuite::from_toml(&text, Path::new("own.toml")).unwrap();
+    let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
     let tested = &result.clauses[0].tests[0].controllers[0];
-    assert_eq!((&tested.verdict, tested.passed, tested.failed.len()), (&TestVerdict::Passed, 2, 0));
+    assert_eq!((&tested.verdict, tested.passed_points, tested.failed_points.len()), (&TestVerdict::Passed, 2, 0));
     assert!(tested.min_gap_m.unwrap() <= 0.0, "at 80 km/h there is a contact");
     let MarginEnd::Boundary { passes_at, .. } = tested.margins[0].end else { panic!("{:?}", tested.margins) };
     let closed_form_kmph = |delay_s: f64| {
@@ -322,16 +322,16 @@ fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says
         3.6 * (7.5 * way_s + ((7.5 * way_s).powi(2) + 100.0).sqrt())
     };
     assert!((closed_form_kmph(0.01) - 0.1..=closed_form_kmph(0.0)).contains(&passes_at), "{passes_at}");
-    let strict = changed(&text, &[("value = 36.0", "value = 1.0")]);
+    let strict = replace_passages(&text, &[("value = 36.0", "value = 1.0")]);
     let result =
-        run(&Suite::from_toml(&strict, Path::new("own.toml")).unwrap(), &[named("baseline")], EstimatorKind::Truth);
+        run(&TestSuite::from_toml(&strict, Path::new("own.toml")).unwrap(), &[find_controller("baseline")], EstimatorKind::Truth);
     assert!(result.unwrap().clauses[0].tests[0].controllers[0].verdict.is_failure(), "it is faster than 1 km/h");
 }
 
 /// A time gap is the gap that driving it takes, and one of the two is stated.
 #[test]
 fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
-    let text = OWN.replace("\"stopped\"", "\"decelerating\"").replace("margins = ", "margins = [] # ").replace(
+    let text = OWN_SUITE.replace("\"stopped\"", "\"decelerating\"").replace("margins = ", "margins = [] # ").replace(
         "figures.closing_time = { values = [5.0], unit = \"s\", origin = \"chosen\" }",
         "figures.deceleration = { values = [4.0], unit = \"m/s2\", origin = \"chosen\" }\n\
          figures.ramp = { values = [0.0], unit = \"s\", origin = \"chosen\" }\nGAP",
@@ -339,9 +339,9 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     let text = text.replace("[36.0, 50.0]", "[36.0]");
     let gap = "figures.gap = { values = [12.0], unit = \"m\", origin = \"chosen\" }\n";
     let time = "figures.time_gap = { values = [1.2], unit = \"s\", origin = \"chosen\" }\n";
-    let load = |gap: &str| Suite::from_toml(&text.replace("GAP", gap), Path::new("own.toml"));
+    let load = |gap: &str| TestSuite::from_toml(&text.replace("GAP", gap), Path::new("own.toml"));
     let tested = |gap: &str| {
-        let result = run(&load(gap).unwrap(), &[named("match-leader")], EstimatorKind::Truth).unwrap();
+        let result = run(&load(gap).unwrap(), &[find_controller("match-leader")], EstimatorKind::Truth).unwrap();
         result.clauses[0].tests[0].controllers[0].clone()
     };
     let (by_length, by_time) = (tested(gap), tested(time));
@@ -359,10 +359,10 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
 /// Both sides of every boundary, run again, are what they are said to be.
 #[test]
 fn both_sides_of_a_margin_are_as_it_says() {
-    let suite = shipped("euro-ncap-2023");
+    let suite = shipped_suite("euro-ncap-2023");
     let mut boundaries = 0;
     for controller in ["policy", "acc-aeb", "baseline"] {
-        let named = [named(controller)];
+        let named = [find_controller(controller)];
         let result = run(&suite, &named, EstimatorKind::Kalman).unwrap();
         for (clause, test) in result.tests() {
             for margin in &test.controllers[0].margins {
@@ -373,18 +373,18 @@ fn both_sides_of_a_margin_are_as_it_says() {
                     spec.clauses.retain(|one| one.clause == clause.clause);
                     let test = &mut spec.clauses[0].tests[0];
                     test.margins.clear();
-                    let mut figures = serde_json::to_value(&test.figures).unwrap();
-                    figures[margin.push.name()]["values"] = serde_json::json!([value]);
-                    for (parameter, figure) in test.figures.stated() {
-                        let held = |value: f64| margin.held.contains(&format!("{} {value} ", parameter.words()));
-                        if parameter != margin.push {
+                    let mut figures = serde_json::to_value(&test.parameters).unwrap();
+                    figures[margin.parameter.name()]["values"] = serde_json::json!([value]);
+                    for (parameter, figure) in test.parameters.iter() {
+                        let held = |value: f64| margin.fixed_parameters.contains(&format!("{} {value} ", parameter.label()));
+                        if parameter != margin.parameter {
                             let one: Vec<_> = figure.values.iter().copied().filter(|&value| held(value)).collect();
-                            assert_eq!(one.len(), 1, "{}", margin.held);
+                            assert_eq!(one.len(), 1, "{}", margin.fixed_parameters);
                             figures[parameter.name()]["values"] = serde_json::json!(one);
                         }
                     }
-                    test.figures = serde_json::from_value(figures).unwrap();
-                    let again = run(&Suite::new(spec).unwrap(), &named, EstimatorKind::Kalman).unwrap();
+                    test.parameters = serde_json::from_value(figures).unwrap();
+                    let again = run(&TestSuite::new(spec).unwrap(), &named, EstimatorKind::Kalman).unwrap();
                     assert_eq!(again.clauses[0].tests[0].controllers[0].verdict.is_passed(), passes, "{margin:?}");
                 }
             }
@@ -395,52 +395,52 @@ fn both_sides_of_a_margin_are_as_it_says() {
 
 #[test]
 fn failures_say_who_could_have_prevented_them_and_refusals_why() {
-    let suite = shipped("fmvss-127");
-    let result = run(&suite, &[named("full-throttle"), named("idm")], EstimatorKind::Truth).unwrap();
+    let suite = shipped_suite("fmvss-127");
+    let result = run(&suite, &[find_controller("full-throttle"), find_controller("idm")], EstimatorKind::Truth).unwrap();
     let test = |name: &str| &result.tests().find(|(_, test)| test.name == name).unwrap().1.controllers;
     let stopped = &test("stopped-lead")[0];
     assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
-    assert_eq!((stopped.passed, stopped.failed.len()), (0, 2));
-    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Fails }));
+    assert_eq!((stopped.passed_points, stopped.failed_points.len()), (0, 2));
+    assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Fails }));
     let does = |place: usize, driver: &str| {
-        stopped.failed[place].references.iter().find(|run| run.driver == driver).unwrap().prevention
+        stopped.failed_points[place].references.iter().find(|run| run.driver == driver).unwrap().prevention
     };
     // From 2 s on the competent human stops from 50 km/h, and not from 80 km/h.
     assert_eq!([0, 1].map(|place| does(place, "competent-human")), [Prevention::Prevents, Prevention::Collides]);
     assert_eq!((does(0, "r157-simple"), does(0, "rss")), (Prevention::Prevents, Prevention::Prevents));
-    assert_eq!(stopped.failed[0].avoidability.is_avoidable(), Some(true));
+    assert_eq!(stopped.failed_points[0].avoidability.is_avoidable(), Some(true));
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
     for tested in test("false-activation") {
         assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("could not be read")));
     }
-    let alone = run(&suite, &[named("idm")], EstimatorKind::Truth).unwrap();
+    let alone = run(&suite, &[find_controller("idm")], EstimatorKind::Truth).unwrap();
     assert_eq!(alone.clauses[0].tests[0].controllers[0], test("stopped-lead")[1], "whoever else is tested");
 }
 
 #[test]
 fn every_situation_is_the_one_that_its_figures_say() {
-    for (name, _) in SHIPPED {
-        for test in shipped(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
+    for (name, _) in SHIPPED_SUITES {
+        for test in shipped_suite(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
             let Some(lead) = test.lead else { continue };
             for point in test.grid() {
                 let scenario = test.scenario("point", "", &point).unwrap();
                 let [.., ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
                 let value = |parameter| {
-                    let stated = test.figures.stated().zip(&point).find(|((found, _), _)| *found == parameter);
+                    let stated = test.parameters.iter().zip(&point).find(|((found, _), _)| *found == parameter);
                     stated.map(|((_, figure), value)| value * figure.unit.si_factor()).unwrap()
                 };
                 let gap_m = ahead.position_m - ahead.length_m() - own.position_m;
-                assert!((own.speed_mps - value(Parameter::OwnSpeed)).abs() < 1e-12);
+                assert!((own.speed_mps - value(ParameterKind::OwnSpeed)).abs() < 1e-12);
                 let closing_mps = own.speed_mps - ahead.speed_mps;
-                let gap_stated_m = || match test.figures.gap {
-                    Some(_) => value(Parameter::Gap),
-                    None => value(Parameter::TimeGap) * own.speed_mps,
+                let gap_stated_m = || match test.parameters.gap {
+                    Some(_) => value(ParameterKind::Gap),
+                    None => value(ParameterKind::TimeGap) * own.speed_mps,
                 };
                 match lead {
-                    Lead::Decelerating => {
+                    LeadManeuver::Decelerating => {
                         assert!(closing_mps == 0.0 && (gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                     }
-                    Lead::CutOut => {
+                    LeadManeuver::CutOut => {
                         let revealed = &scenario.vehicles()[0];
                         let to_it_m = revealed.position_m - revealed.length_m() - ahead.position_m;
                         assert_eq!(
@@ -449,16 +449,16 @@ fn every_situation_is_the_one_that_its_figures_say() {
                         );
                         assert!((gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                         let leaves_m = to_it_m - 0.01 * ahead.speed_mps;
-                        assert!((leaves_m / ahead.speed_mps - value(Parameter::ClosingTime)).abs() < 1e-9, "{to_it_m}");
+                        assert!((leaves_m / ahead.speed_mps - value(ParameterKind::ClosingTime)).abs() < 1e-9, "{to_it_m}");
                     }
-                    Lead::CutIn => {
+                    LeadManeuver::CutIn => {
                         assert_eq!(
                             (ahead.speed_mps, ahead.enters),
-                            (value(Parameter::LeadSpeed), Some(LaneChange::At(0.0)))
+                            (value(ParameterKind::LeadSpeed), Some(LaneChange::At(0.0)))
                         );
-                        assert!((gap_m / closing_mps - value(Parameter::ClosingTime)).abs() < 1e-12);
+                        assert!((gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12);
                     }
-                    _ => assert!((gap_m / closing_mps - value(Parameter::ClosingTime)).abs() < 1e-12),
+                    _ => assert!((gap_m / closing_mps - value(ParameterKind::ClosingTime)).abs() < 1e-12),
                 }
             }
         }
@@ -468,13 +468,13 @@ fn every_situation_is_the_one_that_its_figures_say() {
 /// What is found within the ranges of a clause is about as bad as its grid or worse, lies within them, and replays.
 #[test]
 fn the_worst_within_a_clause_is_no_better_than_its_grid() {
-    let suite = shipped("fmvss-127");
-    let drivers = ["match-leader", "idm", "acc-aeb", "constant-brake"].map(named);
+    let suite = shipped_suite("fmvss-127");
+    let drivers = ["match-leader", "idm", "acc-aeb", "constant-brake"].map(find_controller);
     let result = run(&suite, &drivers, EstimatorKind::Truth).unwrap();
     let (_, test) = result.tests().find(|(_, test)| test.name == "decelerating-lead").unwrap();
     for (tested, driver) in test.controllers.iter().zip(&drivers) {
-        let within = tested.within.as_ref().expect("the clause has ranges");
-        assert_eq!(within.tried, 256 + 5 * 48);
+        let within = tested.worst_in_tolerance.as_ref().expect("the clause has ranges");
+        assert_eq!(within.points_run, 256 + 5 * 48);
         let impact_mps = |verdict: &TestVerdict| match verdict {
             TestVerdict::Failed { impact_speed_mps, .. } => *impact_speed_mps,
             _ => 0.0,
@@ -483,7 +483,7 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
         if let (true, Some(gap_m), Some(grid_m)) = (tested.is_passed(), within.min_gap_m, tested.min_gap_m) {
             assert!(gap_m < grid_m + 0.3, "{}: {gap_m} {grid_m}", tested.controller);
         }
-        if let Some(failed) = &within.failed {
+        if let Some(failed) = &within.failed_point {
             let options = RunOptions::new(driver.kind.clone()).with_estimator(EstimatorKind::Truth);
             let again = simulate(&Run::new(&failed.scenario, options).unwrap(), RecordingLevel::Summary);
             let contact = again.outcome.contact().expect("replays");
@@ -504,36 +504,36 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
 #[test]
 fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
     let verdicts = |ramp_s: &[f64]| {
-        let mut spec = shipped("fmvss-127").spec().clone();
+        let mut spec = shipped_suite("fmvss-127").spec().clone();
         spec.clauses.truncate(1);
         spec.clauses[0].tests.retain(|test| test.name == "decelerating-lead");
         let test = &mut spec.clauses[0].tests[0];
         test.margins.clear();
-        test.figures.ramp.as_mut().unwrap().values = ramp_s.to_vec();
-        test.ranges.retain(|range| *range != Parameter::Ramp || ramp_s.len() > 1);
-        let result = run(&Suite::new(spec).unwrap(), &[named("acc-aeb,ttc_s=1.16")], EstimatorKind::Kalman).unwrap();
+        test.parameters.ramp.as_mut().unwrap().values = ramp_s.to_vec();
+        test.ranges.retain(|range| *range != ParameterKind::Ramp || ramp_s.len() > 1);
+        let result = run(&TestSuite::new(spec).unwrap(), &[find_controller("acc-aeb,ttc_s=1.16")], EstimatorKind::Kalman).unwrap();
         let tested = &result.clauses[0].tests[0].controllers[0];
-        [tested.verdict.is_passed(), tested.within.as_ref().unwrap().verdict.is_passed()]
+        [tested.verdict.is_passed(), tested.worst_in_tolerance.as_ref().unwrap().verdict.is_passed()]
     };
     assert_eq!(verdicts(&[1.5]), [true, true]);
-    let stated = shipped("fmvss-127").spec().clauses[0].tests[2].figures.ramp.clone().unwrap().values;
+    let stated = shipped_suite("fmvss-127").spec().clauses[0].tests[2].parameters.ramp.clone().unwrap().values;
     assert_eq!(verdicts(&stated), [true, false]);
 }
 
 /// The competent human of UN R157 brakes for vehicles that cut in, and prevents every contact where one cuts out.
 #[test]
 fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
-    let mut spec = shipped("un-r157").spec().clone();
+    let mut spec = shipped_suite("un-r157").spec().clone();
     spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).for_each(|test| test.margins.clear());
-    let suite = Suite::new(spec).unwrap();
+    let suite = TestSuite::new(spec).unwrap();
     for estimator in EstimatorKind::ALL {
-        let result = run(&suite, &[named("competent-human")], estimator).unwrap();
+        let result = run(&suite, &[find_controller("competent-human")], estimator).unwrap();
         for (_, test) in result.tests() {
             let tested = &test.controllers[0];
             if test.name.starts_with("cut-in") {
                 let brakes =
                     |run: &ReferenceRun| run.driver == "competent-human" && run.prevention == Prevention::Collides;
-                assert!(tested.failed.iter().all(|failed| failed.references.iter().any(brakes)), "{}", test.name);
+                assert!(tested.failed_points.iter().all(|failed| failed.references.iter().any(brakes)), "{}", test.name);
             } else if test.name == "cut-out" {
                 assert!(tested.verdict.is_passed(), "{estimator:?}: {:?}", tested.verdict);
             }
@@ -545,13 +545,13 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
 /// first step after the entry, and the delay is whole steps.
 #[test]
 fn a_cut_in_fails_where_the_closed_form_says() {
-    let mut spec = shipped("afgbv-cut-in").spec().clone();
+    let mut spec = shipped_suite("afgbv-cut-in").spec().clone();
     for (test, slower_mps) in
         spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).zip([10.0, 20.0, 30.0].map(|v| v / 3.6))
     {
-        test.figures.closing_time.as_mut().unwrap().values = vec![slower_mps / 12.0 + 0.5];
+        test.parameters.closing_time.as_mut().unwrap().values = vec![slower_mps / 12.0 + 0.5];
     }
-    let result = run(&Suite::new(spec).unwrap(), &[named("r157-simple")], EstimatorKind::Truth).unwrap();
+    let result = run(&TestSuite::new(spec).unwrap(), &[find_controller("r157-simple")], EstimatorKind::Truth).unwrap();
     for ((_, test), slower_mps) in result.tests().zip([10.0, 20.0, 30.0].map(|v| v / 3.6)) {
         let tested = &test.controllers[0];
         assert!(tested.verdict.is_passed(), "{}", test.name);
@@ -567,21 +567,21 @@ fn a_cut_in_fails_where_the_closed_form_says() {
 /// Who leaves late reveals one that stands: nobody can stop in less than the way that is left.
 #[test]
 fn own_suites_cut_in_and_out() {
-    let suite = Suite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result = run(&suite, &[named("acc-aeb"), named("full-throttle")], EstimatorKind::Kalman).unwrap();
+    let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
+    let result = run(&suite, &[find_controller("acc-aeb"), find_controller("full-throttle")], EstimatorKind::Kalman).unwrap();
     for (_, test) in result.tests() {
         assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
-        assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed == 0, "{}", test.name);
+        assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed_points == 0, "{}", test.name);
     }
     // Who would slow down anyway meets it as stated, too.
-    let held_back = run(&suite, &[named("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
+    let held_back = run(&suite, &[find_controller("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
     let clauses = held_back.clauses.iter().flat_map(|clause| &clause.tests);
     assert!(clauses.flat_map(|test| &test.controllers).all(|tested| tested.points > 0 && !tested.verdict.is_refusal()));
 }
 
 #[test]
 fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
-    let folder = folder();
+    let folder = temp_folder();
     let run = |threads: &str, arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
         command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).env("NO_COLOR", "1");
@@ -589,18 +589,18 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
         command.args(arguments).output().unwrap()
     };
     let json = run("1", &["--format", "json"]);
-    assert_eq!(code(&json), 0);
+    assert_eq!(exit_code(&json), 0);
     assert_eq!(json.stdout, run("2", &["--format", "json"]).stdout);
     let said: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert!(said["statement"].as_str().unwrap().contains("no certification"));
 
     let text = run("2", &["--out", "failures", "--expect", "passed"]);
-    assert_eq!(code(&text), 1);
+    assert_eq!(exit_code(&text), 1);
     let text = String::from_utf8(text.stdout).unwrap();
     let replay = text.lines().find(|line| line.trim().starts_with("crumple simulate ")).expect("a replay");
     let words = shlex::split(replay.trim()).unwrap();
     let words: Vec<_> = words.iter().skip(1).map(String::as_str).chain(["--expect", "collision"]).collect();
-    assert_eq!(code(&crumple(folder.path(), &words)), 0, "{replay}");
+    assert_eq!(exit_code(&run_crumple(folder.path(), &words)), 0, "{replay}");
     let junit = run("2", &["--format", "junit"]);
     let junit = String::from_utf8(junit.stdout).unwrap();
     assert!(junit.contains("no certification") && junit.contains("<failure message=\"FAILED, contact"), "{junit}");
@@ -608,22 +608,22 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
 
 #[test]
 fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
-    let folder = folder();
-    let list = crumple(folder.path(), &["suite", "list"]);
+    let folder = temp_folder();
+    let list = run_crumple(folder.path(), &["suite", "list"]);
     let list = String::from_utf8(list.stdout).unwrap();
-    for (name, _) in SHIPPED {
+    for (name, _) in SHIPPED_SUITES {
         assert!(list.contains(name) && list.contains("no certification") && list.contains(UNSHIPPED_DOCUMENTS[0].0), "{list}");
-        let shown = crumple(folder.path(), &["suite", "show", name]).stdout;
+        let shown = run_crumple(folder.path(), &["suite", "show", name]).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
-        assert_eq!(Suite::load(&folder.path().join("copy.toml")).unwrap(), shipped(name));
+        assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));
     }
     for (arguments, said) in [
         (&["suite", "run", "no-such", "--controller", "idm"][..], "neither a suite"),
         (&["suite", "run", "no-such.toml", "--controller", "idm"], "no-such.toml"),
         (&["suite", "run", "fmvss-127"], "--controller"),
     ] {
-        let output = crumple(folder.path(), arguments);
-        assert_eq!(code(&output), 2);
+        let output = run_crumple(folder.path(), arguments);
+        assert_eq!(exit_code(&output), 2);
         assert!(String::from_utf8_lossy(&output.stderr).contains(said));
     }
 }

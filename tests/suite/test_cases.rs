@@ -5,7 +5,7 @@ mod fault_injection;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crumple_fuzzing::oracle::{nobody_does_the_impossible, one_story, shield_keeps_clear};
+use crumple_fuzzing::oracle::{avoidability_bound_holds, metrics_agree, shield_prevents_front_collisions};
 use crumple_fuzzing::targets::{self, TARGETS};
 use crumple_fuzzing::{CollisionSearch, ORACLES, TEST_CASE_BYTES, TestCase, behaviour};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -13,8 +13,8 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use self::fault_injection::{Fault, Wrong};
-use crate::generate::{any_test_case, ask, bytes, cases};
+use self::fault_injection::{Fault, FaultySystem};
+use crate::generate::{any_test_case, check_oracle, any_bytes, cases};
 
 /// Where the corpora of the fuzz targets are.
 fn fuzz_seeds(target: &str) -> Vec<PathBuf> {
@@ -46,8 +46,8 @@ fn committed_seeds_pass() {
 #[test]
 fn hardly_any_trial_is_left_undecided() {
     let mut runner = TestRunner::deterministic();
-    let strategy = bytes(TEST_CASE_BYTES);
-    let answers = (0..64).map(|_| targets::decided(&strategy.new_tree(&mut runner).unwrap().current()).unwrap());
+    let strategy = any_bytes(TEST_CASE_BYTES);
+    let answers = (0..64).map(|_| targets::count_decided(&strategy.new_tree(&mut runner).unwrap().current()).unwrap());
     let decided: usize = answers.sum();
     let asked = 64 * ORACLES.len();
     assert!(decided >= asked - 6, "{decided} of {asked} answers");
@@ -71,13 +71,13 @@ proptest! {
     /// Full throttle behind a shield keeps clear of the vehicle ahead.
     #[test]
     fn a_shield_keeps_clear(test_case in any_test_case()) {
-        ask(&test_case, shield_keeps_clear)?;
+        check_oracle(&test_case, shield_prevents_front_collisions)?;
     }
 
     /// No controller survives what is unavoidable, or keeps a larger gap than anybody could.
     #[test]
     fn no_controller_does_the_impossible(test_case in any_test_case()) {
-        ask(&test_case, nobody_does_the_impossible)?;
+        check_oracle(&test_case, avoidability_bound_holds)?;
     }
 }
 
@@ -85,7 +85,7 @@ proptest! {
 #[test]
 fn a_violation_brings_a_scenario_file() {
     let test_case = TestCase::from_bytes(&[]);
-    let violation = test_case.ask(one_story, &Wrong(Fault::ContactForgotten)).expect_err("must be noticed");
+    let violation = test_case.check(metrics_agree, &FaultySystem(Fault::ContactForgotten)).expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
     let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
     assert_eq!(read, test_case.scenario);
@@ -100,14 +100,14 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     let folder = tempfile::tempdir().expect("a place for temporary files");
     let hunt = CollisionSearch::new("baseline", Some(folder.path())).expect("built in");
     for input in [&[][..], &[0], &[3], &[0; 100]] {
-        let features = hunt.take(input).expect("no law is broken");
-        assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURES));
+        let features = hunt.run_input(input).expect("no law is broken");
+        assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURE_COUNT));
     }
     let mut files = crumple_world::scenario::file::load_all(folder.path()).expect("scenario files");
     assert_eq!(files.len(), 2, "the paper's scenario 1 once, and scenario 3");
     let (path, scenario) = files.remove(0);
     assert_eq!(path.file_name().unwrap(), "baseline-1-of-3-hit-by-baseline-at-10-mps.toml");
-    let baseline = crumple_world::control::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::control::ControllerSpec::from_name("baseline").unwrap();
     let run = Run::new(&scenario, RunOptions::new(baseline)).unwrap();
     assert!(simulate(&run, RecordingLevel::Summary).outcome.contact().is_some());
     assert!(CollisionSearch::new("nobody", None).is_err());
@@ -146,7 +146,7 @@ fn a_search_takes_controllers_of_any_decision_interval() {
         for choice in 0..8 {
             let input = [0, choice];
             own_steps_s.push(TestCase::from_bytes(&input).scenario.spec().step_s);
-            search.take(&input).unwrap_or_else(|error| panic!("{interval_s}: {error}"));
+            search.run_input(&input).unwrap_or_else(|error| panic!("{interval_s}: {error}"));
         }
         own_steps_s.sort_by(f64::total_cmp);
         own_steps_s.dedup();

@@ -10,7 +10,7 @@ pub(crate) fn replace_passages(text: &str, changes: &[(&str, &str)]) -> String {
 
 /// The default preset of `train`, without an early end.
 pub(crate) fn training() -> String {
-    changed(
+    replace_passages(
         include_str!("../../crates/learn/src/rl/presets/fast.toml"),
         &[
             ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
@@ -28,7 +28,7 @@ pub(crate) fn training() -> String {
 
 /// The preset of `retrain`, which learns at once.
 pub(crate) fn retraining() -> String {
-    changed(
+    replace_passages(
         include_str!("../../crates/learn/src/retrain/preset.toml"),
         &[
             ("hidden = [64, 64, 64]", "hidden = [8, 8]"),
@@ -44,5 +44,5 @@ pub(crate) fn retraining() -> String {
 /// With so small a memory that checkpoints are small, too.
 pub(crate) fn with_small_memory(preset: &str) -> String {
     let capacity = preset.lines().find(|line| line.starts_with("capacity = ")).expect("every preset has one");
-    changed(preset, &[(capacity, "capacity = 200")])
+    replace_passages(preset, &[(capacity, "capacity = 200")])
 }

@@ -72,10 +72,10 @@ mod tests {
     #[test]
     fn what_has_one_entry_too_many_is_refused_with_its_number() {
         fn numbers(text: &str) -> Result<Vec<u8>, String> {
-            list::<2, _, _>(&mut serde_json::Deserializer::from_str(text)).map_err(|error| error.to_string())
+            deserialize_list::<2, _, _>(&mut serde_json::Deserializer::from_str(text)).map_err(|error| error.to_string())
         }
         fn names(text: &str) -> Result<usize, String> {
-            let read = map::<2, _>(&mut serde_json::Deserializer::from_str(text));
+            let read = deserialize_map::<2, _>(&mut serde_json::Deserializer::from_str(text));
             read.map(|map| map.len()).map_err(|error| error.to_string())
         }
         assert_eq!((numbers("[]"), numbers("[3, 4]")), (Ok(vec![]), Ok(vec![3, 4])));

@@ -109,7 +109,7 @@ mod tests {
     fn whitespace_between_tokens_is_all_that_may_differ() {
         let canonical = r#"{"a":[1.5,"x \" y"],"b":{}}"#;
         for same in [canonical, "{\n  \"a\": [1.5, \"x \\\" y\"],\n\t\"b\": {}\r\n}\n"] {
-            assert_eq!(departure(same, canonical), None, "{same}");
+            assert_eq!(first_difference(same, canonical), None, "{same}");
         }
         for (other, at) in [
             (r#"{"a":[1.50,"x \" y"],"b":{}}"#, (1, 10)),
@@ -118,7 +118,7 @@ mod tests {
             (r#"{"a":[1.5,"x \" y"],"b":{}"#, (1, 27)),
             (r#"{"a":[1.5,"x \" y"],"b":{}} {}"#, (1, 29)),
         ] {
-            assert_eq!(departure(other, canonical), Some(at), "{other}");
+            assert_eq!(first_difference(other, canonical), Some(at), "{other}");
         }
     }
 

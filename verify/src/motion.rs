@@ -87,12 +87,12 @@ impl Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::claim::{Ego, Leader};
+    use crate::claim::{SceneEgo, SceneLeader};
 
     /// Speed v until the brake takes hold, and v - b t from then on.
     #[test]
     fn a_follower_loses_speed_from_its_reaction_on() {
-        let follower = Follower {
+        let follower = SceneFollower {
             position_m: Interval::ZERO,
             speed_mps: Interval::point(12.0),
             brake_mps2: Interval::point(6.0),
@@ -102,18 +102,18 @@ mod tests {
         let scene = Scene {
             step_s: 0.25,
             steps: 20,
-            leader: Leader {
+            leader: SceneLeader {
                 position_m: Interval::ZERO,
                 length_m: 0.0,
                 speed_mps: Interval::ZERO,
-                acceleration_mps2: vec![Held(20, Interval::ZERO)],
+                acceleration_mps2: vec![ConstantPiece(20, Interval::ZERO)],
             },
-            egos: Vec::<Ego>::new(),
+            egos: Vec::<SceneEgo>::new(),
             follower: None,
         };
         for (fires, k) in (0..=20_u32).flat_map(|fires| (0..=20_u32).map(move |k| (fires, k))) {
             let expected = (12.0 - 1.5 * f64::from(k.saturating_sub(fires + 2))).max(0.0);
-            let found = scene.follower_mps(&follower, fires, k);
+            let found = scene.follower_speed_mps(&follower, fires, k);
             assert!((found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12, "{fires} {k}");
         }
     }

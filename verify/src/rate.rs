@@ -267,13 +267,13 @@ mod tests {
         for (failures, runs, rate) in
             [(0, 300_000, 3e-5), (7, 300_000, 5e-5), (900, 300_000, 3.2e-3), (1, 1000, 1e-7), (140_000, 300_000, 0.47)]
         {
-            let one_by_one = tail_at_most(failures, runs, rate);
+            let one_by_one = binomial_tail_upper_bound(failures, runs, rate);
             let together = tail_upper_bound_by_powers(failures, runs, rate);
             assert!((together / one_by_one - 1.0).abs() < 2e-10, "{failures} {runs} {rate}: {together} {one_by_one}");
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.
         let rate = 2.0_f64.powi(-27);
-        let found = tail_at_most(0, 1 << 29, rate);
+        let found = binomial_tail_upper_bound(0, 1 << 29, rate);
         let exact = (-4.0_f64 - 2.0 * rate).exp();
         assert!(found >= exact && found < exact * (1.0 + 4e-7), "{found} {exact}");
     }
@@ -281,12 +281,12 @@ mod tests {
     /// To the last bit what so many factors come to: one for each run, or squares of squares, each of which is at least a half.
     #[test]
     fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
-        let times = |factor: f64, count: u32| (0..count).fold(1.0, |product, _| up(product * factor));
-        let squared = |rate: f64, often: u32| (0..often).fold(up(1.0 - rate), |power, _| up(power * power));
+        let times = |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));
+        let squared = |rate: f64, often: u32| (0..often).fold(round_up(1.0 - rate), |power, _| round_up(power * power));
         for rate in (1..=50).map(|n| 1e-5 * f64::from(n)) {
-            assert_eq!(tail_at_most(0, 1000, rate), times(up(1.0 - rate), 1000));
+            assert_eq!(binomial_tail_upper_bound(0, 1000, rate), times(round_up(1.0 - rate), 1000));
             assert_eq!(tail_upper_bound_by_powers(0, 1024, rate), times(squared(rate, 10), 1));
-            let each_once = (0..10).rev().fold(1.0, |product, often| up(product * squared(rate, often)));
+            let each_once = (0..10).rev().fold(1.0, |product, often| round_up(product * squared(rate, often)));
             assert_eq!(tail_upper_bound_by_powers(0, 1023, rate), each_once);
         }
         // 0.9^4 is 0.66, and its square is less than a half.

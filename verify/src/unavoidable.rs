@@ -279,8 +279,8 @@ mod tests {
     use num_traits::{Signed, Zero};
     use proptest::prelude::*;
 
-    fn ego(max_brake_mps2: f64, max_accel_mps2: f64) -> Ego {
-        Ego { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
+    fn ego(max_brake_mps2: f64, max_accel_mps2: f64) -> SceneEgo {
+        SceneEgo { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
     }
 
     fn rational(value: f64) -> BigRational {
@@ -288,11 +288,11 @@ mod tests {
     }
 
     /// The integral of min(-b q, A q) over a step, by its triangles above and below zero.
-    fn integral(ego: &Ego, [begin, end]: [f64; 2], step_s: f64) -> BigRational {
-        let (q, two) = ([exact(begin), exact(end)], exact(2.0));
+    fn integral(ego: &SceneEgo, [begin, end]: [f64; 2], step_s: f64) -> BigRational {
+        let (q, two) = ([rational(begin), rational(end)], rational(2.0));
         // Of the part of q of a sign, which is negative or zero at one end or both: the share of the step times half of the rest.
         let part = |sign: f64| {
-            let [a, b] = [&q[0], &q[1]].map(|q| q * exact(sign));
+            let [a, b] = [&q[0], &q[1]].map(|q| q * rational(sign));
             match (a.is_positive(), b.is_positive()) {
                 (true, true) => (&a + &b) / &two,
                 (true, false) => &a * &a / (&two * (&a - &b)),
@@ -300,7 +300,7 @@ mod tests {
                 (false, false) => BigRational::zero(),
             }
         };
-        -(exact(ego.max_brake_mps2) * part(1.0) + exact(ego.max_accel_mps2) * part(-1.0)) * exact(step_s)
+        -(rational(ego.max_brake_mps2) * part(1.0) + rational(ego.max_accel_mps2) * part(-1.0)) * rational(step_s)
     }
 
     proptest! {
@@ -311,8 +311,8 @@ mod tests {
             let ego = ego(brake, accel);
             let found = min_step_integral(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
             let least = integral(&ego, [begin, end], h);
-            prop_assert!(exact(found.low()) <= least);
-            prop_assert!(least - exact(found.low()) < exact(1e-12 * (1.0 + found.low().abs())), "{found:?}");
+            prop_assert!(rational(found.low()) <= least);
+            prop_assert!(least - rational(found.low()) < rational(1e-12 * (1.0 + found.low().abs())), "{found:?}");
         }
     }
 

@@ -22,7 +22,7 @@ mod tests {
     #[test]
     fn cases_are_in_proportion_to_the_variable() {
         let variable = Config::default().cases;
-        assert_eq!(cases(256).cases, variable);
-        assert!(cases(5).cases >= 1 && cases(2560).cases == 10 * variable);
+        assert_eq!(with_cases(256).cases, variable);
+        assert!(with_cases(5).cases >= 1 && with_cases(2560).cases == 10 * variable);
     }
 }

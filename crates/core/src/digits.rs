@@ -64,7 +64,7 @@ mod tests {
             (-2.5, 2, "-2.5"),
             (f64::INFINITY, 3, "inf"),
         ] {
-            assert_eq!(nearest(number, digits), shown);
+            assert_eq!(format_rounded(number, digits), shown);
         }
     }
 
@@ -79,20 +79,20 @@ mod tests {
             (123_456.0, "123500"),
             (0.0, "0"),
         ] {
-            assert_eq!(up(bound, 4), shown);
+            assert_eq!(format_rounded_up(bound, 4), shown);
         }
     }
 
     proptest! {
         #[test]
         fn no_bound_is_below_its_number(bound in proptest::num::f64::POSITIVE | proptest::num::f64::DEFAULT_CASES, digits in 1..8_usize) {
-            let shown: f64 = up(bound, digits).parse().unwrap();
+            let shown: f64 = format_rounded_up(bound, digits).parse().unwrap();
             prop_assert!(shown >= bound, "{shown} is shown for {bound}");
         }
 
         #[test]
         fn numbers_are_shown_to_their_digits(number in 1e-12..1e12_f64, digits in 1..8_usize) {
-            let shown: f64 = nearest(number, digits).parse().unwrap();
+            let shown: f64 = format_rounded(number, digits).parse().unwrap();
             prop_assert!((shown / number - 1.0).abs() <= 0.5 * 10f64.powi(1 - digits as i32) + 1e-12);
         }
     }

@@ -127,7 +127,7 @@ fn stirling_error(n: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_verify::rate::tail_at_most;
+    use crumple_verify::rate::binomial_tail_upper_bound;
     use proptest::prelude::*;
 
     /// An end as it should be, and never inside of that by a part in 10¹⁵, nor outside by more than a part in 10¹¹.
@@ -146,18 +146,18 @@ mod tests {
             (150, 1_000_000_000, 1e-4, [1.086_653_018_671_793_6e-7, 2.010_293_807_913_290_4e-7]),
             (700, 1500, 0.025, [0.441_172_927_572_352_56, 0.492_291_153_412_647_3]),
         ] {
-            assert_end(lower(failures, runs, tail), ends[0], -1.0);
-            assert_end(upper(failures, runs, tail), ends[1], 1.0);
+            assert_end(clopper_pearson_lower(failures, runs, tail), ends[0], -1.0);
+            assert_end(clopper_pearson_upper(failures, runs, tail), ends[1], 1.0);
         }
         let by_scipy: f64 = 1.207_246_691_693_724e-6;
-        assert!((upper(12, 20_000_000, 0.005) / by_scipy - 1.0).abs() < 1e-10);
+        assert!((clopper_pearson_upper(12, 20_000_000, 0.005) / by_scipy - 1.0).abs() < 1e-10);
         for runs in [1, 2, 30, 100_000, 20_000_000, 1_000_000_000] {
             for tail in [0.45, 0.025, 5e-4, 1e-6, 1e-12] {
                 let none = -libm::expm1(log(tail) / runs as f64);
-                assert_end(upper(0, runs, tail), none, 1.0);
-                assert_end(lower(1, runs, tail), -libm::expm1(log1p(-tail) / runs as f64), -1.0);
-                assert_end(lower(runs, runs, tail), exp(log(tail) / runs as f64), -1.0);
-                assert_eq!((lower(0, runs, tail), upper(runs, runs, tail)), (0.0, 1.0));
+                assert_end(clopper_pearson_upper(0, runs, tail), none, 1.0);
+                assert_end(clopper_pearson_lower(1, runs, tail), -libm::expm1(log1p(-tail) / runs as f64), -1.0);
+                assert_end(clopper_pearson_lower(runs, runs, tail), exp(log(tail) / runs as f64), -1.0);
+                assert_eq!((clopper_pearson_lower(0, runs, tail), clopper_pearson_upper(runs, runs, tail)), (0.0, 1.0));
             }
         }
     }
@@ -172,18 +172,18 @@ mod tests {
             tail in prop_oneof![1e-3..0.5_f64, 1e-9..1e-3_f64],
         ) {
             let failures = ((runs as f64 * share) as u64).min(runs - 1);
-            let high = upper(failures, runs, tail);
+            let high = clopper_pearson_upper(failures, runs, tail);
             // Of a rate near 1 what is left of it has few digits, and it counts once for each run that holds.
             let (runs_f64, holding) = (runs as f64, (runs - failures) as f64);
             let loose = 1.0 + 1e-12 + 8.0 * f64::EPSILON * (runs_f64 + holding / (1.0 - high));
-            prop_assert!(tail_at_most(failures, runs, high) <= tail * loose);
+            prop_assert!(binomial_tail_upper_bound(failures, runs, high) <= tail * loose);
             let inside = high * (1.0 - 1e-8);
-            prop_assert!(tail_at_most(failures, runs, inside) >= tail, "{high}");
+            prop_assert!(binomial_tail_upper_bound(failures, runs, inside) >= tail, "{high}");
             // The rate of successes cannot be written where there are hardly any failures.
-            let low = lower(failures, runs, tail);
+            let low = clopper_pearson_lower(failures, runs, tail);
             if low > 1e-7 {
-                prop_assert!(tail_at_most(runs - failures, runs, 1.0 - low) <= tail * (1.0 + 1e-8));
-                prop_assert!(tail_at_most(runs - failures, runs, 1.0 - low * (1.0 + 1e-8)) >= tail, "{low}");
+                prop_assert!(binomial_tail_upper_bound(runs - failures, runs, 1.0 - low) <= tail * (1.0 + 1e-8));
+                prop_assert!(binomial_tail_upper_bound(runs - failures, runs, 1.0 - low * (1.0 + 1e-8)) >= tail, "{low}");
             }
         }
     }
@@ -191,8 +191,8 @@ mod tests {
     #[test]
     fn what_has_no_end_has_none() {
         for tail in [0.0, 1.0, f64::NAN, -1.0] {
-            assert_eq!((lower(3, 10, tail), upper(3, 10, tail)), (0.0, 1.0));
+            assert_eq!((clopper_pearson_lower(3, 10, tail), clopper_pearson_upper(3, 10, tail)), (0.0, 1.0));
         }
-        assert_eq!((lower(0, 0, 0.1), upper(0, 0, 0.1)), (0.0, 1.0));
+        assert_eq!((clopper_pearson_lower(0, 0, 0.1), clopper_pearson_upper(0, 0, 0.1)), (0.0, 1.0));
     }
 }

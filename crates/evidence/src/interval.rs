@@ -31,16 +31,16 @@ mod tests {
 
     #[test]
     fn without_failures_the_upper_end_is_the_closed_form() {
-        let RateInterval { lower, upper } = RateInterval::exact(0, 1000, 0.95);
+        let RateInterval { lower, upper } = RateInterval::clopper_pearson(0, 1000, 0.95);
         assert_eq!(lower, 0.0);
         assert!((upper - (1.0 - 0.025_f64.powf(1e-3))).abs() < 1e-9, "{upper}");
-        assert_eq!(RateInterval::exact(1000, 1000, 0.95).upper, 1.0);
+        assert_eq!(RateInterval::clopper_pearson(1000, 1000, 0.95).upper, 1.0);
     }
 
     #[test]
     fn each_end_leaves_its_share_of_the_binomial_tail() {
         for (failures, runs) in [(1, 10), (5, 100), (37, 1000), (999, 1000)] {
-            let RateInterval { lower, upper } = RateInterval::exact(failures, runs, 0.95);
+            let RateInterval { lower, upper } = RateInterval::clopper_pearson(failures, runs, 0.95);
             let at_most = Binomial::new(upper, runs).unwrap().cdf(failures);
             let at_least = Binomial::new(lower, runs).unwrap().sf(failures - 1);
             assert!((at_most - 0.025).abs() < 1e-6 && (at_least - 0.025).abs() < 1e-6, "{at_most} {at_least}");

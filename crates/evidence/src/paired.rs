@@ -41,20 +41,20 @@ mod tests {
 
     #[test]
     fn by_hand() {
-        let p = |new, fixed| DiscordantPairs { new, fixed }.p_value();
+        let p = |new, fixed| DiscordantPairs { only_second_fails: new, only_first_fails: fixed }.p_value();
         // 1, 4, 6, 4, 1 of 16.
         for (new, of_16) in [(0, 16.0), (1, 15.0), (2, 11.0), (3, 5.0), (4, 1.0)] {
             assert!((p(new, 4 - new) - of_16 / 16.0).abs() < 1e-12, "{new}");
         }
         assert_eq!(p(0, 0), 1.0);
-        assert!(!DiscordantPairs { new: 6, fixed: 0 }.is_worse(0.01) && DiscordantPairs { new: 7, fixed: 0 }.is_worse(0.01));
+        assert!(!DiscordantPairs { only_second_fails: 6, only_first_fails: 0 }.is_worse(0.01) && DiscordantPairs { only_second_fails: 7, only_first_fails: 0 }.is_worse(0.01));
     }
 
     proptest! {
         /// More new failures are never less significant, and more that are fixed never more.
         #[test]
         fn is_monotone(new in 0..4000_u64, fixed in 0..4000_u64) {
-            let p = |new, fixed| DiscordantPairs { new, fixed }.p_value();
+            let p = |new, fixed| DiscordantPairs { only_second_fails: new, only_first_fails: fixed }.p_value();
             prop_assert!((0.0..=1.0).contains(&p(new, fixed)));
             prop_assert!(p(new + 1, fixed) <= p(new, fixed) + 1e-9 && p(new, fixed + 1) >= p(new, fixed) - 1e-9);
         }

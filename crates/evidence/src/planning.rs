@@ -120,7 +120,7 @@ const MANIFEST_BYTES: u64 = 650;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_verify::rate::tail_at_most;
+    use crumple_verify::rate::binomial_tail_upper_bound;
 
     /// The smallest: it does, and one less does not, by the tail that the checker evaluates.
     #[test]
@@ -128,22 +128,22 @@ mod tests {
         for (rate, confidence, failures) in
             [(0.5, 0.51, 0), (1e-2, 0.99, 0), (1e-3, 0.999, 2), (0.3, 0.9, 40), (1e-4, 1.0 - 1e-6, 0), (0.999, 0.9, 0)]
         {
-            let runs = runs_for(rate, confidence, failures).unwrap();
-            assert!(tail_at_most(failures, runs, rate) <= 1.0 - confidence, "{rate} {failures}: {runs}");
+            let runs = required_runs(rate, confidence, failures).unwrap();
+            assert!(binomial_tail_upper_bound(failures, runs, rate) <= 1.0 - confidence, "{rate} {failures}: {runs}");
             assert!(upper_bound(failures, runs, confidence) <= rate);
             // The certified bound is stated to nine digits.
             let fewer = runs - 1 - runs / 100_000_000;
-            assert!(fewer <= failures || tail_at_most(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence);
+            assert!(fewer <= failures || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence);
         }
-        assert_eq!(runs_for(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
+        assert_eq!(required_runs(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
         // 10⁶ failures and 3.09 standard deviations more.
-        let many = runs_for(0.5, 0.999, 1_000_000).unwrap();
+        let many = required_runs(0.5, 0.999, 1_000_000).unwrap();
         assert!((2_004_300..2_004_500).contains(&many), "{many}");
-        let large = runs_for(1e-8, 0.999, 0).unwrap();
+        let large = required_runs(1e-8, 0.999, 0).unwrap();
         assert!((690_775_520..690_776_600).contains(&large), "{large}");
-        assert!(matches!(runs_for(1e-9, 0.999, 0), Err(SampleSizeError::TooMany { .. })));
+        assert!(matches!(required_runs(1e-9, 0.999, 0), Err(SampleSizeError::TooMany { .. })));
         assert!(
-            runs_for(0.0, 0.9, 0).is_err() && runs_for(f64::NAN, 0.9, 0).is_err() && runs_for(0.1, 1.0, 0).is_err()
+            required_runs(0.0, 0.9, 0).is_err() && required_runs(f64::NAN, 0.9, 0).is_err() && required_runs(0.1, 1.0, 0).is_err()
         );
     }
 }

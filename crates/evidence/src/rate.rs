@@ -399,12 +399,12 @@ impl RatePlan {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_verify::{Accepted, check};
+    use crumple_verify::{ProvedClaim, check};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
 
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
-        let contender = |name: &str| NamedController::from(ControllerSpec::named(name).unwrap());
+        let contender = |name: &str| NamedController::from(ControllerSpec::from_name(name).unwrap());
         RatePlan::new(RateConfig {
             against: against.map(contender),
             seed: 3,
@@ -414,8 +414,8 @@ mod tests {
         .unwrap()
     }
 
-    fn count_all(plan: &RatePlan) -> Tally {
-        let mut tally = plan.tally();
+    fn count_all(plan: &RatePlan) -> CountTally {
+        let mut tally = plan.empty_tally();
         while tally.runs < plan.registration().runs {
             plan.count_batch(&mut tally).unwrap();
         }
@@ -425,17 +425,17 @@ mod tests {
     #[test]
     fn a_rate_and_a_comparison_are_counted_and_accepted() {
         let rate = plan("idm", None, 1500);
-        let tally = counted(&rate);
+        let tally = count_all(&rate);
         assert_eq!((tally.runs, tally.failures), (1500, 0));
         let accepted = check(&rate.certificate(&tally)).unwrap();
-        assert!(matches!(accepted, Accepted::Rate { at_most, .. } if at_most < 0.0031), "{accepted:?}");
+        assert!(matches!(accepted, ProvedClaim::Rate { max_rate: at_most, .. } if at_most < 0.0031), "{accepted:?}");
 
         let comparison = plan("idm", Some("baseline"), 500);
-        let tally = counted(&comparison);
+        let tally = count_all(&comparison);
         assert_eq!((tally.only_first_failed, tally.only_second_failed), (0, 500));
-        assert!(matches!(check(&comparison.certificate(&tally)), Ok(Accepted::FailsLessOften { .. })));
+        assert!(matches!(check(&comparison.certificate(&tally)), Ok(ProvedClaim::FailsLessOften { .. })));
         let turned = plan("baseline", Some("idm"), 500);
-        assert!(check(&turned.certificate(&counted(&turned))).is_err());
+        assert!(check(&turned.certificate(&count_all(&turned))).is_err());
     }
 
     #[test]

@@ -238,54 +238,54 @@ mod tests {
             seed,
             estimator: EstimatorKind::Truth,
             confidence: 0.9,
-            ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 1200)
+            ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 1200)
         })
         .unwrap()
     }
 
     /// What was counted of a plan in a folder, as an interruption leaves it.
-    fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut Tally)) -> tempfile::TempDir {
+    fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut CountTally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
-        plan.count_batch(&mut count.counting.tally).unwrap();
+        plan.count_batch(&mut count.block_counter.tally).unwrap();
         assert!(count.tally().runs < 1200, "one call does not count them all");
-        change(&mut count.counting.tally);
-        count.work.write(PROGRESS, json(Path::new(PROGRESS), count.tally()).unwrap()).unwrap();
+        change(&mut count.block_counter.tally);
+        count.run_folder.write(PROGRESS_FILE, to_json(Path::new(PROGRESS_FILE), count.tally()).unwrap()).unwrap();
         folder
     }
 
     #[test]
     fn an_interrupted_count_ends_with_the_same_files() {
         let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
-        plan.register_in(whole.path(), false).unwrap().certificate(&Quiet).unwrap();
-        let part = interrupted(&plan, |_| ());
+        plan.register_in(whole.path(), false).unwrap().certify(&Quiet).unwrap();
+        let part = interrupted_folder(&plan, |_| ());
         let error =
             |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
         assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
         let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
-        plan.register_in(part.path(), true).unwrap().certificate(&Quiet).unwrap();
-        for name in [REGISTRATION_FILE, PROGRESS, CERTIFICATE_FILE, crumple_store::work::MANIFEST] {
+        plan.register_in(part.path(), true).unwrap().certify(&Quiet).unwrap();
+        for name in [REGISTRATION_FILE, PROGRESS_FILE, CERTIFICATE_FILE, crumple_store::run_folder::MANIFEST_FILE] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }
         let read_again = plan.register_in(whole.path(), true).unwrap();
-        assert_eq!((read_again.work.is_complete(), read_again.tally().runs), (true, 1200));
+        assert_eq!((read_again.run_folder.is_complete(), read_again.tally().runs), (true, 1200));
     }
 
     /// More runs than were made, other failures, and counts that do not add up, whether the manifest was told of them or not.
     #[test]
     fn counts_that_were_not_made_are_not_gone_on_with() {
         let plan = plan(3);
-        let changes: [fn(&mut Tally); 3] =
+        let changes: [fn(&mut CountTally); 3] =
             [|tally| tally.runs = 1201, |tally| tally.failures = u64::MAX, |tally| tally.runs += 1];
         for change in changes {
-            let folder = interrupted(&plan, change);
+            let folder = interrupted_folder(&plan, change);
             let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
             assert!(error.ends_with("progress.json: not of this registration"), "{error}");
         }
-        let folder = interrupted(&plan, |_| ());
-        let path = folder.path().join(PROGRESS);
+        let folder = interrupted_folder(&plan, |_| ());
+        let path = folder.path().join(PROGRESS_FILE);
         fs::write(&path, fs::read_to_string(&path).unwrap().replace("\"runs\": 1", "\"runs\": 2")).unwrap();
         let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
         assert!(error.ends_with("progress.json: not as it was written"), "{error}");

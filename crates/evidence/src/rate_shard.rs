@@ -125,8 +125,8 @@ impl RateShard<'_> {
     }
 
     #[cfg(test)]
-    pub(super) fn run_folder(&self) -> &Work {
-        &self.work
+    pub(super) fn run_folder(&self) -> &RunFolder {
+        &self.run_folder
     }
 
     /// How many runs it takes, those in resamples among them.

@@ -507,7 +507,7 @@ fn interpolate(ranges: &InitialRanges, place: &[f64; 8]) -> [f64; 8] {
 mod tests {
     use super::*;
     use crumple_core::observer::Quiet;
-    use crumple_verify::{Accepted, WorkLimit, check_with};
+    use crumple_verify::{ProvedClaim, WorkLimit, check_with};
     use crumple_world::policy::Policy;
 
     fn plan(ranges: &str) -> ReachPlan {
@@ -523,7 +523,7 @@ mod tests {
         assert_eq!(partition.certificate, plan.partition(6, &Quiet).unwrap().certificate);
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
         match check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap() {
-            Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. } => {
+            ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);
                 let spare_m = smallest_gap_m - claim.min_gap_m_at_least;
@@ -537,7 +537,7 @@ mod tests {
     /// What certificates assume of the functions that networks are driven with, twice as well.
     #[test]
     fn single_precision_functions_are_as_good_as_assumed() {
-        use crumple_verify::reach::actor::TANH_ERROR;
+        use crumple_verify::reach::controller::TANH_ERROR;
         let all = || (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
         let worst = all().map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
         assert!(worst < TANH_ERROR / 2.0, "{worst:e}");

@@ -258,8 +258,8 @@ mod tests {
             [(0, 1000, 0.99), (3, 1000, 0.999), (0, 138_149, 1.0 - 1e-6), (999, 1000, 0.9)]
         {
             let bound = upper_bound(failures, runs, confidence);
-            assert!(tail_at_most(failures, runs, bound) <= 1.0 - confidence);
-            assert!(tail_at_most(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence, "{failures} {runs} {bound}");
+            assert!(binomial_tail_upper_bound(failures, runs, bound) <= 1.0 - confidence);
+            assert!(binomial_tail_upper_bound(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence, "{failures} {runs} {bound}");
         }
         assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
@@ -269,8 +269,8 @@ mod tests {
         assert!((bound / 1.207_246_691_693_724e-6 - 1.0).abs() < 1e-7 && bound > 1.207_246_691_693_724e-6, "{bound:e}");
         for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
             let bound = upper_bound(failures, 700_000_000, confidence);
-            assert!(tail_at_most(failures, 700_000_000, bound) <= 1.0 - confidence);
-            assert!(tail_at_most(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence, "{failures} {bound}");
+            assert!(binomial_tail_upper_bound(failures, 700_000_000, bound) <= 1.0 - confidence);
+            assert!(binomial_tail_upper_bound(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence, "{failures} {bound}");
         }
         // 1 - (1 - γ)^(1/n), within what the tail rounds.
         let (bound, exact) = (upper_bound(0, 700_000_000, 0.999), -(0.001_f64.ln() / 7e8).exp_m1());

@@ -103,7 +103,7 @@ fn hull(ranges: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::{Brake, BrakeToSpeed, Pieces, RampBrake, VehicleClass};
+    use crumple_world::scenario::{Brake, BrakeToSpeed, PiecewiseAcceleration, RampBrake, VehicleClass};
 
     const HORIZON_S: f64 = 10.0;
     const SPEED_MPS: f64 = 20.0;
@@ -113,11 +113,11 @@ mod tests {
     }
 
     fn pieces(from_s: &[f64], accel_mps2: &[f64]) -> LeadProfile {
-        LeadProfile::Pieces(Pieces { from_s: from_s.to_vec(), accel_mps2: accel_mps2.to_vec() })
+        LeadProfile::Pieces(PiecewiseAcceleration { from_s: from_s.to_vec(), accel_mps2: accel_mps2.to_vec() })
     }
 
     fn recorded(time_s: &[f64], speed_mps: &[f64]) -> LeadProfile {
-        LeadProfile::Recorded(Recorded { time_s: time_s.to_vec(), speed_mps: speed_mps.to_vec() })
+        LeadProfile::Recorded(RecordedSpeeds { time_s: time_s.to_vec(), speed_mps: speed_mps.to_vec() })
     }
 
     /// Scripts that brake at 3 m/s² at most.
@@ -142,8 +142,8 @@ mod tests {
 
     #[test]
     fn scripts_within_a_limit_are_those_of_a_leader_that_brakes_as_it_likes() {
-        for profile in within() {
-            assert_eq!(led(profile.clone()), Ok(()), "{profile:?}");
+        for profile in allowed_profiles() {
+            assert_eq!(check_profile(profile.clone()), Ok(()), "{profile:?}");
             // The mean over each step, as the simulator asks for it, is within the limit but for rounding.
             let mut speed_mps = SPEED_MPS;
             for step in 0..1000 {
@@ -176,15 +176,15 @@ mod tests {
                 Err(ScriptBeyondLimit::OtherSpeed { speed_mps: 20.0, recorded_mps: 19.0 }),
             ),
         ] {
-            assert_eq!(led(profile.clone()), refused, "{profile:?}");
+            assert_eq!(check_profile(profile.clone()), refused, "{profile:?}");
         }
         // 20 - 19.7 in 0.1 s is harder than 3 m/s² as 64-bit numbers are.
-        let rounded = led(recorded(&[0.0, 0.1], &[20.0, 19.7]));
+        let rounded = check_profile(recorded(&[0.0, 0.1], &[20.0, 19.7]));
         assert!(matches!(rounded, Err(ScriptBeyondLimit::BrakesHarder { mps2, .. }) if mps2 > 3.0 && mps2 < 3.000_001));
         let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);
         assert_eq!(check_script_limits(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
         assert!(
-            check_script_limits(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S)
+            check_script_limits(&VehicleSpec { driver: Driver::Profile(allowed_profiles().remove(1)), ..driven }, f64::NAN, HORIZON_S)
                 .is_err()
         );
     }

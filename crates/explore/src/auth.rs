@@ -89,7 +89,7 @@ mod tests {
         let path = format!("/{}/api/run", gate.token);
         let own = ("host", "127.0.0.1:8080");
         let admitted =
-            |path: &str, named: &[(&'static str, &str)]| gate.admit(path, &headers(named)).map(str::to_owned).ok();
+            |path: &str, named: &[(&'static str, &str)]| gate.authorize(path, &headers(named)).map(str::to_owned).ok();
         let let_in: [&[_]; 5] = [
             &[own],
             &[("host", "LocalHost:8080")],
@@ -125,12 +125,12 @@ mod tests {
         fn nothing_but_the_token_will_do(path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?", change in 0..64_usize, to in "[0-9a-f]") {
             let gate = RequestAuth::new(80).unwrap();
             let own = headers(&[("host", "127.0.0.1:80")]);
-            prop_assert!(gate.admit(&path, &own).is_err());
+            prop_assert!(gate.authorize(&path, &own).is_err());
             let mut token = gate.token.clone();
             token.replace_range(change..=change, &to);
-            prop_assert_eq!(gate.admit(&format!("/{token}/"), &own).is_ok(), token == gate.token);
+            prop_assert_eq!(gate.authorize(&format!("/{token}/"), &own).is_ok(), token == gate.token);
             let cut = format!("/{}/", &gate.token[..change]);
-            prop_assert!(gate.admit(&cut, &own).is_err());
+            prop_assert!(gate.authorize(&cut, &own).is_err());
         }
     }
 }

@@ -101,7 +101,7 @@ fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     proptest! {
@@ -111,9 +111,9 @@ mod tests {
             let parent = tempfile::tempdir().unwrap();
             let out = parent.path().join("out");
             std::fs::create_dir(&out).unwrap();
-            let scenario = built_in("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
+            let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
             for times in 1..4 {
-                let saved = saved(&scenario, "idm", "truth", Some(&out)).unwrap();
+                let saved = save_scenario(&scenario, "idm", "truth", Some(&out)).unwrap();
                 prop_assert_eq!(std::fs::read_dir(&out).unwrap().count(), times);
                 prop_assert_eq!(file::load(&out.join(&saved.file_name)).unwrap(), scenario.clone());
             }

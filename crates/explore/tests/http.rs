@@ -8,13 +8,13 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_core::observer::Quiet;
-use crumple_explore::{Offer, CatalogScenario, Server};
+use crumple_explore::{ExploreConfig, CatalogScenario, Server};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{built_in, file};
+use crumple_world::scenario::{built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -26,21 +26,21 @@ struct TestServer {
     out: tempfile::TempDir,
 }
 
-fn test_server() -> &'static Served {
-    static SERVED: OnceLock<Served> = OnceLock::new();
+fn test_server() -> &'static TestServer {
+    static SERVED: OnceLock<TestServer> = OnceLock::new();
     SERVED.get_or_init(|| {
         let out = tempfile::tempdir().unwrap();
-        let wet = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
+        let wet = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
         let scenarios = vec![CatalogScenario { name: "wet".to_owned(), scenario: wet }];
-        let offer = Offer { scenarios, out: Some(out.path().to_owned()), ..Offer::default() };
+        let offer = ExploreConfig { scenarios, save_folder: Some(out.path().to_owned()), ..ExploreConfig::default() };
         let (port, token) = start(Server::bind(0, offer).unwrap());
-        Served { port, token, out }
+        TestServer { port, token, out }
     })
 }
 
 /// Starts a server. Returns its port and its token.
 fn start(server: Server) -> (u16, String) {
-    let (port, address) = (server.port(), server.address());
+    let (port, address) = (server.port(), server.url());
     let token = address.strip_prefix(&format!("http://127.0.0.1:{port}/")).unwrap().trim_end_matches('/').to_owned();
     std::thread::spawn(|| server.run().unwrap());
     (port, token)
@@ -51,7 +51,7 @@ static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 
 /// Sends bytes, and reads status, head and body.
 fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
-    exchange_at(served().port, request)
+    exchange_at(test_server().port, request)
 }
 
 fn exchange_at(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
@@ -77,7 +77,7 @@ fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> V
 
 /// What the page would send, with the token.
 fn post(what: &str, body: &[u8]) -> (u16, Value) {
-    let Served { port, token, .. } = served();
+    let TestServer { port, token, .. } = test_server();
     post_at(*port, token, what, body)
 }
 
@@ -90,12 +90,12 @@ fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
 }
 
 fn run_request(edits: &Value) -> Value {
-    json!({ "scenario": built_in("paper-1").unwrap().spec(), "edits": edits, "controllers": ["baseline", "idm"], "estimator": "truth" })
+    json!({ "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits, "controllers": ["baseline", "idm"], "estimator": "truth" })
 }
 
 #[test]
 fn the_pages_are_served_to_who_has_the_token_and_load_nothing_from_elsewhere() {
-    let Served { port, token, .. } = served();
+    let TestServer { port, token, .. } = test_server();
     let host = format!("localhost:{port}");
     for (path, kind) in
         [("", "text/html"), ("campaigns", "text/html"), ("explore.css", "text/css"), ("explore.js", "text/javascript")]
@@ -123,7 +123,7 @@ fn the_pages_are_served_to_who_has_the_token_and_load_nothing_from_elsewhere() {
 
 #[test]
 fn without_the_token_or_from_another_page_every_request_is_refused() {
-    let Served { port, token, .. } = served();
+    let TestServer { port, token, .. } = test_server();
     let host = format!("127.0.0.1:{port}");
     let body = run_request(&json!({})).to_string();
     let own = [("Host", host.as_str()), ("Content-Type", "application/json")];
@@ -205,7 +205,7 @@ fn fifty_clients_at_once_lose_nothing() {
 #[test]
 fn idle_connections_keep_nobody_out() {
     let _alone = MANY_CONNECTIONS.lock();
-    let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", served().port)).unwrap()).collect();
+    let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap()).collect();
     let begun = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
     assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
@@ -227,7 +227,7 @@ fn start_request(port: u16, token: &str) -> TcpStream {
 /// Sends the rest, and reads the answer.
 fn finish_request(stream: &mut TcpStream) -> String {
     stream.write_all(br#""scenario": 0}"#).unwrap();
-    heard(stream)
+    read_response(stream)
 }
 
 fn read_response(stream: &mut TcpStream) -> String {
@@ -242,26 +242,26 @@ fn read_response(stream: &mut TcpStream) -> String {
 fn slow_requests_keep_no_other_client_out() {
     let _alone = MANY_CONNECTIONS.lock();
     let patience = Duration::from_secs(3600);
-    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_read_timeout(patience));
-    let mut bodies: Vec<_> = (0..130).map(|_| begun(port, &token)).collect();
+    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(patience));
+    let mut bodies: Vec<_> = (0..130).map(|_| start_request(port, &token)).collect();
     let heads: Vec<_> = (0..130).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
     heads.iter().for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
-    bodies.extend((0..130).map(|_| begun(port, &token)));
+    bodies.extend((0..130).map(|_| start_request(port, &token)));
     for _ in 0..3 {
-        assert!(ended(&mut begun(port, &token)).starts_with("HTTP/1.1 200"));
+        assert!(finish_request(&mut start_request(port, &token)).starts_with("HTTP/1.1 200"));
     }
-    assert!(ended(bodies.last_mut().unwrap()).starts_with("HTTP/1.1 200"));
+    assert!(finish_request(bodies.last_mut().unwrap()).starts_with("HTTP/1.1 200"));
 }
 
 #[test]
 fn a_request_that_does_not_arrive_in_time_is_ended() {
-    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
-    let answer = heard(&mut begun(port, &token));
+    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
+    let answer = read_response(&mut start_request(port, &token));
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
     let mut head = TcpStream::connect(("127.0.0.1", port)).unwrap();
     head.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     head.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap();
-    assert!(!heard(&mut head).contains("200 OK"), "the connection ends");
+    assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
 }
 
 /// The page asks again and again: no later answer shows a campaign without failures.
@@ -272,7 +272,7 @@ fn a_damaged_campaign_is_an_error_in_every_answer() {
         method: Method::Uniform,
         budget: 40,
         seed: 7,
-        ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+        ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
     };
     let folder = tempfile::tempdir().unwrap();
     campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
@@ -281,7 +281,7 @@ fn a_damaged_campaign_is_an_error_in_every_answer() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&table, bytes).unwrap();
-    let offer = Offer { campaigns: vec![folder.path().to_owned()], ..Offer::default() };
+    let offer = ExploreConfig { campaigns: vec![folder.path().to_owned()], ..ExploreConfig::default() };
     let (port, token) = start(Server::bind(0, offer).unwrap());
     for (what, body) in
         [("campaign", r#"{"campaign": 0}"#), ("open", r#"{"campaign": 0, "counterexample": 0}"#)].repeat(2)
@@ -363,7 +363,7 @@ fn what_is_wrong_is_said_with_its_field() {
 /// A page has no file opened and no process started, whatever it names.
 #[test]
 fn no_name_in_a_request_is_a_file_or_a_command() {
-    let touched = served().out.path().join("touched");
+    let touched = test_server().out.path().join("touched");
     for name in [
         format!("exec:touch {}", touched.display()),
         "shield:exec:true".to_owned(),
@@ -404,13 +404,13 @@ fn what_was_dragged_and_saved_ends_in_the_same_contact() {
     let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
     assert_eq!(status, 200, "{drawn}");
     assert_eq!(drawn["sliders"]["vehicles"][2]["gap_m"].as_f64().map(|gap| (gap * 1e6).round() / 1e6), Some(9.77));
-    let save = json!({ "what": { "scenario": built_in("paper-1").unwrap().spec(), "edits": edits }, "controller": "baseline", "estimator": "truth", "to_folder": true });
+    let save = json!({ "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits }, "controller": "baseline", "estimator": "truth", "to_folder": true });
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
     let path = Path::new(saved["path"].as_str().unwrap());
-    assert_eq!(path.parent(), Some(served().out.path()));
+    assert_eq!(path.parent(), Some(test_server().out.path()));
     let scenario = file::load(path).unwrap();
-    let options = RunOptions::new(ControllerSpec::named("baseline").unwrap())
+    let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap())
         .with_estimator(crumple_world::observation::EstimatorKind::Truth);
     let again = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
     let contact_s = again.outcome.contact().expect("hard braking on a wet road").time_s;
@@ -421,13 +421,13 @@ fn what_was_dragged_and_saved_ends_in_the_same_contact() {
 #[test]
 fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
     let (status, answer) =
-        post("avoid", json!({ "scenario": built_in("paper-1").unwrap().spec() }).to_string().as_bytes());
+        post("avoid", json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() }).to_string().as_bytes());
     assert_eq!((status, &answer["verdict"]), (200, &json!("avoidable")), "{answer}");
     assert!(answer["escape"].as_str().unwrap().contains("<svg"));
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(96))]
+    #![proptest_config(crumple_cases::with_cases(96))]
     /// A request that was damaged anywhere is answered as well, and with one clear error where it is one.
     #[test]
     fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {
@@ -444,7 +444,7 @@ proptest! {
     #[test]
     fn what_is_no_request_harms_nobody(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
         let sent = [&bytes[..], b"\r\n\r\n"].concat();
-        let mut stream = TcpStream::connect(("127.0.0.1", served().port)).unwrap();
+        let mut stream = TcpStream::connect(("127.0.0.1", test_server().port)).unwrap();
         // It may have been closed at the first of them.
         let _ = stream.write_all(&sent).and_then(|()| stream.shutdown(Shutdown::Write));
         let mut answer = Vec::new();

@@ -76,19 +76,19 @@ mod tests {
     fn no_bytes_and_zero_bytes_are_nominal() {
         for bytes in [&[][..], &[0; 20]] {
             let mut choices = Choices::new(bytes);
-            assert_eq!(choices.about(25.0, [0.0, 45.0]), 25.0);
+            assert_eq!(choices.around(25.0, [0.0, 45.0]), 25.0);
             assert_eq!(choices.up_to(3.0), 0.0);
-            assert_eq!(choices.sometimes(200, |choices| choices.up_to(1.0)), None);
-            assert_eq!(choices.one_of(&[7, 8]), Some(7));
+            assert_eq!(choices.optional(200, |choices| choices.up_to(1.0)), None);
+            assert_eq!(choices.choose(&[7, 8]), Some(7));
             assert_eq!(choices.seed(), 0);
         }
     }
 
     #[test]
     fn small_bytes_stay_near_and_large_ones_reach_the_ends() {
-        let about = |bits: u16| Choices::new(&bits.to_le_bytes()).about(25.0, [0.0, 45.0]);
+        let about = |bits: u16| Choices::new(&bits.to_le_bytes()).around(25.0, [0.0, 45.0]);
         assert_eq!((about(u16::MAX), about(u16::MAX - 1)), (0.0, 45.0));
         assert!((1..100).all(|bits| (about(bits) - 25.0).abs() < 0.1));
-        assert_eq!(Choices::new(&[255, 255, 255]).sometimes(1, |choices| choices.up_to(2.0)), Some(2.0));
+        assert_eq!(Choices::new(&[255, 255, 255]).optional(1, |choices| choices.up_to(2.0)), Some(2.0));
     }
 }

@@ -46,12 +46,12 @@ fn read_lane_change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneCh
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     #[test]
     fn no_bytes_and_zero_bytes_keep_everybody_where_he_is() {
-        let paper = built_in("paper-1").unwrap();
+        let paper = built_in_scenario("paper-1").unwrap();
         for bytes in [vec![], vec![0; LANE_BYTES]] {
             assert_eq!(with_lane_changes(paper.clone(), &mut Unstructured::new(&bytes)), paper);
         }
@@ -60,7 +60,7 @@ mod tests {
     proptest! {
         #[test]
         fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
-            let paper = built_in("paper-1").unwrap();
+            let paper = built_in_scenario("paper-1").unwrap();
             let found = with_lane_changes(paper, &mut Unstructured::new(&bytes));
             // Its leader is the only one that is scripted.
             prop_assert!(!found.keeps_lanes());

@@ -134,19 +134,19 @@ fn read_vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     #[test]
     fn no_bytes_and_zero_bytes_are_the_papers_scenario() {
         for bytes in [vec![], vec![0; 7], vec![0; SCENARIO_BYTES]] {
-            let paper_1 = built_in("paper-1").unwrap();
+            let paper_1 = built_in_scenario("paper-1").unwrap();
             let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("test_case".to_owned(), String::new());
-            assert_eq!(scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
+            assert_eq!(read_scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
         }
         // Two more vehicles make scenario 3.
-        let five = scenario(&mut Unstructured::new(&[3]));
-        assert_eq!(five.vehicles(), built_in("paper-3").unwrap().vehicles());
+        let five = read_scenario(&mut Unstructured::new(&[3]));
+        assert_eq!(five.vehicles(), built_in_scenario("paper-3").unwrap().vehicles());
     }
 
     proptest! {
@@ -154,14 +154,14 @@ mod tests {
         #[test]
         fn a_byte_of_a_vehicle_changes_that_vehicle_only(
             bytes in prop::collection::vec(any::<u8>(), SCENARIO_BYTES),
-            place in Shape::BYTES + ROAD_BYTES..SCENARIO_BYTES,
+            place in ScenarioShape::BYTES + ROAD_BYTES..SCENARIO_BYTES,
             byte in any::<u8>(),
         ) {
             let mut changed = bytes.clone();
             changed[place] = byte;
-            let [before, after] = [bytes, changed].map(|bytes| scenario(&mut Unstructured::new(&bytes)));
-            let place = place - Shape::BYTES - ROAD_BYTES;
-            let drives = MOST_VEHICLES * DRIVE_BYTES;
+            let [before, after] = [bytes, changed].map(|bytes| read_scenario(&mut Unstructured::new(&bytes)));
+            let place = place - ScenarioShape::BYTES - ROAD_BYTES;
+            let drives = MAX_VEHICLES * DRIVE_BYTES;
             let owner = if place < drives { place / DRIVE_BYTES } else { (place - drives) / BODY_BYTES };
             for (index, (before, after)) in before.vehicles().iter().zip(after.vehicles()).enumerate() {
                 let placed = VehicleSpec { position_m: before.position_m, ..after.clone() };

@@ -139,14 +139,14 @@ mod tests {
     fn a_small_program_has_the_minimum_and_multiplier_of_the_textbook() {
         // Minimise x² + y² with x + y = 2 and x >= 1.5: at (1.5, 0.5); the multiplier of the bound is 2 (1.5 - 0.5).
         let mut cone = QuadraticProgram::new(2);
-        cone.square(&[(0, 1.0)], 1.0);
-        cone.square(&[(1, 1.0)], 1.0);
-        cone.equal(&[(0, 1.0), (1, 1.0)], 2.0);
-        cone.at_most(&[(0, -1.0)], -1.5);
-        let QuadraticSolution::Optimal { at, multipliers } = cone.solve() else { panic!("solvable") };
+        cone.add_squared_cost(&[(0, 1.0)], 1.0);
+        cone.add_squared_cost(&[(1, 1.0)], 1.0);
+        cone.add_equality(&[(0, 1.0), (1, 1.0)], 2.0);
+        cone.add_inequality(&[(0, -1.0)], -1.5);
+        let QuadraticSolution::Optimal { point: at, multipliers } = cone.solve() else { panic!("solvable") };
         assert!((at[0] - 1.5).abs() < 1e-6 && (at[1] - 0.5).abs() < 1e-6, "{at:?}");
         assert!((multipliers[0] - 2.0).abs() < 1e-5, "{multipliers:?}");
-        cone.at_most(&[(0, 1.0)], 1.0);
+        cone.add_inequality(&[(0, 1.0)], 1.0);
         assert!(matches!(cone.solve(), QuadraticSolution::Infeasible(_)));
     }
 }

@@ -183,7 +183,7 @@ mod tests {
         let point = |episode| CurvePoint { episode, mean_reward: 1000.0, deviation: 10.0 };
         for first in [0, 5] {
             let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points: vec![point(first), point(10)] };
-            let svg = learning_curve(&curve).document();
+            let svg = draw_learning_curve(&curve).document();
             assert!(svg.contains("2 seeds") && svg.contains("22 500"));
             assert_eq!(svg.contains("dots: 1 000, before any training"), first == 0);
             assert!(!svg.contains("by its text"));
@@ -196,7 +196,7 @@ mod tests {
         let points = vec![CurvePoint { episode: 300, mean_reward: 1000.0, deviation: 10.0 }];
         let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points };
         let stated = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
-        let svg = learning_curve_beside(&curve, Some(&stated)).document();
+        let svg = draw_learning_curve_with_reference(&curve, Some(&stated)).document();
         assert!(svg.contains("ring and line: the paper, by its text: 22 500 from about episode 400 on"), "{svg}");
         // The axis reaches as far as what is stated.
         assert!(svg.contains(">400<"), "{svg}");

@@ -209,7 +209,7 @@ mod tests {
         for name in names {
             text.heading(3, &format!("Space {name}"));
             text.paragraph(name.as_str());
-            text.paragraph(Inline::strong(&format!("x {name} x")).and(name).and_code(name));
+            text.paragraph(Inline::strong(&format!("x {name} x")).and_prose(name).and_code(name));
             text.table(names, &vec!["---"; names.len()], [names.to_vec(), names.to_vec()].into_iter());
             text.list(names.iter().map(String::as_str));
             text.paragraph("behind");
@@ -251,8 +251,8 @@ mod tests {
 
     #[test]
     fn code_shows_what_it_holds() {
-        let words = Inline::prose("as in ").and_code("a`|b").and(": `c`");
-        assert_eq!(words.cell(), "as in `` a`\\|b ``: `c`");
+        let words = Inline::prose("as in ").and_code("a`|b").and_prose(": `c`");
+        assert_eq!(words.to_table_cell(), "as in `` a`\\|b ``: `c`");
         let mut text = Markdown::default();
         text.paragraph(words);
         assert_eq!(text.into_string(), "as in `` a`|b ``: `c`\n");

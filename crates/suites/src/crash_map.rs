@@ -187,10 +187,10 @@ mod tests {
     use super::*;
     use crumple_world::scenario::VehicleClass;
 
-    const SITUATIONS: [Situation; 3] = [
-        Situation::CarFollowing { time_gap_s: 1.0 },
-        Situation::CutInGap { own_speed_kmph: 100.0 },
-        Situation::CutInTime { own_speed_kmph: 100.0 },
+    const SITUATIONS: [CrashMapSituation; 3] = [
+        CrashMapSituation::CarFollowing { time_gap_s: 1.0 },
+        CrashMapSituation::CutInGap { own_speed_kmph: 100.0 },
+        CrashMapSituation::CutInTime { own_speed_kmph: 100.0 },
     ];
 
     /// Nobody stays clear where full braking at once touches; the simple driver touches where its closed form says, but next to
@@ -203,7 +203,7 @@ mod tests {
             let drivers: Vec<_> = drivers.into_iter().flatten().collect();
             let map = spec.run(&drivers, EstimatorKind::Truth).unwrap();
             let hardest = Boundary {
-                words: String::new(),
+                label: String::new(),
                 driver: None,
                 reaction_s: 0.0,
                 brake_mps2: VehicleClass::Light.max_brake_mps2(),
@@ -212,7 +212,7 @@ mod tests {
             for panel in &map.panels {
                 assert_eq!(panel.cells.len(), 120);
                 for cell in &panel.cells {
-                    let touches = situation.touches(&hardest, [cell.across, cell.up]).unwrap();
+                    let touches = situation.predicts_contact(&hardest, [cell.across, cell.up]).unwrap();
                     assert!(
                         !touches || !cell.verdict.is_passed(),
                         "{}: {} at {cell:?}",
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn rows_of_the_table_are_on_the_map_by_time_and_by_gap() {
-        let [_, by_gap, by_time] = SITUATIONS.map(Situation::stated);
+        let [_, by_gap, by_time] = SITUATIONS.map(CrashMapSituation::stated_points);
         let stated = [[10.0, 0.48], [20.0, 0.71], [30.0, 0.94], [40.0, 1.18], [50.0, 1.41], [60.0, 1.64]];
         assert_eq!(by_time, stated);
         for ([_, gap_m], [slower_kmph, time_s]) in by_gap.into_iter().zip(by_time) {
@@ -240,16 +240,16 @@ mod tests {
     #[test]
     fn what_is_out_of_range_is_refused() {
         for time_gap_s in [f64::NAN, 0.0, 11.0, -1.0, f64::INFINITY] {
-            assert!(CrashMapSpec::new(Situation::CarFollowing { time_gap_s }, [2, 2]).is_err());
+            assert!(CrashMapSpec::new(CrashMapSituation::CarFollowing { time_gap_s }, [2, 2]).is_err());
         }
         for own_speed_kmph in [f64::NAN, 29.0, 251.0] {
-            assert!(CrashMapSpec::new(Situation::CutInGap { own_speed_kmph }, [2, 2]).is_err());
+            assert!(CrashMapSpec::new(CrashMapSituation::CutInGap { own_speed_kmph }, [2, 2]).is_err());
         }
         for cells in [[1, 2], [2, 1], [101, 2], [0, 0], [usize::MAX, 2]] {
             assert!(CrashMapSpec::new(SITUATIONS[0], cells).is_err());
         }
         for (held, least) in [(30.0, 15.0), (250.0, 85.0)] {
-            let [across, _] = Situation::CutInGap { own_speed_kmph: held }.axes([5, 5]);
+            let [across, _] = CrashMapSituation::CutInGap { own_speed_kmph: held }.axes([5, 5]);
             assert_eq!(across.high - across.low, least);
         }
     }

@@ -169,7 +169,7 @@ mod tests {
         let mut furthest = 0.0_f64;
         for _ in 0..2_000_000 {
             let expected: f64 = StandardNormal.sample(&mut theirs);
-            assert_eq!(NormalSampler::new().next(&mut ours).to_bits(), expected.to_bits());
+            assert_eq!(NormalSampler::new().sample(&mut ours).to_bits(), expected.to_bits());
             furthest = furthest.max(expected.abs());
         }
         assert_eq!(ours, theirs);
@@ -180,7 +180,7 @@ mod tests {
     fn streams_are_distinct_and_repeatable() {
         let mut seen = HashSet::new();
         for seed in 0..20 {
-            for purpose in [Purpose::AccelerationNoise, Purpose::PositionSensor, Purpose::ScenarioDraw] {
+            for purpose in [Purpose::AccelerationNoise, Purpose::PositionSensor, Purpose::ScenarioSampling] {
                 for index in 0..20 {
                     let first = stream(seed, purpose, index).next_u64();
                     assert_eq!(first, stream(seed, purpose, index).next_u64());

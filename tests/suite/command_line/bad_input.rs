@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Stdio;
 
-use super::{assert_refused, code, command, crumple, folder, names_in, stderr, stdout};
+use super::{assert_refused, exit_code, command, run_crumple, temp_folder, file_names_in, stderr, stdout};
 
 /// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
 const VALID_SCENARIO: &str = r#"version = 1
@@ -27,9 +27,9 @@ driver = "under-test"
 
 /// The first line of standard error, once a command has failed with `expected` and printed no result.
 fn first_error_line(folder: &Path, arguments: &[&str], expected: i32) -> String {
-    let output = crumple(folder, arguments);
+    let output = run_crumple(folder, arguments);
     let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
-    assert_eq!(code(&output), expected, "{arguments:?}: {first}");
+    assert_eq!(exit_code(&output), expected, "{arguments:?}: {first}");
     assert_eq!(stdout(&output), "", "{arguments:?}: no result");
     assert!(!stderr(&output).contains("panicked"), "{}", stderr(&output));
     first
@@ -69,27 +69,27 @@ fn bad_scenarios_name_file_line_and_field() {
         ("\"under-test\"", "\"nobody\"", "16: vehicles[1].driver: unknown variant `nobody`"),
         ("[[vehicles]]\nclass = \"light\"\nposition_m = 0.0", "[vehicle]", "12: "),
     ];
-    let folder = folder();
-    fs::write(folder.path().join("good.toml"), GOOD).unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["simulate", "good.toml"])), 0);
+    let folder = temp_folder();
+    fs::write(folder.path().join("good.toml"), VALID_SCENARIO).unwrap();
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["simulate", "good.toml"])), 0);
     for (good, bad, expected) in cases {
-        let text = GOOD.replacen(good, bad, 1);
-        assert_ne!(text, GOOD, "{good} is there");
+        let text = VALID_SCENARIO.replacen(good, bad, 1);
+        assert_ne!(text, VALID_SCENARIO, "{good} is there");
         fs::write(folder.path().join("bad.toml"), text).unwrap();
         let first = first_error_line(folder.path(), &["simulate", "good.toml", "bad.toml", "--trace", "t.csv"], 2);
         assert!(first.starts_with(&format!("error: bad.toml:{expected}")), "{bad}: {first}");
     }
-    assert_eq!(names_in(folder.path()), ["bad.toml", "good.toml"], "nothing written");
+    assert_eq!(file_names_in(folder.path()), ["bad.toml", "good.toml"], "nothing written");
 }
 
 #[test]
 fn files_that_cannot_be_read_are_named() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::create_dir(folder.path().join("folder.toml")).unwrap();
     fs::write(folder.path().join("bytes.toml"), b"version = 1\nname = \"\xff\"\n").unwrap();
     fs::write(folder.path().join("empty.toml"), "").unwrap();
     fs::write(folder.path().join("cut.json"), "{\n  \"version\": 1,\n").unwrap();
-    fs::write(folder.path().join("notes.txt"), GOOD).unwrap();
+    fs::write(folder.path().join("notes.txt"), VALID_SCENARIO).unwrap();
     let cases = [
         ("nowhere", "error: `nowhere` is neither a built-in scenario (paper-1, paper-2, paper-3) nor a file"),
         ("", "error: `` is neither a built-in scenario"),
@@ -152,18 +152,18 @@ fn arguments_that_make_no_sense_are_named() {
         (&["list", "colours"], "error: invalid value 'colours'"),
         (&["drive"], "error: unrecognized subcommand 'drive'"),
     ];
-    let folder = folder();
+    let folder = temp_folder();
     for (arguments, expected) in cases {
         let first = first_error_line(folder.path(), arguments, 2);
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
     }
-    assert_eq!(names_in(folder.path()), [""; 0], "nothing written");
+    assert_eq!(file_names_in(folder.path()), [""; 0], "nothing written");
 }
 
 /// What is wrong with a preset is told before anything is written, by both commands that take one: `rl::tests::presets` tries every field.
 #[test]
 fn presets_that_cannot_be_used_are_named() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::create_dir(folder.path().join("folder")).unwrap();
     fs::create_dir(folder.path().join("folder.toml")).unwrap();
     for (name, bytes) in [("empty", &b""[..]), ("empty.toml", b""), ("bytes.toml", b"version = 1\n\xff\n")] {
@@ -172,7 +172,7 @@ fn presets_that_cannot_be_used_are_named() {
     let road = include_str!("../../../crates/learn/src/rl/presets/road.toml");
     let line_of = |words: &str| road.lines().position(|line| line == words).unwrap() + 1;
     let changed = |name: &str, from: &str, to: &str| {
-        fs::write(folder.path().join(name), crate::tiny::changed(road, &[(from, to)])).unwrap();
+        fs::write(folder.path().join(name), crate::tiny::replace_passages(road, &[(from, to)])).unwrap();
     };
     changed("no-space.toml", "space = \"paper\"", "space = \"nowhere\"");
     changed("no-file.toml", "space = \"paper\"", "space = \"nowhere.toml\"");
@@ -209,7 +209,7 @@ fn presets_that_cannot_be_used_are_named() {
 /// Output that cannot be written: exit code 3, and neither part of it nor a temporary file is left.
 #[test]
 fn output_that_cannot_be_written_leaves_nothing_behind() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::create_dir(folder.path().join("t-paper-2.csv")).unwrap();
     fs::write(folder.path().join("file"), "").unwrap();
     let cases = [
@@ -221,30 +221,30 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
     for (arguments, expected) in cases {
         let first = first_error_line(folder.path(), arguments, 3);
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
-        assert_eq!(names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
+        assert_eq!(file_names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
     }
-    assert_eq!(names_in(&folder.path().join("t-paper-2.csv")), [""; 0]);
+    assert_eq!(file_names_in(&folder.path().join("t-paper-2.csv")), [""; 0]);
 }
 
 #[test]
 #[cfg(unix)]
 fn a_file_that_grows_beyond_what_is_allowed_is_an_error() {
-    let folder = folder();
+    let folder = temp_folder();
     let mut limited = std::process::Command::new("sh");
     limited.args(["-c", "ulimit -f 8; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_crumple")]).current_dir(folder.path());
     let output = limited.args(["simulate", "paper-1", "--trace", "t.csv"]).output().unwrap();
-    assert_eq!(code(&output), 3, "{output:?}");
+    assert_eq!(exit_code(&output), 3, "{output:?}");
     assert!(stderr(&output).starts_with("error: t.csv: "), "{output:?}");
-    assert_eq!(names_in(folder.path()), [""; 0]);
+    assert_eq!(file_names_in(folder.path()), [""; 0]);
 }
 
 /// What a command says by its exit code it says whoever reads its output.
 #[test]
 #[cfg(unix)]
 fn nobody_who_reads_makes_a_failing_gate_pass() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["simulate", "paper-1", "--controller", "full-throttle", "--expect", "safe"];
-    assert_eq!(code(&crumple(folder.path(), &arguments)), 1);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &arguments)), 1);
     let mut child = command(folder.path(), &arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     drop(child.stdout.take());
     assert_eq!(child.wait().unwrap().code(), Some(1));
@@ -252,18 +252,18 @@ fn nobody_who_reads_makes_a_failing_gate_pass() {
 
 #[test]
 fn names_and_lists_that_mean_something_else_are_refused() {
-    let folder = folder();
+    let folder = temp_folder();
     let deep = format!("{}policy", "shield:".repeat(10_000));
-    let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", &deep]);
+    let refused = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", &deep]);
     assert_refused(&refused, "at most 8 shields may stand before a controller");
     fs::write(folder.path().join("list.json"), "[1, \"list\", [], 15.0]").unwrap();
-    let refused = crumple(folder.path(), &["simulate", "list.json"]);
+    let refused = run_crumple(folder.path(), &["simulate", "list.json"]);
     assert_refused(&refused, "list.json:1: invalid type: a list, expected fields with names");
     let space = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let first = space.find("[[parameters]]\nname = \"").unwrap() + "[[parameters]]\nname = \"".len();
     let end = first + space[first..].find('"').unwrap();
     let named = format!("{}method{}", &space[..first], &space[end..]);
     fs::write(folder.path().join("own.toml"), named.replacen("name = \"paper\"", "name = \"own\"", 1)).unwrap();
-    let refused = crumple(folder.path(), &["falsify", "--controller", "idm", "--space", "own.toml"]);
+    let refused = run_crumple(folder.path(), &["falsify", "--controller", "idm", "--space", "own.toml"]);
     assert_refused(&refused, "`method` is a column of every table of evaluations");
 }

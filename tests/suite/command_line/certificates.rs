@@ -1,100 +1,100 @@
 //! `crumple check` and what a forger meets there.
 
 use crumple_core::digest::sha256;
-use crumple_verify::reach::{Cell, Law};
+use crumple_verify::reach::{PartitionCell, FollowerLaw};
 use crumple_verify::{Certificate, Interval, Registration, Statement};
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, RampBrake, built_in, file};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, RampBrake, built_in_scenario, file};
 use serde_json::{Value, json};
 use std::path::Path;
 
-use super::{code, crumple, done, folder, objects, stderr, stdout};
+use super::{exit_code, run_crumple, run_ok, temp_folder, json_objects, stderr, stdout};
 
 fn read_certificate(folder: &Path, name: &str) -> Certificate {
     Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
 }
 
 fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
-    std::fs::write(folder.join(name), certificate.canonical()).unwrap();
+    std::fs::write(folder.join(name), certificate.to_canonical_json()).unwrap();
 }
 
 /// 300 runs of idm that nobody fails in, in `DIR/certificate.json`.
 fn write_idm_count(folder: &Path, out: &str, more: &[&str]) {
     let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
-    done(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
+    run_ok(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
 }
 
 #[test]
 fn counts_are_the_makers_word_until_they_are_counted_again() {
-    let folder = folder();
-    count(folder.path(), "idm", &[]);
-    let check = |arguments: &[&str]| crumple(folder.path(), &[&["check"], arguments].concat());
+    let folder = temp_folder();
+    write_idm_count(folder.path(), "idm", &[]);
+    let check = |arguments: &[&str]| run_crumple(folder.path(), &[&["check"], arguments].concat());
     let said = check(&["idm/certificate.json"]);
     assert!(stdout(&said).contains("if its counts are right"), "{}", stdout(&said));
     assert!(stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
     let said = check(&["idm/certificate.json", "--rerun"]);
-    assert_eq!(code(&said), 0);
+    assert_eq!(exit_code(&said), 0);
     assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again here"), "{}", stdout(&said));
     assert!(!stdout(&said).contains("maker's word"));
 
     // What never fails is said to be the baseline, which nearly always does: whole as a file, and false.
-    let mut forged = read(folder.path(), "idm/certificate.json");
+    let mut forged = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
-    let identity = ControllerSpec::named("baseline").unwrap().identity();
+    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
     rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
     rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
     rate.registration_sha256 = rate.registration.digest();
-    write(folder.path(), "forged.json", &forged);
+    write_certificate(folder.path(), "forged.json", &forged);
     let said = check(&["forged.json"]);
-    assert!(code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
     for rerun in ["--rerun", "--rerun=1"] {
         let said = check(&["forged.json", rerun]);
-        assert_eq!(code(&said), 1, "{rerun}");
+        assert_eq!(exit_code(&said), 1, "{rerun}");
         assert!(stdout(&said).contains("counted again, and refuted: blocks["), "{}", stdout(&said));
         assert!(stdout(&said).contains("failed when they were made again, not 0"), "{}", stdout(&said));
     }
     // Counts that are right with hashes of other runs.
-    let mut hashes = read(folder.path(), "idm/certificate.json");
+    let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
     rate.blocks[1].1 = sha256("another run");
-    write(folder.path(), "hashes.json", &hashes);
+    write_certificate(folder.path(), "hashes.json", &hashes);
     let said = check(&["hashes.json", "--rerun", "--format", "json"]);
-    let report = &objects(&said)[0];
-    assert_eq!((code(&said), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
+    let report = &json_objects(&said)[0];
+    assert_eq!((exit_code(&said), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
     assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
 }
 
 /// The forgery as it was made: whole as a file, of as many runs as the bound takes, with hashes of runs that nobody made.
 #[test]
 fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundredth_of_its_runs() {
-    let folder = folder();
-    count(folder.path(), "idm", &[]);
-    let mut forged = read(folder.path(), "idm/certificate.json");
+    let folder = temp_folder();
+    write_idm_count(folder.path(), "idm", &[]);
+    let mut forged = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
-    let identity = ControllerSpec::named("baseline").unwrap().identity();
+    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
     rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
     rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
     (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
     rate.registration_sha256 = rate.registration.digest();
     rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
-    write(folder.path(), "forged.json", &forged);
-    let said = crumple(folder.path(), &["check", "forged.json"]);
-    assert!(code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
-    let said = crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
-    assert!(code(&said) == 1 && stdout(&said).contains("counted again, and refuted: "), "{}", stdout(&said));
+    write_certificate(folder.path(), "forged.json", &forged);
+    let said = run_crumple(folder.path(), &["check", "forged.json"]);
+    assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    let said = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
+    assert!(exit_code(&said) == 1 && stdout(&said).contains("counted again, and refuted: "), "{}", stdout(&said));
     // As version 0.1.0 wrote it: nothing in it can be counted again, so that its counts stay the maker's word.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
     rate.registration_sha256 = rate.registration.digest();
     forged.version = 1;
     (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
-    write(folder.path(), "old.json", &forged);
-    let said = crumple(folder.path(), &["check", "old.json"]);
+    write_certificate(folder.path(), "old.json", &forged);
+    let said = run_crumple(folder.path(), &["check", "old.json"]);
     for words in ["the counts are the maker's word", "version 1, an old one"] {
-        assert!(code(&said) == 0 && stdout(&said).contains(words), "{words}: {}", stdout(&said));
+        assert!(exit_code(&said) == 0 && stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
-    let said = crumple(folder.path(), &["check", "old.json", "--rerun"]);
-    assert!(code(&said) == 2 && !stdout(&said).contains("confirmed"), "{} {}", stdout(&said), stderr(&said));
+    let said = run_crumple(folder.path(), &["check", "old.json", "--rerun"]);
+    assert!(exit_code(&said) == 2 && !stdout(&said).contains("confirmed"), "{} {}", stdout(&said), stderr(&said));
 }
 
 /// The box of `corpora/boxes/paper-1.toml`, with nothing said of anybody behind.
@@ -110,42 +110,42 @@ onset_s = { low = 1.0, high = 1.5 }
 /// What is true of 4 s, or of a tenth of one with nobody behind, reads like it.
 #[test]
 fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
-    let folder = folder();
+    let folder = temp_folder();
     let short = |duration_s: f64| {
-        let paper = built_in("paper-1").unwrap().edited(|spec| {
+        let paper = built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.duration_s = duration_s;
             spec.vehicles.truncate(2);
         });
         paper.unwrap()
     };
     std::fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
-    let said = crumple(folder.path(), &["check", "short.json"]);
-    assert_eq!(code(&said), 0, "{}", stdout(&said));
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
+    let said = run_crumple(folder.path(), &["check", "short.json"]);
+    assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
     for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"] {
         assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
 
-    let mut reach = read(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
+    let mut reach = read_certificate(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
     let Statement::Reach(claim) = &mut reach.statement else { panic!("reach") };
     (claim.steps, claim.follower_ttc_s, claim.min_gap_m_at_least) = (10, None, 0.0);
     (claim.ranges.gap_behind_m, claim.ranges.follower_speed_mps) = (Interval::ZERO, Interval::ZERO);
     claim.ranges.follower_brake_mps2 = Interval::ZERO;
-    (claim.partition, claim.verified_share_at_least) = (vec![Cell::Verified], 1.0);
+    (claim.partition, claim.verified_share_at_least) = (vec![PartitionCell::Verified], 1.0);
     reach.assumptions = reach.statement.assumptions();
     // Bound to a scenario in which it is so, and bound to none.
     let text = file::to_toml(&short(0.1)).unwrap();
     reach.provenance.box_text = Some(AHEAD_ONLY.to_owned());
     (reach.provenance.scenario_sha256, reach.provenance.scenario_text) = (sha256(&text), Some(text));
-    write(folder.path(), "bound.json", &reach);
+    write_certificate(folder.path(), "bound.json", &reach);
     reach.version = 1;
     (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
     reach.provenance.scenario_sha256 = String::new();
-    write(folder.path(), "old.json", &reach);
+    write_certificate(folder.path(), "old.json", &reach);
     for (name, about) in [("bound.json", "which is NOT the built-in one"), ("old.json", "binds a statement to nothing")]
     {
-        let said = crumple(folder.path(), &["check", name]);
-        assert_eq!(code(&said), 0, "{}", stdout(&said));
+        let said = run_crumple(folder.path(), &["check", name]);
+        assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
         for words in [
             "in 100.00 % of the box's volume",
             " m for 0.1 s, with nobody behind",
@@ -160,11 +160,11 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
 
 #[test]
 fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
-    let folder = folder();
-    count(folder.path(), "idm", &[]);
+    let folder = temp_folder();
+    write_idm_count(folder.path(), "idm", &[]);
     let sampled =
-        |more: &[&str]| done(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
-    let report = &objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];
+        |more: &[&str]| run_ok(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
+    let report = &json_objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];
     assert_eq!(report["counts"], "confirmed_by_sample");
     let rerun = &report["rerun"];
     let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"].map(|field| rerun[field].as_u64().unwrap());
@@ -179,30 +179,30 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     ] {
         assert!(stdout(&text).contains(words), "{words}: {}", stdout(&text));
     }
-    assert_eq!(code(&crumple(folder.path(), &["check", "idm/certificate.json", "--rerun=0"])), 2);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["check", "idm/certificate.json", "--rerun=0"])), 2);
 }
 
 #[test]
 fn several_bounds_are_said_to_hold_at_once() {
-    let folder = folder();
-    count(folder.path(), "one", &[]);
-    count(folder.path(), "two", &["--seed", "8"]);
+    let folder = temp_folder();
+    write_idm_count(folder.path(), "one", &[]);
+    write_idm_count(folder.path(), "two", &["--seed", "8"]);
     let arguments = ["check", "one/certificate.json", "two/certificate.json"];
-    let both = crumple(folder.path(), &arguments);
+    let both = run_crumple(folder.path(), &arguments);
     assert!(stdout(&both).contains("together: all 2 bounds hold at once at confidence 98 %"), "{}", stdout(&both));
-    let reports = objects(&crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()));
+    let reports = json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()));
     assert!(reports.iter().all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9), "{reports:?}");
-    let alone = crumple(folder.path(), &arguments[..2]);
+    let alone = run_crumple(folder.path(), &arguments[..2]);
     assert!(!stdout(&alone).contains("together"));
 }
 
 #[test]
 fn a_genuine_statement_cannot_carry_another_scenario() {
-    let folder = folder();
+    let folder = temp_folder();
     for name in ["paper-1", "paper-2"] {
-        assert_eq!(code(&crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])), 0);
+        assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])), 0);
     }
-    let said = crumple(folder.path(), &["check", "paper-1.json"]);
+    let said = run_crumple(folder.path(), &["check", "paper-1.json"]);
     for words in [
         "no gap is ever smaller than",
         " m for 15 s; and nobody need touch afterwards, ",
@@ -212,7 +212,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     ] {
         assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
-    let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read(folder.path(), name));
+    let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
     let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
     let mut renamed = two.clone();
     renamed.provenance.scenario = "paper-1".to_owned();
@@ -222,31 +222,31 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     let mut empty = two.clone();
     empty.provenance.scenario_sha256 = String::new();
     for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
-        write(folder.path(), "forged.json", &forged);
-        let said = crumple(folder.path(), &["check", "forged.json"]);
-        assert_eq!(code(&said), 1, "{name}: {}", stdout(&said));
+        write_certificate(folder.path(), "forged.json", &forged);
+        let said = run_crumple(folder.path(), &["check", "forged.json"]);
+        assert_eq!(exit_code(&said), 1, "{name}: {}", stdout(&said));
     }
     // Of version 1, genuine: read, checked, and said to be old.
     let mut old = one;
     old.version = 1;
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
-    write(folder.path(), "old.json", &old);
-    let said = crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
-    assert!(code(&said) == 0 && stdout(&said).contains("version 1, an old one"), "{}", stdout(&said));
+    write_certificate(folder.path(), "old.json", &old);
+    let said = run_crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
+    assert!(exit_code(&said) == 0 && stdout(&said).contains("version 1, an old one"), "{}", stdout(&said));
     // What goes by the name of a built-in scenario and is another is said to be.
-    let edited = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
+    let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
     std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
-    let said = crumple(folder.path(), &["check", "mine.json"]);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
+    let said = run_crumple(folder.path(), &["check", "mine.json"]);
     assert!(stdout(&said).contains("which is NOT the built-in one of that name"), "{}", stdout(&said));
 }
 
 #[test]
 fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
-    let folder = folder();
+    let folder = temp_folder();
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
-    let said = crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
-    assert_eq!(code(&said), 0, "{}", stdout(&said));
+    let said = run_crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
+    assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
     for words in [
         "is about paper-1",
         "with a vehicle behind",
@@ -256,18 +256,18 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     ] {
         assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
-    let other = crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
-    assert!(code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
+    let other = run_crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
+    assert!(exit_code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
     // Shorter, without anybody behind, or from elsewhere: no longer what its box says.
-    let genuine = read(Path::new(""), file);
-    let with = |change: &dyn Fn(&mut crumple_verify::Reach)| {
+    let genuine = read_certificate(Path::new(""), file);
+    let with = |change: &dyn Fn(&mut crumple_verify::ReachClaim)| {
         let mut forged = genuine.clone();
         let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
         change(claim);
         forged.assumptions = forged.statement.assumptions();
-        write(folder.path(), "forged.json", &forged);
-        let said = crumple(folder.path(), &["check", "forged.json"]);
-        (code(&said), stdout(&said).to_owned())
+        write_certificate(folder.path(), "forged.json", &forged);
+        let said = run_crumple(folder.path(), &["check", "forged.json"]);
+        (exit_code(&said), stdout(&said).to_owned())
     };
     let other = crumple_verify::Interval::new(15.4, 16.7).unwrap();
     for (code, said) in [
@@ -283,19 +283,19 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
 /// A leader that brakes as it likes: what is claimed is printed, bound to the box file, and about the scripts within the limit alone.
 #[test]
 fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
-    let folder = folder();
+    let folder = temp_folder();
     let of_box =
         |field: &str, ranges: &str| format!("version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\n{ranges}\n");
     let gap = "gap_ahead_m = { low = 15.9, high = 16.1 }";
     let made = |limit: &str, name: &str, depth: &str| {
         let text = of_box(&format!("leader_brakes_at_most_mps2 = {limit}"), gap);
         std::fs::write(folder.path().join("box.toml"), text).unwrap();
-        crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", depth, "--certificate", name])
+        run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", depth, "--certificate", name])
     };
     let said = made("0.03", "led.json", "4");
-    assert_eq!(code(&said), 0, "{}", stderr(&said));
-    let checked = crumple(folder.path(), &["check", "led.json"]);
-    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
+    assert_eq!(exit_code(&said), 0, "{}", stderr(&said));
+    let checked = run_crumple(folder.path(), &["check", "led.json"]);
+    assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
     for words in [
         "however the leader brakes at up to 0.03 m/s²",
         "never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.03 m/s²",
@@ -305,48 +305,48 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     }
     assert!(!stdout(&checked).contains("the leader moves as scripted"), "{}", stdout(&checked));
     // The script of paper-1 brakes at 3 m/s².
-    let about = crumple(folder.path(), &["check", "led.json", "--scenario", "paper-1"]);
-    assert!(code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+    let about = run_crumple(folder.path(), &["check", "led.json", "--scenario", "paper-1"]);
+    assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
 
     // Another limit, or none, than that of the box: smaller ones follow, and are yet not what the box says.
-    let genuine = read(folder.path(), "led.json");
+    let genuine = read_certificate(folder.path(), "led.json");
     for limit in [None, Some(0.0), Some(0.02), Some(0.031)] {
         let mut forged = genuine.clone();
         let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
         claim.leader_brakes_at_most_mps2 = limit;
         claim.min_gap_m_at_least = 0.0;
         forged.assumptions = forged.statement.assumptions();
-        write(folder.path(), "forged.json", &forged);
-        let said = crumple(folder.path(), &["check", "forged.json"]);
+        write_certificate(folder.path(), "forged.json", &forged);
+        let said = run_crumple(folder.path(), &["check", "forged.json"]);
         assert!(
-            code(&said) == 1 && stdout(&said).contains("is not about the scenario, or box around it"),
+            exit_code(&said) == 1 && stdout(&said).contains("is not about the scenario, or box around it"),
             "{}",
             stdout(&said)
         );
     }
     let mut forged = genuine;
     forged.assumptions.retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
-    write(folder.path(), "forged.json", &forged);
-    let said = crumple(folder.path(), &["check", "forged.json"]);
-    assert!(code(&said) == 1 && stdout(&said).contains("`assumptions` must be"), "{}", stdout(&said));
+    write_certificate(folder.path(), "forged.json", &forged);
+    let said = run_crumple(folder.path(), &["check", "forged.json"]);
+    assert!(exit_code(&said) == 1 && stdout(&said).contains("`assumptions` must be"), "{}", stdout(&said));
 
     // A leader that brakes as hard as it can: false, with a start and a braking that show it; and about paper-1, whose script is within it.
     let refuted = made("7.5", "refuted.json", "1");
-    assert_eq!(code(&refuted), 1, "{}", stdout(&refuted));
+    assert_eq!(exit_code(&refuted), 1, "{}", stdout(&refuted));
     assert!(stdout(&refuted).contains("falsified"), "{}", stdout(&refuted));
-    let about = crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
+    let about = run_crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
     assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
 
     // Every script that brakes within the limit is one that it speaks of, and of each other one it says why not.
     made("3.0", "three.json", "1");
     let with_leader = |driver: Driver| {
-        let paper = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
+        let paper = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
         std::fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
-        let said = crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
-        (code(&said), stdout(&said).to_owned())
+        let said = run_crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
+        (exit_code(&said), stdout(&said).to_owned())
     };
     let pieces = |accel_mps2: [f64; 3]| {
-        Driver::Profile(LeadProfile::Pieces(Pieces { from_s: vec![1.0, 2.0, 3.0], accel_mps2: accel_mps2.to_vec() }))
+        Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![1.0, 2.0, 3.0], accel_mps2: accel_mps2.to_vec() }))
     };
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
     for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
@@ -356,7 +356,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     for (driver, why) in [
         (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
         (pieces([-3.0, 0.1, 0.0]), "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up"),
-        (Driver::Controller(ControllerSpec::named("idm").unwrap()), "the leader must be scripted"),
+        (Driver::Controller(ControllerSpec::from_name("idm").unwrap()), "the leader must be scripted"),
     ] {
         let (code, said) = with_leader(driver);
         assert!(code == 1 && said.contains("is NOT about scripted.toml: ") && said.contains(why), "{said}");
@@ -387,17 +387,17 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
     ] {
         std::fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
-        let said = crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let said = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
         let place = format!("bad.toml:{line}");
         let error = stderr(&said);
-        assert!(code(&said) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
+        assert!(exit_code(&said) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
     }
 }
 
 /// A follower that drives by a law: what is claimed is printed, bound to the box file, and about scenarios in which it drives.
 #[test]
 fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
-    let folder = folder();
+    let folder = temp_folder();
     let of_box = |field: &str| {
         format!(
             "version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\ngap_behind_m = {{ low = 15.9, high = 16.0 }}\n"
@@ -405,12 +405,12 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     };
     let made = |field: &str, name: &str| {
         std::fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
-        crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", "3", "--certificate", name])
+        run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", "3", "--certificate", name])
     };
     let said = made("follower_drives = \"idm\"", "idm.json");
-    assert_eq!(code(&said), 0, "{}", stderr(&said));
-    let checked = crumple(folder.path(), &["check", "idm.json"]);
-    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
+    assert_eq!(exit_code(&said), 0, "{}", stderr(&said));
+    let checked = run_crumple(folder.path(), &["check", "idm.json"]);
+    assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
     for words in [
         "drives idm towards 33.333333333333336 m/s with a time headway of 1.6 s",
         "the follower does at once, at each step, what the stated law asks for",
@@ -419,29 +419,29 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     }
     assert!(!stdout(&checked).contains("latched"), "{}", stdout(&checked));
     // Behind paper-1's own follower another one drives.
-    let about = crumple(folder.path(), &["check", "idm.json", "--scenario", "paper-1"]);
-    assert!(code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+    let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "paper-1"]);
+    assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
     // It is about a scenario in which that follower drives.
-    let followed = built_in("paper-1").unwrap().edited(|spec| {
-        spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named("idm").unwrap());
+    let followed = built_in_scenario("paper-1").unwrap().edited(|spec| {
+        spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
     });
     let followed = followed.unwrap();
     std::fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
-    let about = crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
+    let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
     assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
 
     // Another law than that of the box.
-    let genuine = read(folder.path(), "idm.json");
+    let genuine = read_certificate(folder.path(), "idm.json");
     for headway_s in [1.5, 1.7] {
         let mut forged = genuine.clone();
         let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
-        let Some(Law::Idm(idm)) = claim.follower_law.as_deref_mut() else { panic!("idm") };
+        let Some(FollowerLaw::Idm(idm)) = claim.follower_law.as_deref_mut() else { panic!("idm") };
         idm.time_headway_s = headway_s;
         claim.min_gap_m_at_least = 0.0;
-        write(folder.path(), "forged.json", &forged);
-        let said = crumple(folder.path(), &["check", "forged.json"]);
+        write_certificate(folder.path(), "forged.json", &forged);
+        let said = run_crumple(folder.path(), &["check", "forged.json"]);
         let differs = stdout(&said).contains("is not about the scenario, or box around it");
-        assert!(code(&said) == 1 && differs, "{}", stdout(&said));
+        assert!(exit_code(&said) == 1 && differs, "{}", stdout(&said));
     }
 
     // What is wrong is one line with file, line and field.
@@ -451,31 +451,31 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         ("follower_drives = { idm = { time_headway_s = -1.0 } }", "follower_drives"),
     ] {
         std::fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
-        let said = crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let said = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
         let error = stderr(&said);
-        assert!(code(&said) == 2 && error.contains("bad.toml:3") && error.contains(problem), "{field}: {error}");
+        assert!(exit_code(&said) == 2 && error.contains("bad.toml:3") && error.contains(problem), "{field}: {error}");
     }
 }
 
 /// Whatever is wrong with one, of the others it is said what they prove.
 #[test]
 fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
-    let folder = folder();
+    let folder = temp_folder();
     let good = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
     std::fs::write(folder.path().join("cut.json"), "{").unwrap();
-    let said = crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
-    assert_eq!(code(&said), 2);
+    let said = run_crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
+    assert_eq!(exit_code(&said), 2);
     assert!(stdout(&said).contains("reach-paper-1.json: accepted: reach"), "{}", stdout(&said));
     assert!(stderr(&said).contains("cut.json: is not a certificate"), "{}", stderr(&said));
     assert!(stderr(&said).contains("nowhere.json: "), "{}", stderr(&said));
-    let said = crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
-    let told = super::objects(&said);
-    assert_eq!((code(&said), told.len()), (2, 2));
+    let said = run_crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
+    let told = super::json_objects(&said);
+    assert_eq!((exit_code(&said), told.len()), (2, 2));
     assert_eq!((&told[0]["accepted"], &told[1]["accepted"]), (&json!(true), &json!(false)));
     assert!(told[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", told[1]);
     // A verdict comes before what has none.
-    let said = crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
-    assert_eq!(code(&said), 1);
+    let said = run_crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
+    assert_eq!(exit_code(&said), 1);
     assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&said));
     assert!(!stdout(&said).contains(".json: accepted"), "{}", stdout(&said));
     let gate = stderr(&said).lines().last().unwrap();
@@ -484,35 +484,35 @@ fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
 
 #[test]
 fn noise_that_is_not_assumed_is_noticed() {
-    let folder = folder();
-    let noisy = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
+    let folder = temp_folder();
+    let noisy = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
     std::fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["avoid", "noisy.toml", "--certificate", "noisy.json"])), 0);
-    let check = |name: &str| code(&crumple(folder.path(), &["check", name, "--scenario", "noisy.toml"]));
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "noisy.toml", "--certificate", "noisy.json"])), 0);
+    let check = |name: &str| exit_code(&run_crumple(folder.path(), &["check", name, "--scenario", "noisy.toml"]));
     assert_eq!(check("noisy.json"), 0);
-    let mut silent = read(folder.path(), "noisy.json");
+    let mut silent = read_certificate(folder.path(), "noisy.json");
     assert_eq!(silent.assumptions.pop(), Some(crumple_verify::Assumption::NoiseOfSeed));
-    write(folder.path(), "silent.json", &silent);
+    write_certificate(folder.path(), "silent.json", &silent);
     assert_eq!(check("silent.json"), 1);
-    assert_eq!(code(&crumple(folder.path(), &["check", "silent.json"])), 1, "its own text says that there is noise");
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["check", "silent.json"])), 1, "its own text says that there is noise");
     silent.version = 1;
     (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
-    write(folder.path(), "old.json", &silent);
+    write_certificate(folder.path(), "old.json", &silent);
     assert_eq!(check("old.json"), 1);
 }
 
 #[test]
 fn a_key_that_occurs_twice_is_no_certificate() {
-    let folder = folder();
-    count(folder.path(), "idm", &[]);
+    let folder = temp_folder();
+    write_idm_count(folder.path(), "idm", &[]);
     let text = std::fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
     for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
     {
         let twice = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
         assert_ne!(twice, text);
         std::fs::write(folder.path().join("twice.json"), twice).unwrap();
-        let said = crumple(folder.path(), &["check", "twice.json"]);
-        assert_eq!(code(&said), 2, "{name}");
+        let said = run_crumple(folder.path(), &["check", "twice.json"]);
+        assert_eq!(exit_code(&said), 2, "{name}");
         assert!(stderr(&said).contains("twice.json: is not a certificate: "), "{}", stderr(&said));
     }
     // The digest of a registration with a key that stands twice would be that of another.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crumple_world::recording::map::{RecordingMap, json_schema};
 
-use super::{assert_refused, code, crumple, done, folder, names_in, stderr, stdout};
+use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, stderr, stdout};
 use crate::schema::{assert_committed, validate};
 
 /// The examples are maps, the schema says what they are, and it is committed.
@@ -15,7 +15,7 @@ fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
     assert_committed("crates/world/src/recording/map.schema.json", &schema);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     for folder in ["examples/maps", "crates/world/src/recording/built_in"] {
-        for name in names_in(&root.join(folder)) {
+        for name in file_names_in(&root.join(folder)) {
             let map = RecordingMap::load(&root.join(folder).join(&name)).unwrap_or_else(|error| panic!("{error}"));
             let stated = serde_json::to_value(map.spec()).unwrap();
             validate(&schema, &schema, &stated, &name).unwrap();
@@ -35,36 +35,36 @@ fn logged_pair_csv(brake_mps2: f64) -> String {
 
 #[test]
 fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
-    let folder = folder();
+    let folder = temp_folder();
     let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml");
     let map = map.to_str().unwrap();
-    fs::write(folder.path().join("hard.csv"), logged(3.0)).unwrap();
-    fs::write(folder.path().join("soft.csv"), logged(1.0)).unwrap();
-    let shown = crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
+    fs::write(folder.path().join("hard.csv"), logged_pair_csv(3.0)).unwrap();
+    fs::write(folder.path().join("soft.csv"), logged_pair_csv(1.0)).unwrap();
+    let shown = run_crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
     let said = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
                 speed 11.00 to 20.00 m/s, median 12.80\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
                 the hardest braking is 3.00 m/s within a second, of vehicle 1 from 5.";
     assert!(stdout(&shown).starts_with(said), "{shown:?}");
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
-    assert_eq!(names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
+    assert_eq!(file_names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
     let over = ["import", "soft.csv", "--map", map, "--preview", "hard.svg"];
-    assert_refused(&crumple(folder.path(), &over), "hard.svg: is there and says something else: use --force");
-    assert_eq!(code(&crumple(folder.path(), &[&over[..], &["--force"]].concat())), 0);
-    assert_refused(&crumple(folder.path(), &[&over[..], &["--out", "x"]].concat()), "cannot be used with");
-    let slow: String = logged(3.0).lines().step_by(10).map(|line| format!("{line}\n")).collect();
+    assert_refused(&run_crumple(folder.path(), &over), "hard.svg: is there and says something else: use --force");
+    assert_eq!(exit_code(&run_crumple(folder.path(), &[&over[..], &["--force"]].concat())), 0);
+    assert_refused(&run_crumple(folder.path(), &[&over[..], &["--out", "x"]].concat()), "cannot be used with");
+    let slow: String = logged_pair_csv(3.0).lines().step_by(10).map(|line| format!("{line}\n")).collect();
     let slow = slow.replacen("t;v_ego;range;closing\n", "t;v_ego;range;closing\n0;72;34.6;0\n", 1);
     fs::write(folder.path().join("slow.csv"), slow).unwrap();
-    let shown = crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
+    let shown = run_crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
     let said = [
         "one each 1.000 s",
         "a vehicle's speeds are 1.000 s apart, and at most 0.5 s are bridged: no braking can be seen",
     ];
     assert!(said.iter().all(|said| stdout(&shown).contains(said)), "{shown:?}");
-    let imported = crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
+    let imported = run_crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
     assert_eq!(stdout(&imported), "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n");
-    assert_eq!(names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
-    let nothing = crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
-    assert_eq!(code(&nothing), 1);
+    assert_eq!(file_names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
+    let nothing = run_crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
+    assert_eq!(exit_code(&nothing), 1);
     let said =
         "gate: no episode of 1.3 m/s² that makes a scenario; soft.csv: the hardest braking is 1.00 m/s within a second";
     assert!(stderr(&nothing).starts_with(said), "{nothing:?}");
@@ -73,9 +73,9 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
 
 #[test]
 fn damaged_maps_and_files_name_file_line_and_field() {
-    let folder = folder();
+    let folder = temp_folder();
     let map = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml")).unwrap();
-    let file = logged(3.0);
+    let file = logged_pair_csv(3.0);
     let cases = [
         (
             "length_m = 4.6",
@@ -93,28 +93,28 @@ fn damaged_maps_and_files_name_file_line_and_field() {
     for (good, bad, right, wrong, expected) in cases {
         fs::write(folder.path().join("m.toml"), map.replacen(good, bad, 1)).unwrap();
         fs::write(folder.path().join("a.csv"), file.replacen(right, wrong, 1)).unwrap();
-        assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), expected);
+        assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), expected);
     }
-    assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "none.toml"]), "none.toml: ");
+    assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "none.toml"]), "none.toml: ");
     fs::write(folder.path().join("m.toml"), format!("{map}#{}", " ".repeat(1 << 16))).unwrap();
-    assert_refused(&crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), "m.toml: holds more than 0 MiB");
+    assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), "m.toml: holds more than 0 MiB");
 }
 
 #[test]
 fn exports_are_two_files_a_scenario() {
-    let folder = folder();
+    let folder = temp_folder();
     let export =
-        |more: &[&str]| crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
+        |more: &[&str]| run_crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
     let done = export(&["paper-1", "paper-2", "--controller", "idm"]);
-    assert_eq!((code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
+    assert_eq!((exit_code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
     assert_eq!(
-        names_in(&folder.path().join("x")),
+        file_names_in(&folder.path().join("x")),
         ["exported.sha256", "paper-1.xodr", "paper-1.xosc", "paper-2.xodr", "paper-2.xosc"]
     );
     let read = || fs::read(folder.path().join("x/paper-1.xosc")).unwrap();
     let before = read();
-    assert_eq!((code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
-    assert_eq!(code(&export(&["paper-1", "--as", "actions"])), 0);
+    assert_eq!((exit_code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
+    assert_eq!(exit_code(&export(&["paper-1", "--as", "actions"])), 0);
     assert_refused(&export(&["paper-1", "paper-1"]), "paper-1: paper-1.xosc would be written over another of these");
     assert_refused(
         &export(&["paper-1", "--as", "actions", "--controller", "idm"]),
@@ -126,18 +126,18 @@ fn exports_are_two_files_a_scenario() {
 /// A counterexample is exported as it was found, and its header names what drove.
 #[test]
 fn exports_of_counterexamples_have_the_recorded_controller() {
-    let folder = folder();
+    let folder = temp_folder();
     let search =
         ["falsify", "--controller", "match-leader", "--space", "high-risk", "--budget", "10", "--out", "found"];
-    done(folder.path(), &search);
-    let files = names_in(&folder.path().join("found/counterexamples"));
+    run_ok(folder.path(), &search);
+    let files = file_names_in(&folder.path().join("found/counterexamples"));
     let name = files.iter().find(|name| name.contains("-hits-")).expect("a collision");
     let file = format!("found/counterexamples/{name}");
     let export = |file: &str, more: &[&str]| {
-        crumple(folder.path(), &[&["export", file, "--to", "openscenario", "--out", "x"], more].concat())
+        run_crumple(folder.path(), &[&["export", file, "--to", "openscenario", "--out", "x"], more].concat())
     };
     let header = || {
-        let written = names_in(&folder.path().join("x"));
+        let written = file_names_in(&folder.path().join("x"));
         let scenario = written.iter().find(|name| name.ends_with(".xosc")).expect("written");
         let text = fs::read_to_string(folder.path().join("x").join(scenario)).unwrap();
         text.lines().find(|line| line.contains("FileHeader")).expect("a header").to_owned()
@@ -152,7 +152,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     assert!(stdout(&export(&file, &["--controller", "idm"])).contains("under idm, estimator kalman"));
     assert!(header().contains("what every vehicle did under `idm`"), "{}", header());
 
-    let simulated = crumple(folder.path(), &["simulate", &file]);
+    let simulated = run_crumple(folder.path(), &["simulate", &file]);
     assert!(stdout(&simulated).contains(": baseline, estimator kalman"), "{simulated:?}");
     let said = format!("note: {file} is recorded with `match-leader`, and is simulated with `baseline`");
     assert!(stderr(&simulated).contains(&said), "{simulated:?}");
@@ -161,7 +161,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
     assert_refused(&export("alone.toml", &[]), "alone.toml: no record says which controller it is about: name one");
     let record =
-        names_in(&folder.path().join("found/counterexamples")).into_iter().find(|name| name.starts_with("expected"));
+        file_names_in(&folder.path().join("found/counterexamples")).into_iter().find(|name| name.starts_with("expected"));
     let record = folder.path().join("found/counterexamples").join(record.expect("recorded"));
     let text = fs::read_to_string(&record).unwrap();
     let entry = text.split("[[expected]]").find(|entry| entry.contains(&format!("\"{name}\""))).expect("an entry");

@@ -11,7 +11,7 @@ use flate2::read::GzDecoder;
 use serde_json::Value;
 
 use super::{
-    assert_refused, code, command, crumple, done, folder, killed_at_random, names_in, objects, stderr, stdout,
+    assert_refused, exit_code, command, run_crumple, run_ok, temp_folder, kill_at_random_times, file_names_in, json_objects, stderr, stdout,
 };
 use crumple_search::falsify::counterexample::ExpectedFile;
 
@@ -33,7 +33,7 @@ fn read_tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
-    let (one, other) = (tree(one), tree(other));
+    let (one, other) = (read_tree(one), read_tree(other));
     assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
     for (path, bytes) in &one {
         assert!(other[path] == *bytes, "{} differs", path.display());
@@ -43,9 +43,9 @@ pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
 /// Some figures of a summary are of the method, some of all: in what is printed for programs each is also where it says which.
 #[test]
 fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
-    let folder = folder();
+    let folder = temp_folder();
     let search = ["falsify", "--controller", "idm", "--budget", "20", "--out", "runs", "--format", "json"];
-    let found = objects(&crumple(folder.path(), &search)).remove(0);
+    let found = json_objects(&run_crumple(folder.path(), &search)).remove(0);
     let kept = fs::read_to_string(folder.path().join("runs/summary.json")).unwrap();
     let kept: Value = serde_json::from_str(&kept).unwrap();
     for (name, value) in kept.as_object().unwrap() {
@@ -62,7 +62,7 @@ fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
 /// A search is a gate where it is asked to be; one that found nothing says how hard it looked.
 #[test]
 fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
-    let folder = folder();
+    let folder = temp_folder();
     let (hits, drives_on) = ("no contact", "always v1.speed_mps >= 0");
     let cases = [
         (hits, "failure", 0, ""),
@@ -73,25 +73,25 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     for (number, (spec, expected, exit_code, said)) in cases.into_iter().enumerate() {
         let out = format!("{number}");
         let search = ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "20", "--spec", spec];
-        let output = crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
-        assert_eq!(code(&output), exit_code, "{}", stderr(&output));
+        let output = run_crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
+        assert_eq!(exit_code(&output), exit_code, "{}", stderr(&output));
         assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
     }
     // Where nothing was compared, nothing holds.
     let search =
         ["falsify", "--controller", "baseline", "--budget", "5", "--out", "alone", "--metamorphic", "larger-gap=1e6"];
-    let alone = crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
-    assert_eq!(code(&alone), 1);
+    let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
+    assert_eq!(exit_code(&alone), 1);
     assert!(stderr(&alone).contains("none of 15 evaluations has another scenario"), "{}", stderr(&alone));
     let told = "NOT COMPARED: of 5 of 5 evaluations there is no scenario with 1000000 m less of a gap ahead at the start (halton)";
     assert!(stdout(&alone).contains(told), "{}", stdout(&alone));
     let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
-    assert_eq!(code(&crumple(folder.path(), &shard)), 2);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &shard)), 2);
 }
 
 #[test]
 fn the_baseline_collides_in_the_papers_space_at_once() {
-    let folder = folder();
+    let folder = temp_folder();
     let campaign = [
         "falsify",
         "--controller",
@@ -105,8 +105,8 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         "--format",
         "json",
     ];
-    let output = done(folder.path(), &campaign);
-    let summary = objects(&output).remove(0);
+    let output = run_ok(folder.path(), &campaign);
+    let summary = json_objects(&output).remove(0);
     assert_eq!((&summary["evaluations"], &summary["falsified"]), (&40.into(), &true.into()));
     assert!(summary["first_falsification"].as_u64().unwrap() <= 3, "{}", summary["first_falsification"]);
     assert!(summary["best_robustness"].as_f64().unwrap() < -5.0);
@@ -132,7 +132,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         // The file needs nothing else, and a finer step changes nothing.
         let file = format!("found/{}", found["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
-            let replayed = done(
+            let replayed = run_ok(
                 folder.path(),
                 &[
                     "simulate",
@@ -147,7 +147,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
                     "json",
                 ],
             );
-            let outcome = &objects(&replayed)[0]["outcome"];
+            let outcome = &json_objects(&replayed)[0]["outcome"];
             assert_eq!(outcome["rear_vehicle"], found["rear_vehicle"]);
             let (replayed, found) = (outcome["time_s"].as_f64().unwrap(), found["contact_time_s"].as_f64().unwrap());
             assert!((replayed - found).abs() < 1e-3);
@@ -160,11 +160,11 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     }
     assert_eq!((&kept, &summary["of_method_asked_for"]), (&summary, &summary["methods"][0]));
     check_log(&folder.path().join("found/evaluations/part-00000.csv.gz"));
-    let again = crumple(folder.path(), &campaign);
-    assert_eq!(code(&again), 2, "an existing campaign is not overwritten");
-    let resumed = crumple(folder.path(), &[&campaign[..], &["--resume"]].concat());
-    assert_eq!((code(&resumed), stdout(&resumed)), (0, stdout(&output)), "a complete one only repeats its summary");
-    let other = crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
+    let again = run_crumple(folder.path(), &campaign);
+    assert_eq!(exit_code(&again), 2, "an existing campaign is not overwritten");
+    let resumed = run_crumple(folder.path(), &[&campaign[..], &["--resume"]].concat());
+    assert_eq!((exit_code(&resumed), stdout(&resumed)), (0, stdout(&output)), "a complete one only repeats its summary");
+    let other = run_crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
     assert_refused(&other, "another `seed`: 0 instead of 5");
 }
 
@@ -194,28 +194,28 @@ const CAMPAIGN_ARGS: [&str; 7] = ["falsify", "--controller", "match-leader", "--
 
 #[test]
 fn a_campaign_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
-    let folder = folder();
-    let through = command(folder.path(), &[&CAMPAIGN[..], &["--out", "through"]].concat())
+    let folder = temp_folder();
+    let through = command(folder.path(), &[&CAMPAIGN_ARGS[..], &["--out", "through"]].concat())
         .env("RAYON_NUM_THREADS", "1")
         .output()
         .unwrap();
-    assert_eq!(code(&through), 0, "{}", stderr(&through));
-    let resume = [&CAMPAIGN[..], &["--out", "killed", "--resume"]].concat();
-    let killed = killed_at_random(folder.path(), &resume, (0..12).map(|round| 5..150 + 100 * round));
+    assert_eq!(exit_code(&through), 0, "{}", stderr(&through));
+    let resume = [&CAMPAIGN_ARGS[..], &["--out", "killed", "--resume"]].concat();
+    let killed = kill_at_random_times(folder.path(), &resume, (0..12).map(|round| 5..150 + 100 * round));
     assert!(killed >= 2, "killed {killed} times");
     let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-    assert_eq!((code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
-    assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+    assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
+    assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
 }
 
 #[test]
 fn a_formula_is_falsified_without_a_contact() {
-    let folder = folder();
+    let folder = temp_folder();
     let formula = "always v1.time_gap_s > 0.3";
     let arguments =
         ["falsify", "--controller", "match-leader", "--space", "paper", "--budget", "60", "--spec", formula];
-    let output = done(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
-    let summary = objects(&output).remove(0);
+    let output = run_ok(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
+    let summary = json_objects(&output).remove(0);
     assert_eq!(summary["specification"], "always (v1.time_gap_s > 0.3)");
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
     // The violation is what is said and ranked, and what a user replays.
@@ -228,51 +228,51 @@ fn a_formula_is_falsified_without_a_contact() {
         assert!(file.ends_with("-violation.toml"));
         let replay = |spec: &str, expectation: &str| {
             let arguments = ["simulate", &file, "--controller", "match-leader", "--format", "json"];
-            crumple(folder.path(), &[&arguments[..], &["--spec", spec, "--expect", expectation]].concat())
+            run_crumple(folder.path(), &[&arguments[..], &["--spec", spec, "--expect", expectation]].concat())
         };
         let replayed = replay(formula, "violated");
-        assert_eq!(code(&replayed), 0, "{}", stderr(&replayed));
-        let judged = &objects(&replayed)[0]["specifications"][0];
+        assert_eq!(exit_code(&replayed), 0, "{}", stderr(&replayed));
+        let judged = &json_objects(&replayed)[0]["specifications"][0];
         assert_eq!((&judged["satisfied"], &judged["robustness"]), (&false.into(), &one["robustness"]));
-        assert_eq!(code(&replay(formula, "satisfied")), 1);
-        assert_eq!(code(&replay("always v1.speed_mps >= 0", "satisfied")), 0);
+        assert_eq!(exit_code(&replay(formula, "satisfied")), 1);
+        assert_eq!(exit_code(&replay("always v1.speed_mps >= 0", "satisfied")), 0);
     }
 }
 
 /// The recorded verdicts beside them are no scenario; version 0.1.0 called that file `expected.toml`.
 #[test]
 fn every_toml_file_beside_counterexamples_is_a_scenario() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["falsify", "--controller=match-leader", "--space=high-risk", "--budget=40", "--out=found"];
-    done(folder.path(), &arguments);
+    run_ok(folder.path(), &arguments);
     let counterexamples = folder.path().join("found/counterexamples");
     let files = || {
-        let names = names_in(&counterexamples).into_iter().filter(|name| name.ends_with(".toml"));
+        let names = file_names_in(&counterexamples).into_iter().filter(|name| name.ends_with(".toml"));
         names.map(|name| format!("found/counterexamples/{name}")).collect::<Vec<_>>()
     };
     let simulate = || {
         let files = files();
         let files = files.iter().map(String::as_str);
         let arguments = ["simulate", "--controller=match-leader", "--format=json", "--expect=collision"];
-        let output = done(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
-        objects(&output).len()
+        let output = run_ok(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
+        json_objects(&output).len()
     };
     let found = files().len();
     assert!(found > 0 && simulate() == found);
     fs::rename(counterexamples.join("expected.verdicts"), counterexamples.join("expected.toml")).unwrap();
     assert_eq!((files().len(), simulate()), (found + 1, found));
-    let recorded = ExpectedFile::in_folder(&counterexamples).unwrap();
+    let recorded = ExpectedFile::load_from_folder(&counterexamples).unwrap();
     assert!(recorded.expected.len() >= found);
 }
 
 #[test]
 fn the_front_of_severity_and_likelihood_is_shown() {
-    let folder = folder();
+    let folder = temp_folder();
     let campaign = |aim: &str, out: &str| {
         let arguments =
             ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60", "--format", "json"];
-        let output = done(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
-        objects(&output).remove(0)
+        let output = run_ok(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
+        json_objects(&output).remove(0)
     };
     let summary = campaign("severest", "severest");
     let column = |name: &str| -> Vec<f64> {
@@ -291,7 +291,7 @@ fn the_front_of_severity_and_likelihood_is_shown() {
 #[test]
 #[cfg(unix)]
 fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
     let journal = folder.path().join("busy/evaluations.journal");
     let child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -301,7 +301,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     while !begun() || fs::read_to_string(&manifest).is_ok_and(|text| text.contains(empty)) {
         sleep(Duration::from_millis(20));
     }
-    let second = crumple(folder.path(), &arguments);
+    let second = run_crumple(folder.path(), &arguments);
     assert_refused(&second, "busy: another process works on the campaign there");
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
@@ -335,33 +335,33 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
             Some(bytes) => fs::write(&journal, bytes).unwrap(),
             None => fs::remove_file(&journal).unwrap(),
         }
-        assert_refused(&crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {said}"));
-        let looked = crumple(folder.path(), &["fsck", "busy"]);
-        assert_eq!(code(&looked), 1, "{looked:?}");
+        assert_refused(&run_crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {said}"));
+        let looked = run_crumple(folder.path(), &["fsck", "busy"]);
+        assert_eq!(exit_code(&looked), 1, "{looked:?}");
         assert!(stdout(&looked).contains(&format!("evaluations.journal: {said}")), "{looked:?}");
     }
     // What lies where a result will be is named before anything is done, and costs the work nothing.
     fs::write(&journal, &whole).unwrap();
     fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
-    assert_refused(&crumple(folder.path(), &arguments), "busy/summary.json: work.json knows no such file");
-    let looked = crumple(folder.path(), &["fsck", "busy"]);
+    assert_refused(&run_crumple(folder.path(), &arguments), "busy/summary.json: work.json knows no such file");
+    let looked = run_crumple(folder.path(), &["fsck", "busy"]);
     assert!(
         stdout(&looked).contains("2 of 2 files are whole\n  summary.json: not of this work, and where"),
         "{looked:?}"
     );
-    assert_eq!(code(&looked), 1);
+    assert_eq!(exit_code(&looked), 1);
 }
 
 #[test]
 fn a_campaign_in_another_space_says_what_differs() {
-    let folder = folder();
+    let folder = temp_folder();
     let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let campaign = |more: &[&str]| {
         let arguments = ["falsify", "--controller", "idm", "--space", "own.toml", "--budget", "5"];
-        crumple(folder.path(), &[&arguments[..], more].concat())
+        run_crumple(folder.path(), &[&arguments[..], more].concat())
     };
     fs::write(folder.path().join("own.toml"), good).unwrap();
-    assert_eq!(code(&campaign(&[])), 0);
+    assert_eq!(exit_code(&campaign(&[])), 0);
     fs::write(
         folder.path().join("own.toml"),
         good.replace("mean = 3.0, deviation = 0.2", "mean = 3.0, deviation = 0.3"),
@@ -374,14 +374,14 @@ fn a_campaign_in_another_space_says_what_differs() {
 
 #[test]
 fn mistakes_are_said_before_anything_is_written() {
-    let folder = folder();
+    let folder = temp_folder();
     let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let line = 1 + good.lines().position(|line| line.contains("deviation = 0.2, low = 2.0")).unwrap();
     fs::write(folder.path().join("bad.toml"), good.replace("deviation = 0.2, low = 2.0", "deviation = -1, low = 2.0"))
         .unwrap();
     let falsify = |arguments: &[&str]| {
-        let output = crumple(folder.path(), &[&["falsify", "--controller", "baseline"], arguments].concat());
-        assert_eq!((code(&output), stdout(&output)), (2, ""));
+        let output = run_crumple(folder.path(), &[&["falsify", "--controller", "baseline"], arguments].concat());
+        assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
     let expected =
@@ -406,25 +406,25 @@ fn mistakes_are_said_before_anything_is_written() {
 
 #[test]
 fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments =
         ["benchmark", "chasing-cars", "--budget", "20", "--seeds", "1", "--out", "cars", "--format", "json"];
-    let output = done(folder.path(), &arguments);
+    let output = run_ok(folder.path(), &arguments);
     let successes: u64 =
-        objects(&output)[0]["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
-    let files = tree(&folder.path().join("cars"));
+        json_objects(&output)[0]["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
+    let files = read_tree(&folder.path().join("cars"));
     assert!(successes >= 3 && files.len() as u64 == successes, "{successes} {:?}", files.keys());
     assert!(stderr(&output).contains(&format!("wrote {successes} counterexamples to cars; the replay confirms each")));
-    let again = crumple(folder.path(), &arguments);
+    let again = run_crumple(folder.path(), &arguments);
     assert_refused(&again, "--out: cars is not empty");
 }
 
 /// A part of a formula that no temporal operator governs is judged at the first instant only, and the user is warned.
 #[test]
 fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
-    let folder = folder();
+    let folder = temp_folder();
     let warned = |arguments: &[&str]| {
-        let output = done(folder.path(), arguments);
+        let output = run_ok(folder.path(), arguments);
         (stdout(&output).to_owned(), stderr(&output).to_owned())
     };
     let formula = "always v2.gap_m > 1 and v1.gap_m > 5";

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::*;
-use crumple_world::scenario::space::{Distribution, Space, Uniform, file};
+use crumple_world::scenario::space::{DistributionSpec, ScenarioSpace, UniformSpec, file};
 
 /// Events of ten seconds, in each of which the leader brakes once: how hard, from which speed and with which gap behind follows no family.
 fn events_csv(count: u32) -> String {
@@ -26,10 +26,10 @@ fn events_csv(count: u32) -> String {
 
 #[test]
 fn a_space_is_fitted_and_failures_are_stated_per_hour() {
-    let folder = folder();
+    let folder = temp_folder();
     let here = folder.path();
-    std::fs::write(here.join("events.csv"), events(40)).unwrap();
-    let fitted = done(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
+    std::fs::write(here.join("events.csv"), events_csv(40)).unwrap();
+    let fitted = run_ok(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
     assert!(stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"), "{}", stdout(&fitted));
     let drawn = std::fs::read_to_string(here.join("fit.svg")).unwrap();
     assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
@@ -39,19 +39,19 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let drawn_over = |more: &[&str]| {
         let fit =
             ["fit", "events.csv", "--out", "other.toml", "--name", "other", "--plot", "fit.svg", "--samples", "19"];
-        crumple(here, &[&fit[..], more].concat())
+        run_crumple(here, &[&fit[..], more].concat())
     };
     assert_refused(&drawn_over(&[]), "fit.svg: is there and says something else: use --force");
     assert!(!here.join("other.toml").exists());
-    assert_eq!(code(&drawn_over(&["--force"])), 0);
+    assert_eq!(exit_code(&drawn_over(&["--force"])), 0);
 
     // The same again is left alone; an edited one too, but for --force.
     let again = ["fit", "events.csv", "--out", "space.toml", "--samples", "19", "--format", "json"];
-    let json = &objects(&crumple(here, &again))[0];
+    let json = &json_objects(&run_crumple(here, &again))[0];
     assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
     std::fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
-    assert_refused(&crumple(here, &again), "space.toml: is there and says something else");
-    assert_eq!(code(&crumple(here, &[&again[..], &["--force"]].concat())), 0);
+    assert_refused(&run_crumple(here, &again), "space.toml: is there and says something else");
+    assert_eq!(exit_code(&run_crumple(here, &[&again[..], &["--force"]].concat())), 0);
     assert_eq!(std::fs::read_to_string(here.join("space.toml")).unwrap(), text);
 
     let rate = |threads: &str, more: &[&str]| {
@@ -60,7 +60,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         command(here, &[&asked[..], &effort, more].concat()).env("RAYON_NUM_THREADS", threads).output().expect("starts")
     };
     let one = rate("1", &["--out", "one"]);
-    assert_eq!(code(&one), 0, "{}", stderr(&one));
+    assert_eq!(exit_code(&one), 0, "{}", stderr(&one));
     assert!(stdout(&one).contains("failures per hour") && stdout(&one).contains("with the data's uncertainty"));
     let on_the_road = |output: &Output| stdout(output).split_once("on the road").unwrap().1.to_owned();
     for again in [rate("2", &["--out", "two"]), rate("2", &["--out", "one", "--resume"])] {
@@ -69,12 +69,12 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
 
     // A space that was changed since it was fitted has rates, and no uncertainty of data that are another space's.
     let mut changed = file::from_toml(&text, Path::new("space.toml")).unwrap().spec().clone();
-    changed.parameters[0].distribution = Distribution::Uniform(Uniform { low: 10.0, high: 26.0 });
-    let changed = file::to_toml(&Space::new(changed, Path::new("")).unwrap()).unwrap();
+    changed.parameters[0].distribution = DistributionSpec::Uniform(UniformSpec { low: 10.0, high: 26.0 });
+    let changed = file::to_toml(&ScenarioSpace::new(changed, Path::new("")).unwrap()).unwrap();
     std::fs::write(here.join("changed.toml"), changed).unwrap();
     let asked =
         ["verify", "rate", "--controller", "baseline", "--space", "changed.toml", "--runs", "50", "--out", "changed"];
-    let counted = done(here, &[&asked[..], &["--confidence", "0.9"]].concat());
+    let counted = run_ok(here, &[&asked[..], &["--confidence", "0.9"]].concat());
     assert!(
         stdout(&counted).contains("without the data's uncertainty: `lead_speed_mps` is not what is fitted"),
         "{counted:?}"
@@ -84,49 +84,49 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     for index in ["1", "2", "3"] {
         let which = format!("{index}/3");
         let shard = rate("2", &["--shard", &which, "--out", index]);
-        assert_eq!(code(&shard), 0, "{}", stderr(&shard));
-        assert_eq!(names_in(&here.join(index)).len(), 4);
+        assert_eq!(exit_code(&shard), 0, "{}", stderr(&shard));
+        assert_eq!(file_names_in(&here.join(index)).len(), 4);
     }
-    let merged = crumple(here, &["merge", "3", "1", "2", "--out", "one"]);
-    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&one)), "{}", stderr(&merged));
-    let json = &objects(&crumple(here, &["merge", "2", "1", "3", "--out", "one", "--format=json"]))[0];
+    let merged = run_crumple(here, &["merge", "3", "1", "2", "--out", "one"]);
+    assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&one)), "{}", stderr(&merged));
+    let json = &json_objects(&run_crumple(here, &["merge", "2", "1", "3", "--out", "one", "--format=json"]))[0];
     assert!(json["exposed"]["with_data"]["figures"]["per_hour"]["estimate"].is_f64(), "{json}");
 
     let rare = |more: &[&str]| {
         let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "79", "--format", "json"];
         let asked =
             ["verify", "rate", "--controller", "full-throttle", "--space", "space.toml", "--estimator", "truth"];
-        crumple(here, &[&asked[..], &effort, more].concat())
+        run_crumple(here, &[&asked[..], &effort, more].concat())
     };
     let first = rare(&["--out", "rare"]);
-    assert_eq!(code(&first), 0, "{}", stderr(&first));
-    assert!(objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
+    assert_eq!(exit_code(&first), 0, "{}", stderr(&first));
+    assert!(json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
     assert_eq!(stdout(&rare(&["--out", "rare", "--resume"])), stdout(&first));
     for index in ["r1", "r2"] {
         let which = format!("{}/2", &index[1..]);
-        assert_eq!(code(&rare(&["--shard", &which, "--out", index])), 0);
+        assert_eq!(exit_code(&rare(&["--shard", &which, "--out", index])), 0);
     }
-    let merged = crumple(here, &["merge", "r2", "r1", "--out", "rare", "--format=json"]);
-    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&first)), "{}", stderr(&merged));
-    assert_eq!(code(&crumple(here, &["fsck", "one", "rare"])), 0);
+    let merged = run_crumple(here, &["merge", "r2", "r1", "--out", "rare", "--format=json"]);
+    assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&first)), "{}", stderr(&merged));
+    assert_eq!(exit_code(&run_crumple(here, &["fsck", "one", "rare"])), 0);
 
     let mut config = crate::assessments::config(&["baseline", "idm"]);
     config.distributions = Some(vec!["space.toml".to_owned()]);
     let assessment = crate::assessments::run(config, here);
     let sampled = &assessment.distributions.spaces[0].controllers[0];
-    let exposed = sampled.exposed.as_ref().expect("the space says in how much driving");
-    let data = exposed.with_data.expect("resampled");
+    let exposed = sampled.rate_per_exposure.as_ref().expect("the space says in how much driving");
+    let data = exposed.with_data_uncertainty.expect("resampled");
     assert!((exposed.episodes, data.resamples) == (40, 100));
-    assert!(assessment.markdown().contains("failures per hour"));
+    assert!(assessment.to_markdown().contains("failures per hour"));
 }
 
 #[test]
 fn what_cannot_be_fitted_is_refused() {
-    let folder = folder();
+    let folder = temp_folder();
     let here = folder.path();
-    std::fs::write(here.join("few.csv"), events(19)).unwrap();
-    std::fs::write(here.join("enough.csv"), events(20)).unwrap();
-    let fit = |recording: &str, more: &[&str]| crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
+    std::fs::write(here.join("few.csv"), events_csv(19)).unwrap();
+    std::fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
+    let fit = |recording: &str, more: &[&str]| run_crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
     assert_refused(&fit("few.csv", &[]), "19 episodes of 2 vehicles, and 20 are needed");
     assert_refused(
         &fit("enough.csv", &["--vehicles", "3"]),
@@ -138,22 +138,22 @@ fn what_cannot_be_fitted_is_refused() {
     assert_refused(&fit("enough.csv", &["--name", ""]), "name: must have 1 to 100 characters");
     assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
     assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: is given twice");
-    assert_refused(&crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
+    assert_refused(&run_crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
     // One episode, again and again: nothing varies.
-    let one: String = events(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
+    let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
     let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));
-    let header = events(0);
+    let header = events_csv(0);
     std::fs::write(here.join("same.csv"), header + &same.collect::<String>()).unwrap();
     assert_refused(&fit("same.csv", &[]), "all values are");
     assert!(!here.join("s.toml").exists());
     assert_refused(
-        &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
+        &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
         "must be 0 or from 79 to 2000, found 5",
     );
     // What nobody has fitted to episodes has none to resample.
     for (option, value) in [("--resamples", "100"), ("--resample-runs", "60")] {
         assert_refused(
-            &crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", option, value]),
+            &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", option, value]),
             &format!("{option}: the space `paper` was not fitted to episodes"),
         );
     }

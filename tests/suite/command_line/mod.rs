@@ -32,8 +32,8 @@ pub(crate) fn run_crumple(folder: &Path, arguments: &[&str]) -> Output {
 
 /// Runs `crumple` in a folder, and asserts that it succeeds.
 fn run_ok(folder: &Path, arguments: &[&str]) -> Output {
-    let output = crumple(folder, arguments);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = run_crumple(folder, arguments);
+    assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
     output
 }
 
@@ -57,7 +57,7 @@ fn stderr(output: &Output) -> &str {
 
 /// Unusable input, with these words on standard error.
 fn assert_refused(output: &Output, said: &str) {
-    assert_eq!(code(output), 2, "{}", stderr(output));
+    assert_eq!(exit_code(output), 2, "{}", stderr(output));
     assert!(stderr(output).contains(said), "{}", stderr(output));
 }
 
@@ -79,7 +79,7 @@ fn file_names_in(folder: &Path) -> Vec<String> {
 
 /// Writes a text of which each of some passages stands changed.
 fn write_with_replacements(path: &Path, text: &str, changes: &[(&str, &str)]) {
-    std::fs::write(path, crate::tiny::changed(text, changes)).expect("writable");
+    std::fs::write(path, crate::tiny::replace_passages(text, changes)).expect("writable");
 }
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
@@ -87,12 +87,12 @@ const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 /// One object a scenario and line, with the fields other programs rely on, and nothing else on either stream.
 #[test]
 fn simulate_prints_one_json_object_a_line() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["simulate", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
-    let output = crumple(folder.path(), &[&arguments[..], &PAPERS].concat());
-    assert_eq!((code(&output), stderr(&output)), (0, ""));
-    let reports = objects(&output);
-    assert_eq!(reports.iter().map(|report| report["scenario"].clone()).collect::<Vec<_>>(), PAPERS);
+    let output = run_crumple(folder.path(), &[&arguments[..], &PAPER_SCENARIOS].concat());
+    assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
+    let reports = json_objects(&output);
+    assert_eq!(reports.iter().map(|report| report["scenario"].clone()).collect::<Vec<_>>(), PAPER_SCENARIOS);
     for report in &reports {
         assert_eq!(report["controller"], "baseline");
         assert_eq!(report["estimator"], "truth");
@@ -118,10 +118,10 @@ fn simulate_prints_one_json_object_a_line() {
 
 #[test]
 fn options_reach_the_simulation() {
-    let folder = folder();
+    let folder = temp_folder();
     let run = |arguments: &[&str]| {
         let arguments = [&["simulate", "paper-1", "--format", "json"], arguments].concat();
-        objects(&crumple(folder.path(), &arguments)).remove(0)
+        json_objects(&run_crumple(folder.path(), &arguments)).remove(0)
     };
     assert_eq!(run(&["--controller", "match-leader"])["outcome"], json!({ "kind": "no_collision" }));
     assert_eq!(run(&[])["estimator"], "kalman", "the default");
@@ -132,69 +132,69 @@ fn options_reach_the_simulation() {
     assert_ne!(noisy("7"), noisy("8"), "noise is another");
     assert_eq!(noisy("7"), noisy("7"), "one seed decides everything");
     let arguments = ["simulate", "paper-3", "--estimator", "truth", "--after-contact", "continue", "--format", "json"];
-    let pile_up = crumple(folder.path(), &arguments);
-    let pile_up = objects(&pile_up).remove(0);
+    let pile_up = run_crumple(folder.path(), &arguments);
+    let pile_up = json_objects(&pile_up).remove(0);
     assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
     assert_eq!(pile_up["vehicles_involved"], 5);
 }
 
 #[test]
 fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
-    let folder = folder();
-    let run = |arguments: &[&str]| crumple(folder.path(), &[&["simulate"], arguments].concat());
+    let folder = temp_folder();
+    let run = |arguments: &[&str]| run_crumple(folder.path(), &[&["simulate"], arguments].concat());
     let collided = run(&["paper-1", "--expect", "safe", "--format", "json"]);
-    assert_eq!((code(&collided), stderr(&collided)), (1, "gate: expected no collision in paper-1\n"));
-    assert_eq!(objects(&collided).len(), 1, "the results are printed all the same");
-    assert_eq!(code(&run(&["paper-1", "--expect", "collision"])), 0);
+    assert_eq!((exit_code(&collided), stderr(&collided)), (1, "gate: expected no collision in paper-1\n"));
+    assert_eq!(json_objects(&collided).len(), 1, "the results are printed all the same");
+    assert_eq!(exit_code(&run(&["paper-1", "--expect", "collision"])), 0);
     let safe = ["--controller", "match-leader"];
-    assert_eq!(code(&run(&[&safe[..], &PAPERS, &["--expect", "safe"]].concat())), 0);
-    let missed = run(&[&safe[..], &PAPERS, &["--expect", "collision"]].concat());
-    assert_eq!((code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
+    assert_eq!(exit_code(&run(&[&safe[..], &PAPER_SCENARIOS, &["--expect", "safe"]].concat())), 0);
+    let missed = run(&[&safe[..], &PAPER_SCENARIOS, &["--expect", "collision"]].concat());
+    assert_eq!((exit_code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
 }
 
 /// Who stops a scenario by braking for nothing is safe in it, and no use.
 #[test]
 fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
-    let folder = folder();
+    let folder = temp_folder();
     let quiet = "version = 1\nname = \"quiet\"\nduration_s = 20.0\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 60.0\nspeed_mps = 25.0\ndriver = \"constant-speed\"\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 25.0\ndriver = \"under-test\"\n";
     std::fs::write(folder.path().join("quiet.toml"), quiet).expect("writable");
     let run = |controller: &str, more: &[&str]| {
-        crumple(folder.path(), &[&["simulate", "quiet.toml", "--controller", controller], more].concat())
+        run_crumple(folder.path(), &[&["simulate", "quiet.toml", "--controller", controller], more].concat())
     };
-    assert_eq!(code(&run("random-actions", &["--expect", "safe"])), 0);
+    assert_eq!(exit_code(&run("random-actions", &["--expect", "safe"])), 0);
     let output = run("random-actions", &["--expect", "useful"]);
     let said = "gate: expected no collision, no braking without cause and nobody left behind in quiet\n";
-    assert_eq!((code(&output), stderr(&output)), (1, said));
+    assert_eq!((exit_code(&output), stderr(&output)), (1, said));
     assert!(stdout(&output).contains("\n  vehicle 1 brakes without cause for "), "{}", stdout(&output));
     assert!(stdout(&output).contains(" had a cause\n"), "{}", stdout(&output));
 
     let useful = run("idm", &["--expect", "useful", "--format", "json"]);
-    assert_eq!(code(&useful), 0);
+    assert_eq!(exit_code(&useful), 0);
     let none = json!([{ "vehicle": 1, "time_s": 0.0, "count": 0, "hardest": null }]);
-    assert_eq!(objects(&useful)[0]["braking_without_cause"], none);
-    let report = objects(&run("random-actions", &["--format", "json"])).remove(0);
+    assert_eq!(json_objects(&useful)[0]["braking_without_cause"], none);
+    let report = json_objects(&run("random-actions", &["--format", "json"])).remove(0);
     let braking = &report["braking_without_cause"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
-    let left = crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "policy", "--expect", "useful"]);
-    assert_eq!(code(&left), 1);
+    let left = run_crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "policy", "--expect", "useful"]);
+    assert_eq!(exit_code(&left), 1);
     assert!(stdout(&left).contains("vehicle 1 is left behind by the one ahead"), "{}", stdout(&left));
-    let contact = crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
-    assert_eq!(code(&contact), 1, "a contact is no use either");
+    let contact = run_crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
+    assert_eq!(exit_code(&contact), 1, "a contact is no use either");
 }
 
 /// Tables have one row for each sample and vehicle: every step up to the contact, and the contact itself.
 #[test]
 fn traces_have_one_row_a_sample_and_vehicle() {
-    let folder = folder();
+    let folder = temp_folder();
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
         let mut reports = Vec::new();
         for file in TRACES {
             let arguments = ["simulate", "paper-1", "--after-contact", after_contact, "--trace", file];
-            let output = done(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
-            reports = objects(&output);
+            let output = run_ok(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
+            reports = json_objects(&output);
         }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
         let samples = samples.unwrap_or((contact_s / 0.01).ceil() as usize + 1);
@@ -213,7 +213,7 @@ fn traces_have_one_row_a_sample_and_vehicle() {
             assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"));
         }
     }
-    assert_eq!(names_in(folder.path()), TRACES, "nothing else is left behind");
+    assert_eq!(file_names_in(folder.path()), TRACES, "nothing else is left behind");
 }
 
 /// Formats of traces that this build writes.
@@ -221,10 +221,10 @@ const TRACES: &[&str] = if cfg!(feature = "parquet") { &["trace.csv", "trace.par
 
 #[test]
 fn plots_are_what_their_names_say() {
-    let folder = folder();
+    let folder = temp_folder();
     let png = cfg!(feature = "png").then_some(("p.png", &b"\x89PNG\r\n"[..]));
     for (file, opening) in [("p.svg", &b"<"[..])].into_iter().chain(png) {
-        done(folder.path(), &["simulate", "paper-1", "--plot", file]);
+        run_ok(folder.path(), &["simulate", "paper-1", "--plot", file]);
         assert!(std::fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
     }
 }
@@ -232,9 +232,9 @@ fn plots_are_what_their_names_say() {
 /// A format that the build lacks is refused before anything runs, with the command that enables it; `doctor` lists the same command.
 #[test]
 fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
-    let folder = folder();
-    let doctor = objects(&crumple(folder.path(), &["doctor", "--format", "json"]));
-    let doctor_text = crumple(folder.path(), &["doctor"]);
+    let folder = temp_folder();
+    let doctor = json_objects(&run_crumple(folder.path(), &["doctor", "--format", "json"]));
+    let doctor_text = run_crumple(folder.path(), &["doctor"]);
     for (feature, enabled, arguments) in [
         ("png", cfg!(feature = "png"), &["simulate", "paper-1", "--plot", "p.png"][..]),
         ("png", cfg!(feature = "png"), &["suite", "map", "cut-in-gap", "--cells", "2x2", "--out", "m.png"]),
@@ -244,44 +244,44 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
         assert_eq!(listed["enabled"], enabled);
         let command = format!("cargo install --locked --path . --features {feature}");
         assert_eq!(stdout(&doctor_text).contains(&command), !enabled);
-        let output = crumple(folder.path(), arguments);
+        let output = run_crumple(folder.path(), arguments);
         match enabled {
-            true => assert_eq!(code(&output), 0, "{}", stderr(&output)),
+            true => assert_eq!(exit_code(&output), 0, "{}", stderr(&output)),
             false => assert_refused(&output, &command),
         }
     }
-    assert_eq!(names_in(folder.path()).is_empty(), cfg!(not(any(feature = "png", feature = "parquet"))));
+    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(any(feature = "png", feature = "parquet"))));
 }
 
 #[test]
 fn several_scenarios_write_several_traces() {
-    let folder = folder();
-    done(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
-    assert_eq!(names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
+    let folder = temp_folder();
+    run_ok(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
+    assert_eq!(file_names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
 }
 
 #[test]
 fn list_names_what_simulate_takes() {
-    let folder = folder();
-    let all = crumple(folder.path(), &["list"]);
-    assert_eq!((code(&all), stderr(&all)), (0, ""));
-    let controllers = ControllerSpec::built_in();
-    for name in PAPERS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
+    let folder = temp_folder();
+    let all = run_crumple(folder.path(), &["list"]);
+    assert_eq!((exit_code(&all), stderr(&all)), (0, ""));
+    let controllers = ControllerSpec::all();
+    for name in PAPER_SCENARIOS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
         assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
     }
-    let listed = &objects(&crumple(folder.path(), &["list", "--format", "json"]))[0];
+    let listed = &json_objects(&run_crumple(folder.path(), &["list", "--format", "json"]))[0];
     for controller in listed["controllers"].as_array().unwrap() {
         let name = controller["name"].as_str().unwrap();
-        let output = crumple(folder.path(), &["simulate", "paper-1", "--controller", name]);
-        assert_eq!(code(&output), 0, "{name}: {}", stderr(&output));
+        let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", name]);
+        assert_eq!(exit_code(&output), 0, "{name}: {}", stderr(&output));
         assert!(stdout(&output).starts_with(&format!("paper-1: {name}, ")));
     }
 }
 
 #[test]
 fn help_documents_the_exit_codes() {
-    let output = crumple(folder().path(), &["--help"]);
-    assert_eq!((code(&output), stderr(&output)), (0, ""));
+    let output = run_crumple(temp_folder().path(), &["--help"]);
+    assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
     for line in [
         "Exit codes:",
         "  0    done",
@@ -297,7 +297,7 @@ fn help_documents_the_exit_codes() {
 /// Nobody reads on: no panic, no complaint, success; but a gate that did not hold still did not.
 #[test]
 fn a_closed_pipe_is_no_error() {
-    let folder = folder();
+    let folder = temp_folder();
     for (arguments, expected) in [
         (&["simulate", "paper-1", "paper-2", "paper-3", "--dt", "0.0001"][..], 0),
         (&["simulate", "paper-1", "--dt", "0.0001", "--expect", "safe"], 1),
@@ -306,7 +306,7 @@ fn a_closed_pipe_is_no_error() {
         let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
         drop(child.stdout.take());
         let output = child.wait_with_output().expect("ends");
-        assert_eq!(code(&output), expected, "{}", stderr(&output));
+        assert_eq!(exit_code(&output), expected, "{}", stderr(&output));
         assert!(!stderr(&output).contains("panicked") && !stderr(&output).contains("error"), "{}", stderr(&output));
     }
 }
@@ -316,8 +316,8 @@ fn a_closed_pipe_is_no_error() {
 #[test]
 fn a_full_disk_under_standard_output_is_reported() {
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there on Linux");
-    let output = command(folder().path(), &["simulate", "paper-1"]).stdout(full).output().expect("starts");
-    assert_eq!(code(&output), 3);
+    let output = command(temp_folder().path(), &["simulate", "paper-1"]).stdout(full).output().expect("starts");
+    assert_eq!(exit_code(&output), 3);
     assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
 }
 

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use super::{assert_refused, code, crumple, folder, names_in, stderr};
-use crumple_store::disk::Files;
+use super::{assert_refused, exit_code, run_crumple, temp_folder, file_names_in, stderr};
+use crumple_store::disk::StagedFiles;
 
 const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
 const RECORDING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
@@ -15,10 +15,10 @@ const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\nd
 #[cfg(unix)]
 #[test]
 fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("a.toml"), ASSESSMENT).unwrap();
     let shards = ["suite", "run", SUITE, "--controller=full-throttle", "--shard=1/1", "--out=shard"];
-    assert_eq!(code(&crumple(folder.path(), &shards)), 0);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &shards)), 0);
     let other = "crumple did not write it";
     let commands: [(&[&str], &str); 7] = [
         (&["suite", "run", SUITE, "--controller=full-throttle"], other),
@@ -31,10 +31,10 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
     ];
     for (number, (command, refused)) in commands.into_iter().enumerate() {
         let (out, apart) = (format!("out-{number}"), format!("apart-{number}"));
-        let write = |out: &str| crumple(folder.path(), &[command, &["--quiet", "--out", out]].concat());
+        let write = |out: &str| run_crumple(folder.path(), &[command, &["--quiet", "--out", out]].concat());
         let written = write(&out);
-        assert_eq!(code(&written), 0, "{command:?}: {}", stderr(&written));
-        let names = names_in(&folder.path().join(&out));
+        assert_eq!(exit_code(&written), 0, "{command:?}: {}", stderr(&written));
+        let names = file_names_in(&folder.path().join(&out));
         let name = names.iter().find(|name| !name.ends_with(".sha256") && name.contains('.')).unwrap();
         let place = folder.path().join(&out).join(name);
         let genuine = fs::read(&place).unwrap();
@@ -42,7 +42,7 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
         assert_refused(&write(&out), refused);
         assert_eq!(fs::read(&place).unwrap(), [&genuine[..], b" "].concat(), "{command:?}");
         fs::write(&place, &genuine).unwrap();
-        assert_eq!(code(&write(&out)), 0, "{command:?}: it is as it was written again");
+        assert_eq!(exit_code(&write(&out)), 0, "{command:?}: it is as it was written again");
         let elsewhere = folder.path().join(format!("elsewhere-{number}"));
         fs::write(&elsewhere, "precious").unwrap();
         fs::remove_file(&place).unwrap();
@@ -54,7 +54,7 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
         fs::write(apart.join(name), "precious").unwrap();
         assert_refused(&write(apart.to_str().unwrap()), refused);
         assert_eq!(fs::read_to_string(apart.join(name)).unwrap(), "precious", "{command:?}");
-        let files = |folder: &Path| names_in(folder).into_iter().filter(|name| !name.starts_with("evidence"));
+        let files = |folder: &Path| file_names_in(folder).into_iter().filter(|name| !name.starts_with("evidence"));
         assert_eq!(files(&apart).filter(|name| apart.join(name).is_file()).collect::<Vec<_>>(), [name.as_str()]);
     }
 }
@@ -62,10 +62,10 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
 /// A process that ended while it moved files to their places leaves both listings.
 #[test]
 fn an_interrupted_change_is_known_to_the_next_run() {
-    let folder = folder();
+    let folder = temp_folder();
     let export = |controller: &str| {
         let arguments = ["export", "paper-1", "--to=openscenario", "--controller", controller, "--out", "out"];
-        code(&crumple(folder.path(), &arguments))
+        exit_code(&run_crumple(folder.path(), &arguments))
     };
     let at = |name: &str| folder.path().join("out").join(name);
     assert_eq!(export("idm"), 0);
@@ -78,61 +78,61 @@ fn an_interrupted_change_is_known_to_the_next_run() {
     fs::write(at("exported.sha256"), listing).unwrap();
     assert_eq!(export("idm"), 0);
     assert_eq!(fs::read(at("paper-1.xosc")).unwrap(), before);
-    assert_eq!(names_in(&folder.path().join("out")), ["exported.sha256", "paper-1.xodr", "paper-1.xosc"]);
+    assert_eq!(file_names_in(&folder.path().join("out")), ["exported.sha256", "paper-1.xodr", "paper-1.xosc"]);
 }
 
 /// A killed process leaves its unfinished files unlocked; those of a living process are locked.
 #[test]
 fn merge_removes_what_a_killed_process_left_and_nothing_of_a_living_one() {
-    let folder = folder();
+    let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
     for (kind, arguments) in [
         ("suite", &["suite", "run", SUITE, "--controller=full-throttle", "--shard=1/1", "--out=suite"][..]),
         ("assessment", &["assess", "a.toml", "--shard=1/1", "--out=assessment"]),
     ] {
-        assert_eq!(code(&crumple(folder.path(), arguments)), 0);
+        assert_eq!(exit_code(&run_crumple(folder.path(), arguments)), 0);
         let out = format!("merged-{kind}");
         let results = if kind == "suite" { at(&out) } else { at(&out).join("evidence") };
         fs::create_dir_all(&results).unwrap();
-        let merge = || crumple(folder.path(), &["merge", kind, "--out", &out]);
+        let merge = || run_crumple(folder.path(), &["merge", kind, "--out", &out]);
         for left in [".crumple-unfinished-file-aB3dE6", ".crumple-unfinished-aB3dE6"] {
             fs::write(results.join(left), "half").unwrap();
         }
-        let mut writing = Files::default();
+        let mut writing = StagedFiles::default();
         writing.stage(&results.join("own.json"), "whole").unwrap();
         let merged = merge();
-        assert_eq!(code(&merged), 0, "{}", stderr(&merged));
-        let unfinished = || names_in(&results).iter().filter(|name| name.contains("unfinished")).count();
-        assert_eq!(unfinished(), 1, "{kind}: {:?}", names_in(&results));
+        assert_eq!(exit_code(&merged), 0, "{}", stderr(&merged));
+        let unfinished = || file_names_in(&results).iter().filter(|name| name.contains("unfinished")).count();
+        assert_eq!(unfinished(), 1, "{kind}: {:?}", file_names_in(&results));
         writing.commit().unwrap();
         assert_eq!(fs::read_to_string(results.join("own.json")).unwrap(), "whole");
-        assert_eq!((code(&merge()), unfinished()), (0, 0));
+        assert_eq!((exit_code(&merge()), unfinished()), (0, 0));
     }
 }
 
 /// The folder of a suite's failures holds those of the last run, and what nobody's run wrote.
 #[test]
 fn failures_of_an_earlier_suite_run_do_not_stay() {
-    let folder = folder();
+    let folder = temp_folder();
     let failures = folder.path().join("failures");
     let suite = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
     let run = |controller: &str| {
-        crumple(folder.path(), &["suite", "run", suite, "--controller", controller, "--out", "failures"])
+        run_crumple(folder.path(), &["suite", "run", suite, "--controller", controller, "--out", "failures"])
     };
-    assert_eq!(code(&run("full-throttle")), 0);
-    let listed = names_in(&failures);
+    assert_eq!(exit_code(&run("full-throttle")), 0);
+    let listed = file_names_in(&failures);
     assert!(listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()), "{listed:?}");
-    assert_eq!(code(&run("full-throttle")), 0);
-    assert_eq!(names_in(&failures), listed);
+    assert_eq!(exit_code(&run("full-throttle")), 0);
+    assert_eq!(file_names_in(&failures), listed);
     // One that was edited and one that is somebody's own stay, and are named.
     let edited = listed.iter().find(|name| name.ends_with(".toml")).unwrap();
     let text = fs::read_to_string(failures.join(edited)).unwrap();
     fs::write(failures.join(edited), text + "# mine\n").unwrap();
     fs::write(failures.join("own.toml"), "").unwrap();
     let passed = run("acc-aeb");
-    assert_eq!(code(&passed), 0);
-    assert_eq!(names_in(&failures), [edited.as_str(), "own.toml"]);
+    assert_eq!(exit_code(&passed), 0);
+    assert_eq!(file_names_in(&failures), [edited.as_str(), "own.toml"]);
     assert!(stderr(&passed).contains(" and 1 more: not of this run, and left alone"), "{}", stderr(&passed));
     fs::write(failures.join("failures.sha256"), "0  ../elsewhere\n").unwrap();
     assert_refused(&run("acc-aeb"), "failures.sha256:1: is no SHA-256 and the name of a file beside it");
@@ -140,20 +140,20 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
 
 #[test]
 fn an_edited_scenario_is_not_imported_over() {
-    let folder = folder();
+    let folder = temp_folder();
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
     let import = |more: &[&str]| {
         let arguments = [&["import", recording.to_str().unwrap(), "--out", "episodes"], more].concat();
-        crumple(folder.path(), &arguments)
+        run_crumple(folder.path(), &arguments)
     };
-    assert_eq!((code(&import(&[])), code(&import(&[]))), (0, 0), "the same again is no edit");
-    let names = names_in(&folder.path().join("episodes"));
+    assert_eq!((exit_code(&import(&[])), exit_code(&import(&[]))), (0, 0), "the same again is no edit");
+    let names = file_names_in(&folder.path().join("episodes"));
     let first = folder.path().join("episodes").join(&names[0]);
     let genuine = fs::read_to_string(&first).unwrap();
     fs::write(&first, genuine.clone() + "# mine\n").unwrap();
     assert_refused(&import(&[]), &format!("{}: is there and says something else: use --force", names[0]));
     assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
-    assert_eq!(code(&import(&["--force"])), 0);
+    assert_eq!(exit_code(&import(&["--force"])), 0);
     assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
 }
 
@@ -162,7 +162,7 @@ fn an_edited_scenario_is_not_imported_over() {
 #[test]
 fn a_report_removes_nothing_that_is_elsewhere() {
     use std::os::unix::fs::symlink;
-    let folder = folder();
+    let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
     for name in ["mine", "report", "report/scenarios", "report/counterexamples"] {
         fs::create_dir(at(name)).unwrap();
@@ -177,7 +177,7 @@ fn a_report_removes_nothing_that_is_elsewhere() {
         let lines: String = names.iter().map(|name| format!("{digest}  {name}\n")).collect();
         fs::write(at("report/report.sha256"), lines).unwrap();
     };
-    let assess = || crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    let assess = || run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
     // However deep: a report would write there, too.
     assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
     fs::remove_file(at("report/counterexamples/deep")).unwrap();
@@ -187,11 +187,11 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     }
     list(&["scenarios/old.toml"]);
     let made = assess();
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
-    assert_eq!(names_in(&at("report/scenarios")), ["own.toml"], "the report removes what it wrote itself");
+    assert_eq!(exit_code(&made), 0, "{}", stderr(&made));
+    assert_eq!(file_names_in(&at("mine")), ["a.toml", "b.toml"]);
+    assert_eq!(file_names_in(&at("report/scenarios")), ["own.toml"], "the report removes what it wrote itself");
     fs::remove_dir_all(at("report/scenarios")).unwrap();
     symlink("../mine", at("report/scenarios")).unwrap();
     assert_refused(&assess(), "report/scenarios: is a symbolic link");
-    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
+    assert_eq!(file_names_in(&at("mine")), ["a.toml", "b.toml"]);
 }

@@ -3,30 +3,30 @@
 use std::fs;
 use std::path::Path;
 
-use super::{assert_refused, code, crumple, folder, names_in, stderr};
+use super::{assert_refused, exit_code, run_crumple, temp_folder, file_names_in, stderr};
 
 /// A link stays, and what it leads to is written; what is no file is left alone.
 #[cfg(unix)]
 #[test]
 fn single_results_go_through_links_and_into_files_only() {
     use std::os::unix::fs::symlink;
-    let folder = folder();
+    let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir(at("elsewhere")).unwrap();
     fs::write(at("elsewhere/target.csv"), "old").unwrap();
     symlink("elsewhere/target.csv", at("link.csv")).unwrap();
     symlink("elsewhere/nothing.csv", at("dangling.csv")).unwrap();
     symlink("/dev/null", at("null.csv")).unwrap();
-    let simulate = |trace: &str| crumple(folder.path(), &["simulate", "paper-1", "--trace", trace]);
-    assert_eq!(code(&simulate("link.csv")), 0);
+    let simulate = |trace: &str| run_crumple(folder.path(), &["simulate", "paper-1", "--trace", trace]);
+    assert_eq!(exit_code(&simulate("link.csv")), 0);
     assert!(at("link.csv").is_symlink() && fs::read_to_string(at("elsewhere/target.csv")).unwrap().contains("time_s"));
     assert_refused(&simulate("dangling.csv"), "dangling.csv: a symbolic link that leads nowhere");
     assert_refused(&simulate("null.csv"), "null.csv: is no file");
     assert!(at("null.csv").is_symlink() && !Path::new("/dev/null").is_file());
-    assert_eq!(names_in(&at("elsewhere")), ["target.csv"]);
+    assert_eq!(file_names_in(&at("elsewhere")), ["target.csv"]);
     symlink("elsewhere/escape.toml", at("escape.toml")).unwrap();
     fs::write(at("elsewhere/escape.toml"), "old").unwrap();
-    assert_eq!(code(&crumple(folder.path(), &["avoid", "paper-1", "--out", "escape.toml"])), 0);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "paper-1", "--out", "escape.toml"])), 0);
     assert!(at("escape.toml").is_symlink() && fs::read_to_string(at("elsewhere/escape.toml")).unwrap() != "old");
 }
 
@@ -44,7 +44,7 @@ fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
 /// More than can be done is refused at once, with the limit.
 #[test]
 fn what_would_take_hours_is_refused_before_it_begins() {
-    let folder = folder();
+    let folder = temp_folder();
     let cases: [(&str, usize, f64, &[&str], &str); 6] = [
         (
             "long",
@@ -79,26 +79,26 @@ fn what_would_take_hours_is_refused_before_it_begins() {
     ];
     for (name, vehicles, duration_s, command, expected) in cases {
         let file = format!("{name}.toml");
-        fs::write(folder.path().join(&file), line_of(vehicles, duration_s)).unwrap();
+        fs::write(folder.path().join(&file), platoon_toml(vehicles, duration_s)).unwrap();
         let begun = std::time::Instant::now();
-        let output = crumple(folder.path(), &[command, &[file.as_str()]].concat());
+        let output = run_crumple(folder.path(), &[command, &[file.as_str()]].concat());
         assert_refused(&output, expected);
         assert!(begun.elapsed().as_secs() < 20, "{name} took {:?}", begun.elapsed());
     }
     let deep = format!("{}v1.gap_m > 0{}", "(".repeat(50_000), ")".repeat(50_000));
     assert_refused(
-        &crumple(folder.path(), &["simulate", "paper-1", "--spec", &deep]),
+        &run_crumple(folder.path(), &["simulate", "paper-1", "--spec", &deep]),
         "more than 4000 words and signs",
     );
     let nots = "not ".repeat(3000) + "v1.gap_m > 0";
-    assert_refused(&crumple(folder.path(), &["simulate", "paper-1", "--spec", &nots]), "more than 64");
+    assert_refused(&run_crumple(folder.path(), &["simulate", "paper-1", "--spec", &nots]), "more than 64");
 }
 
 /// Ctrl-C says where what is gathered is kept, and the same command goes on from there.
 #[cfg(unix)]
 #[test]
 fn an_interrupted_assessment_says_how_to_go_on() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["assess", "--out", "report"];
     let mut command = super::command(folder.path(), &arguments);
     let child = command.stderr(std::process::Stdio::piped()).stdout(std::process::Stdio::null()).spawn().unwrap();
@@ -109,13 +109,13 @@ fn an_interrupted_assessment_says_how_to_go_on() {
     }
     std::thread::sleep(std::time::Duration::from_millis(300));
     assert_refused(
-        &crumple(folder.path(), &arguments),
+        &run_crumple(folder.path(), &arguments),
         "error: report/evidence: another assessment is under way there",
     );
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();
-    assert_eq!(code(&ended), 130, "{}", stderr(&ended));
+    assert_eq!(exit_code(&ended), 130, "{}", stderr(&ended));
     let said = "interrupted: what is gathered is kept in report/evidence: the same command goes on";
     assert!(stderr(&ended).contains(said), "{}", stderr(&ended));
 }

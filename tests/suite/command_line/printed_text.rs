@@ -1,10 +1,10 @@
 //! Text that the program prints, as a reviewer last accepted it.
 
-use super::{done, folder, stdout};
+use super::{run_ok, temp_folder, stdout};
 
 #[test]
 fn printed_text_is_as_reviewed() {
-    let folder = folder();
+    let folder = temp_folder();
     let commands = [
         ("help", "--help"),
         ("simulate", "simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth"),
@@ -12,7 +12,7 @@ fn printed_text_is_as_reviewed() {
         ("list", "list"),
     ];
     for (name, command) in commands {
-        let output = done(folder.path(), &command.split(' ').collect::<Vec<_>>());
+        let output = run_ok(folder.path(), &command.split(' ').collect::<Vec<_>>());
         insta::assert_snapshot!(name, stdout(&output));
     }
 }

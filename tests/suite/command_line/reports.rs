@@ -4,7 +4,7 @@ use crate::report::without_build_info;
 use std::fs;
 use std::path::Path;
 
-use super::{code, command, crumple, folder, names_in, stderr, stdout};
+use super::{exit_code, command, run_crumple, temp_folder, file_names_in, stderr, stdout};
 
 /// A small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
 fn platoon_csv() -> String {
@@ -20,13 +20,13 @@ fn platoon_csv() -> String {
 
 #[test]
 fn an_imported_episode_can_be_simulated_and_assessed() {
-    let folder = folder();
-    fs::write(folder.path().join("platoon.csv"), platoon()).unwrap();
-    let imported = crumple(folder.path(), &["import", "platoon.csv", "--out", "episodes"]);
-    assert_eq!((code(&imported), stdout(&imported)), (0, "platoon.csv: 1 scenario (openacc)\n"), "{imported:?}");
-    let episode = &names_in(&folder.path().join("episodes"))[0];
-    let simulated = crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
-    assert_eq!(code(&simulated), 0, "{simulated:?}");
+    let folder = temp_folder();
+    fs::write(folder.path().join("platoon.csv"), platoon_csv()).unwrap();
+    let imported = run_crumple(folder.path(), &["import", "platoon.csv", "--out", "episodes"]);
+    assert_eq!((exit_code(&imported), stdout(&imported)), (0, "platoon.csv: 1 scenario (openacc)\n"), "{imported:?}");
+    let episode = &file_names_in(&folder.path().join("episodes"))[0];
+    let simulated = run_crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
+    assert_eq!(exit_code(&simulated), 0, "{simulated:?}");
     let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
@@ -48,8 +48,8 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         let out = format!("report-{threads}");
         let output =
             command(folder.path(), &["assess", "a.toml", "--out", &out]).env("RAYON_NUM_THREADS", threads).output();
-        assert_eq!(code(&output.expect("starts")), 0);
-        assert_eq!(names_in(&folder.path().join(&out)), written);
+        assert_eq!(exit_code(&output.expect("starts")), 0);
+        assert_eq!(file_names_in(&folder.path().join(&out)), written);
     }
     for name in &written[..5] {
         let read = |folder_name: &str| {
@@ -64,7 +64,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
 /// Gates decide the exit code, evidence is used again, and whatever is killed goes on to the same bytes.
 #[test]
 fn gates_decide_and_evidence_is_kept() {
-    let folder = folder();
+    let folder = temp_folder();
     let config = |paper: bool, gates: &str| {
         let text = format!(
             "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\n\
@@ -74,19 +74,19 @@ fn gates_decide_and_evidence_is_kept() {
         fs::write(folder.path().join("a.toml"), text).unwrap();
     };
     config(false, "");
-    let first = crumple(folder.path(), &["assess", "a.toml", "--out", "one"]);
-    assert_eq!(code(&first), 0, "{first:?}");
+    let first = run_crumple(folder.path(), &["assess", "a.toml", "--out", "one"]);
+    assert_eq!(exit_code(&first), 0, "{first:?}");
     let mut child = command(folder.path(), &["assess", "a.toml", "--out", "two"]).spawn().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(150));
     child.kill().unwrap();
     child.wait().unwrap();
-    let again = crumple(folder.path(), &["assess", "a.toml", "--out", "two", "--against", "one/assessment.json"]);
-    assert_eq!(code(&again), 0, "{again:?}");
+    let again = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two", "--against", "one/assessment.json"]);
+    assert_eq!(exit_code(&again), 0, "{again:?}");
     assert!(stdout(&again).contains("0 better, 0 worse, 0 new, 0 gone"), "{again:?}");
     let mut pieces = fs::read_dir(folder.path().join("two/evidence")).unwrap().map(|entry| entry.unwrap().path());
     let piece = pieces.find(|path| path.extension().is_some_and(|extension| extension == "json")).unwrap();
     fs::write(&piece, "{").unwrap();
-    let third = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    let third = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     let name = piece.file_name().unwrap().to_string_lossy().into_owned();
     assert!(stderr(&third).contains(&format!("two/evidence/{name} was damaged, and gathered again")), "{third:?}");
     assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
@@ -98,33 +98,33 @@ fn gates_decide_and_evidence_is_kept() {
 
     // Evidence is of its work, and whoever is damaged or none is named beside those who are neither.
     fs::create_dir(folder.path().join("none")).unwrap();
-    let looked = crumple(folder.path(), &["fsck", "one", "none", "two"]);
-    assert_eq!((code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
+    let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
+    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
     fs::write(folder.path().join("one/assessment.md"), "").unwrap();
-    let looked = crumple(folder.path(), &["fsck", "one", "none", "two"]);
+    let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
     assert_eq!(stderr(&looked), "gate: damaged: one; could not be looked at: none\n");
 
     config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
-    let failed = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
-    assert_eq!(code(&failed), 1, "{failed:?}");
+    let failed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    assert_eq!(exit_code(&failed), 1, "{failed:?}");
     assert!(stderr(&failed).contains("gate: baseline: no contact in the paper's scenarios (it collides in paper-1"));
     assert!(stdout(&failed).ends_with("0 of 1 gates hold.\n"), "{failed:?}");
     config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
-    let held = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
-    assert_eq!(code(&held), 0, "{held:?}");
+    let held = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    assert_eq!(exit_code(&held), 0, "{held:?}");
     assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
 }
 
 fn assert_refused_with(folder: &Path, arguments: &[&str], expected: &str) {
-    let output = crumple(folder, arguments);
+    let output = run_crumple(folder, arguments);
     let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
-    assert_eq!(code(&output), 2, "{arguments:?}: {first}");
+    assert_eq!(exit_code(&output), 2, "{arguments:?}: {first}");
     assert!(first.starts_with(expected), "{arguments:?}: {first}");
 }
 
 #[test]
 fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
-    let folder = folder();
+    let folder = temp_folder();
     let cases = [
         ("version = 1\ndraws = \"many\"\n", "error: a.toml:2: draws: invalid type"),
         ("version = 1\n\nspeed = 3\n", "error: a.toml:3: speed: unknown field `speed`"),
@@ -144,14 +144,14 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
     ];
     for (config, expected) in cases {
         fs::write(folder.path().join("a.toml"), config).unwrap();
-        refused(folder.path(), &["assess", "a.toml", "--out", "report"], expected);
+        assert_refused_with(folder.path(), &["assess", "a.toml", "--out", "report"], expected);
     }
-    let truncated = platoon();
+    let truncated = platoon_csv();
     fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
     fs::write(folder.path().join("empty.csv"), "").unwrap();
-    refused(folder.path(), &["import", "cut.csv", "--out", "episodes"], "error: cut.csv:156: ");
-    refused(folder.path(), &["import", "empty.csv", "--out", "episodes"], "error: empty.csv: ");
-    refused(folder.path(), &["import", "missing.csv", "--out", "episodes"], "error: missing.csv: ");
-    refused(folder.path(), &["import", "cut.csv", "--min-brake", "-1"], "error: --min-brake: ");
-    assert_eq!(names_in(folder.path()), ["a.toml", "cut.csv", "empty.csv"], "nothing was written");
+    assert_refused_with(folder.path(), &["import", "cut.csv", "--out", "episodes"], "error: cut.csv:156: ");
+    assert_refused_with(folder.path(), &["import", "empty.csv", "--out", "episodes"], "error: empty.csv: ");
+    assert_refused_with(folder.path(), &["import", "missing.csv", "--out", "episodes"], "error: missing.csv: ");
+    assert_refused_with(folder.path(), &["import", "cut.csv", "--min-brake", "-1"], "error: --min-brake: ");
+    assert_eq!(file_names_in(folder.path()), ["a.toml", "cut.csv", "empty.csv"], "nothing was written");
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::falsify::assert_same;
-use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
+use super::falsify::assert_same_folders;
+use super::{assert_refused, exit_code, command, run_crumple, temp_folder, kill_at_random_times, json_objects, stderr, stdout};
 use crate::tiny;
 
 const RETRAIN_ARGS: [&str; 22] = [
@@ -35,7 +35,7 @@ const RETRAIN_ARGS: [&str; 22] = [
 ];
 
 fn retrain_args<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    [&RETRAIN[..], &[out], more].concat()
+    [&RETRAIN_ARGS[..], &[out], more].concat()
 }
 
 fn file_sha256(path: &Path) -> String {
@@ -49,15 +49,15 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: eight retrainings"]
     fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
-        let folder = folder();
+        let folder = temp_folder();
         // Nothing is drawn from a preset's own spaces, and nothing says that it was.
         let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
         fs::write(folder.path().join("tiny.toml"), format!("{}\n{traffic}", tiny::retraining())).unwrap();
-        let through = command(folder.path(), &retrain("through", &["--format", "json"]))
+        let through = command(folder.path(), &retrain_args("through", &["--format", "json"]))
             .env("RAYON_NUM_THREADS", "1")
             .output()
             .unwrap();
-        check_report(&folder.path().join("through"), &objects(&through)[0]);
+        check_report(&folder.path().join("through"), &json_objects(&through)[0]);
         for round in ["01", "02"] {
             let path = folder.path().join("through/rounds").join(round).join("candidate.safetensors");
             let header = crumple_world::policy::Policy::load(&path).unwrap().header().training.clone();
@@ -66,26 +66,26 @@ mod tier_2 {
         }
         let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
         assert!(!plan.contains("costs_times"), "{plan}");
-        let resume = retrain("killed", &["--format", "json", "--resume"]);
-        let killed = killed_at_random(folder.path(), &resume, (0..6).map(|attempt| 20..300 + 200 * attempt));
+        let resume = retrain_args("killed", &["--format", "json", "--resume"]);
+        let killed = kill_at_random_times(folder.path(), &resume, (0..6).map(|attempt| 20..300 + 200 * attempt));
         assert!(killed >= 2, "killed {killed} times");
         let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-        assert_eq!((code(&ended), stdout(&ended)), (code(&through), stdout(&through)), "{}", stderr(&ended));
-        assert_same(&folder.path().join("through"), &folder.path().join("killed"));
-        let again = crumple(folder.path(), &retrain("killed", &[]));
-        assert_eq!(code(&again), 2, "an existing retraining is not overwritten");
-        let other = crumple(
+        assert_eq!((exit_code(&ended), stdout(&ended)), (exit_code(&through), stdout(&through)), "{}", stderr(&ended));
+        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
+        let again = run_crumple(folder.path(), &retrain_args("killed", &[]));
+        assert_eq!(exit_code(&again), 2, "an existing retraining is not overwritten");
+        let other = run_crumple(
             folder.path(),
-            &retrain("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]),
+            &retrain_args("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]),
         );
         assert_refused(&other, "the retraining there has another `policy`: \"policy\" instead of \"through/");
-        let read = crumple(folder.path(), &resume);
-        assert_eq!((code(&read), stdout(&read)), (code(&through), stdout(&through)), "a complete one is read");
-        let whole = crumple(folder.path(), &["fsck", "killed"]);
-        assert!(code(&whole) == 0 && !stdout(&whole).contains("not of this work"), "{}", stdout(&whole));
+        let read = run_crumple(folder.path(), &resume);
+        assert_eq!((exit_code(&read), stdout(&read)), (exit_code(&through), stdout(&through)), "a complete one is read");
+        let whole = run_crumple(folder.path(), &["fsck", "killed"]);
+        assert!(exit_code(&whole) == 0 && !stdout(&whole).contains("not of this work"), "{}", stdout(&whole));
         fs::write(folder.path().join("killed/rounds/01/search/mine.txt"), "of somebody").unwrap();
         fs::create_dir(folder.path().join("killed/rounds/001")).unwrap();
-        let looked = crumple(folder.path(), &["fsck", "killed"]);
+        let looked = run_crumple(folder.path(), &["fsck", "killed"]);
         for stranger in ["rounds/01/search/mine.txt", "rounds/001"] {
             assert!(stdout(&looked).contains(&format!("  {stranger}: not of this work")), "{}", stdout(&looked));
         }
@@ -102,10 +102,10 @@ fn check_report(folder: &Path, report: &Value) {
         ["policy.safetensors", "retrained-on.json", "selection.json", "kept-aside.json", "judged-on.json"]
     );
     for file in files {
-        assert_eq!(file["sha256"], sha256(&folder.join(file["file"].as_str().unwrap())));
+        assert_eq!(file["sha256"], file_sha256(&folder.join(file["file"].as_str().unwrap())));
     }
     assert_eq!(report["retrained_sha256"], files[0]["sha256"]);
-    assert_eq!(report["plan_sha256"], sha256(&folder.join("retrain.toml")));
+    assert_eq!(report["plan_sha256"], file_sha256(&folder.join("retrain.toml")));
     let rounds = report["rounds"].as_array().unwrap();
     assert_eq!(rounds.len(), 2);
     let mut standing = &report["first_standing"];
@@ -135,10 +135,10 @@ fn check_report(folder: &Path, report: &Value) {
 
 #[test]
 fn mistakes_are_said_before_anything_is_written() {
-    let folder = folder();
+    let folder = temp_folder();
     let retrain = |arguments: &[&str]| {
-        let output = crumple(folder.path(), &[&["retrain"], arguments].concat());
-        assert_eq!((code(&output), stdout(&output)), (2, ""));
+        let output = run_crumple(folder.path(), &[&["retrain"], arguments].concat());
+        assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
     assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` is no policy that can be trained on"));

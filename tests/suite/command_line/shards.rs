@@ -5,17 +5,17 @@ use std::path::Path;
 
 use crumple_core::digest::sha256;
 
-use super::{assert_refused, code, crumple, done, folder, names_in, objects, stderr, stdout};
+use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, json_objects, stderr, stdout};
 
 const COUNT_ARGS: [&str; 7] =
     ["verify", "rate", "--controller=idm", "--space=high-risk", "--estimator=truth", "--runs=900", "--confidence=0.9"];
 
 fn run_shard(folder: &Path, which: &str, out: &str) {
-    done(folder, &[&COUNT[..], &["--shard", which, "--out", out]].concat());
+    run_ok(folder, &[&COUNT_ARGS[..], &["--shard", which, "--out", out]].concat());
 }
 
 fn assert_same_files(folder: &Path, one: &str, other: &str) {
-    for name in names_in(&folder.join(one)) {
+    for name in file_names_in(&folder.join(one)) {
         let read = |of: &str| fs::read(folder.join(of).join(&name)).unwrap();
         assert_eq!(read(one), read(other), "{name}");
     }
@@ -23,43 +23,43 @@ fn assert_same_files(folder: &Path, one: &str, other: &str) {
 
 #[test]
 fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_said() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
-    assert_eq!(code(&crumple(folder, &[&COUNT[..], &["--out", "single"]].concat())), 0);
-    shard(folder, "2/3", "s/b");
-    shard(folder, "3/3", "s/c");
-    let merge = |more: &[&str]| crumple(folder, &[&["merge", "--out", "rate"], more].concat());
+    assert_eq!(exit_code(&run_crumple(folder, &[&COUNT_ARGS[..], &["--out", "single"]].concat())), 0);
+    run_shard(folder, "2/3", "s/b");
+    run_shard(folder, "3/3", "s/c");
+    let merge = |more: &[&str]| run_crumple(folder, &[&["merge", "--out", "rate"], more].concat());
     let output = merge(&["s/c", "s/b", "--format", "json"]);
-    assert_eq!(code(&output), 1);
-    assert_eq!(objects(&output)[0]["missing_shards"], serde_json::json!([1]));
+    assert_eq!(exit_code(&output), 1);
+    assert_eq!(json_objects(&output)[0]["missing_shards"], serde_json::json!([1]));
     assert!(stderr(&output).contains("300 runs are missing, and nothing is written"), "{}", stderr(&output));
     assert!(stdout(&merge(&["s/b"])).contains("missing of 3 shards: 1,3\n"));
     assert!(!folder.join("rate").exists());
     fs::create_dir(folder.join("s/a")).unwrap();
     assert!(stderr(&merge(&["s/a", "s/b"])).contains("s/a: not begun"));
-    shard(folder, "1/3", "s/a");
+    run_shard(folder, "1/3", "s/a");
     for _ in 0..2 {
         let output = merge(&["s/c", "s/a", "s/b", "s/a"]);
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
         assert!(stdout(&output).contains("of 900 runs\nrate/certificate.json: accepted"), "{}", stdout(&output));
         assert_same_files(folder, "single", "rate");
     }
     assert_refused(&merge(&["s/a", "single"]), "single: a count, and what came before it is a shard of a count");
     assert_refused(&merge(&["s/a", "s/b", "--partial"]), "--partial: only of a search a part is of use");
     assert_refused(
-        &crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]),
+        &run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]),
         "s/b, which is one of the shards",
     );
     // Another count in its folder: in what, and both values.
-    let other = crumple(folder, &[&COUNT[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
+    let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
     assert_refused(&other, "another `count.registration.configuration.seed`: \"0\" instead of \"1\"");
-    let other = crumple(folder, &[&COUNT[..], &["--seed=1", "--out=rate", "--resume"]].concat());
+    let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--out=rate", "--resume"]].concat());
     assert_refused(
         &other,
         "rate/registration.json: the count there has another `configuration.seed`: \"0\" instead of \"1\"",
     );
     assert_refused(&merge(&["nowhere"]), "nowhere: there is no such folder");
-    shard(folder, "1/2", "half");
+    run_shard(folder, "1/2", "half");
     assert_refused(&merge(&["s/a", "half"]), "half: shard 1/2 has done what shard 1/3 in s/a has done, too");
     // Without its manifest it is no shard of anything else.
     fs::rename(folder.join("s/b/work.json"), folder.join("kept.json")).unwrap();
@@ -71,28 +71,28 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
     let text = fs::read_to_string(&progress).unwrap();
     fs::write(&progress, text.replacen("\"runs\": 300", "\"runs\": 400", 1)).unwrap();
     assert_refused(&merge(&["s/a", "s/b"]), "s/a/progress.json: not as it was written");
-    assert_refused(&crumple(folder, &[&COUNT[..], &["--shard", "1/10"]].concat()), "there are 9 blocks of runs");
+    assert_refused(&run_crumple(folder, &[&COUNT_ARGS[..], &["--shard", "1/10"]].concat()), "there are 9 blocks of runs");
 }
 
 #[test]
 fn shards_of_an_estimate_are_merged() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let rare = ["verify", "rate", "--controller=match-leader", "--rare", "--samples=50", "--repetitions=5"];
-    let single = crumple(folder, &[&rare[..], &["--out", "single"]].concat());
+    let single = run_crumple(folder, &[&rare[..], &["--out", "single"]].concat());
     for index in ["1", "2"] {
         let which = format!("{index}/2");
-        assert_eq!(code(&crumple(folder, &[&rare[..], &["--shard", &which, "--out", index]].concat())), 0);
+        assert_eq!(exit_code(&run_crumple(folder, &[&rare[..], &["--shard", &which, "--out", index]].concat())), 0);
     }
-    let output = crumple(folder, &["merge", "2", "--out", "rare"]);
-    assert_eq!(code(&output), 1);
+    let output = run_crumple(folder, &["merge", "2", "--out", "rare"]);
+    assert_eq!(exit_code(&output), 1);
     assert!(stderr(&output).contains("2 repetitions are missing, shards 1 of 2"), "{}", stderr(&output));
-    let output = crumple(folder, &["merge", "2", "--out", "rare", "--format=json"]);
-    assert_eq!(code(&output), 1);
+    let output = run_crumple(folder, &["merge", "2", "--out", "rare", "--format=json"]);
+    assert_eq!(exit_code(&output), 1);
     let missing = serde_json::json!({ "missing_repetitions": 2, "of_shards": 2, "missing_shards": [1] });
-    assert_eq!(objects(&output), [missing]);
-    let output = crumple(folder, &["merge", "2", "1", "--out", "rare"]);
-    assert_eq!((code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
+    assert_eq!(json_objects(&output), [missing]);
+    let output = run_crumple(folder, &["merge", "2", "1", "--out", "rare"]);
+    assert_eq!((exit_code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
     assert_same_files(folder, "single", "rare");
 }
 
@@ -102,27 +102,27 @@ const SEARCH_ARGS: [&str; 5] =
 /// Four files a shard; of a reference search the folder and the words of one machine, otherwise what is missing.
 #[test]
 fn shards_of_a_search_are_one_campaign() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
-    let single = done(folder, &[&SEARCH[..], &["--log=summary", "--out=single"]].concat());
+    let single = run_ok(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=single"]].concat());
     for index in ["1", "2", "3"] {
         let which = format!("{index}/3");
-        done(folder, &[&SEARCH[..], &["--shard", &which, "--out", index]].concat());
-        assert_eq!(names_in(&folder.join(index)), ["findings.json", "shard.json", "work.json", "work.lock"]);
+        run_ok(folder, &[&SEARCH_ARGS[..], &["--shard", &which, "--out", index]].concat());
+        assert_eq!(file_names_in(&folder.join(index)), ["findings.json", "shard.json", "work.json", "work.lock"]);
     }
-    let output = crumple(folder, &["merge", "3", "1", "--out=campaign"]);
-    assert_eq!(code(&output), 1);
+    let output = run_crumple(folder, &["merge", "3", "1", "--out=campaign"]);
+    assert_eq!(exit_code(&output), 1);
     assert!(stdout(&output).contains("INCOMPLETE: missing of 3 shards: 2\n"), "{}", stdout(&output));
     assert!(
         stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3, and nothing is written")
     );
     assert!(!folder.join("campaign").exists());
-    let output = crumple(folder, &["merge", "3", "1", "--partial", "--out=part"]);
-    assert_eq!(code(&output), 1);
-    assert!(names_in(&folder.join("part")).contains(&"summary.json".to_owned()));
+    let output = run_crumple(folder, &["merge", "3", "1", "--partial", "--out=part"]);
+    assert_eq!(exit_code(&output), 1);
+    assert!(file_names_in(&folder.join("part")).contains(&"summary.json".to_owned()));
     for _ in 0..2 {
-        let output = crumple(folder, &["merge", "3", "1", "2", "3", "--out=campaign"]);
-        assert_eq!((code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
+        let output = run_crumple(folder, &["merge", "3", "1", "2", "3", "--out=campaign"]);
+        assert_eq!((exit_code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
     }
     for name in ["campaign.toml", "summary.json", "summary.txt", "work.json"] {
         assert_eq!(
@@ -132,87 +132,87 @@ fn shards_of_a_search_are_one_campaign() {
     }
     assert_same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
     // It is a campaign like any other, and a part is no whole one.
-    let looked = crumple(folder, &["fsck", "campaign", "part"]);
-    assert_eq!(code(&looked), 0);
+    let looked = run_crumple(folder, &["fsck", "campaign", "part"]);
+    assert_eq!(exit_code(&looked), 0);
     assert!(stdout(&looked).contains("campaign: a campaign, complete; "), "{}", stdout(&looked));
     assert!(
         stdout(&looked).contains("part: a campaign, put together without 20 evaluations of each method"),
         "{}",
         stdout(&looked)
     );
-    let again = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=campaign", "--resume"]].concat());
-    assert_eq!((code(&again), stdout(&again)), (0, stdout(&single)));
-    let part = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=part", "--resume"]].concat());
+    let again = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=campaign", "--resume"]].concat());
+    assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&single)));
+    let part = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=part", "--resume"]].concat());
     assert_refused(&part, "the campaign there has another `divided`");
-    assert_refused(&crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
-    assert_refused(&crumple(folder, &[&SEARCH[..], &["--shard=1/2", "--log=full"]].concat()), "a shard keeps no log");
-    assert_refused(&crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit and HTML are of suites");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
+    assert_refused(&run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()), "a shard keeps no log");
+    assert_refused(&run_crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit and HTML are of suites");
 }
 
 #[test]
 fn shards_of_a_suite_say_what_one_machine_says() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let run = ["suite", "run", "afgbv-cut-in", "--controller=match-leader", "--controller=idm", "--estimator=truth"];
     for index in ["1", "2", "3", "4"] {
         let which = format!("{index}/4");
-        done(folder, &[&run[..], &["--shard", &which, "--out", index]].concat());
+        run_ok(folder, &[&run[..], &["--shard", &which, "--out", index]].concat());
     }
     for format in ["text", "json", "junit"] {
-        let single = crumple(folder, &[&run[..], &["--out=failures", "--format", format]].concat());
+        let single = run_crumple(folder, &[&run[..], &["--out=failures", "--format", format]].concat());
         fs::rename(folder.join("failures"), folder.join("single")).unwrap();
-        let merged = crumple(folder, &["merge", "4", "2", "1", "3", "1", "--out=failures", "--format", format]);
-        assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
+        let merged = run_crumple(folder, &["merge", "4", "2", "1", "3", "1", "--out=failures", "--format", format]);
+        assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
         assert_same_files(folder, "single", "failures");
         fs::remove_dir_all(folder.join("single")).unwrap();
     }
-    let output = crumple(folder, &["merge", "1", "2", "4", "--out=x"]);
-    assert_eq!(code(&output), 1);
+    let output = run_crumple(folder, &["merge", "1", "2", "4", "--out=x"]);
+    assert_eq!(exit_code(&output), 1);
     assert!(
         stderr(&output).contains("tests are missing, shards 3 of 4, and nothing is written: cut-in-"),
         "{}",
         stderr(&output)
     );
-    let output = crumple(folder, &["merge", "1", "2", "4", "--out=x", "--format=json"]);
-    assert_eq!(code(&output), 1);
-    let missing = &objects(&output)[0];
+    let output = run_crumple(folder, &["merge", "1", "2", "4", "--out=x", "--format=json"]);
+    assert_eq!(exit_code(&output), 1);
+    let missing = &json_objects(&output)[0];
     assert_eq!((&missing["missing_shards"], &missing["of_shards"]), (&serde_json::json!([3]), &serde_json::json!(4)));
     assert_eq!(missing["missing_tests"].as_array().unwrap().len(), 3, "{missing}");
     assert!(!folder.join("x").exists());
-    done(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
-    assert_refused(&crumple(folder, &["merge", "1", "other", "--out=x"]), "the list of controllers differs");
+    run_ok(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
+    assert_refused(&run_crumple(folder, &["merge", "1", "other", "--out=x"]), "the list of controllers differs");
     let results = folder.join("2/results.json");
     let text = fs::read_to_string(&results).unwrap();
     fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
-    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: not as it was written");
-    assert_refused(&crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: not as it was written");
+    assert_refused(&run_crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
 }
 
 /// From merged evidence the report is written without gathering anything.
 #[test]
 fn shards_of_an_assessment_are_its_evidence() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\nsubject = \"idm\"\npaper = false\ndistributions = [\"paper\"]\n\
                   draws = 20\neveryday_draws = 2\nsearch = { spaces = [\"paper\"], budget = 20 }\nrates = { runs = 100, confidence = 0.9 }\n";
     fs::write(folder.join("a.toml"), config).unwrap();
-    assert_eq!(code(&crumple(folder, &["assess", "a.toml", "--out=single"])), 0);
+    assert_eq!(exit_code(&run_crumple(folder, &["assess", "a.toml", "--out=single"])), 0);
     for index in ["1", "2"] {
         let which = format!("{index}/2");
-        done(folder, &["assess", "a.toml", "--shard", &which, "--out", index]);
-        assert_eq!(names_in(&folder.join(index)), ["evidence.json", "shard.json", "work.json", "work.lock"]);
+        run_ok(folder, &["assess", "a.toml", "--shard", &which, "--out", index]);
+        assert_eq!(file_names_in(&folder.join(index)), ["evidence.json", "shard.json", "work.json", "work.lock"]);
     }
-    let output = crumple(folder, &["merge", "2", "--out=report"]);
-    assert_eq!(code(&output), 1);
+    let output = run_crumple(folder, &["merge", "2", "--out=report"]);
+    assert_eq!(exit_code(&output), 1);
     assert!(stderr(&output).contains("evidence is missing, shards 1 of 2, and `assess` would gather it: "));
-    let output = crumple(folder, &["merge", "2", "--out=report", "--format=json"]);
-    assert_eq!(code(&output), 1);
-    let said = &objects(&output)[0];
+    let output = run_crumple(folder, &["merge", "2", "--out=report", "--format=json"]);
+    assert_eq!(exit_code(&output), 1);
+    let said = &json_objects(&output)[0];
     assert_eq!((&said["pieces"], &said["missing_shards"]), (&serde_json::json!(3), &serde_json::json!([1])), "{said}");
     assert!(said["is_of_this_build"] == true && said["missing"].as_array().unwrap().len() == 2, "{said}");
-    done(folder, &["merge", "2", "1", "2", "--out=report"]);
+    run_ok(folder, &["merge", "2", "1", "2", "--out=report"]);
     assert_same_files(folder, "single/evidence", "report/evidence");
-    let output = crumple(folder, &["assess", "a.toml", "--out=report"]);
+    let output = run_crumple(folder, &["assess", "a.toml", "--out=report"]);
     assert!(stderr(&output).contains("5 of 5 pieces of evidence were there"), "{}", stderr(&output));
     let report = |of: &str| {
         let text = fs::read_to_string(folder.join(of).join("assessment.json")).unwrap();
@@ -223,28 +223,28 @@ fn shards_of_an_assessment_are_its_evidence() {
     };
     assert_eq!(report("single"), report("report"));
     fs::write(folder.join("b.toml"), config.replace("draws = 20", "draws = 21")).unwrap();
-    assert_eq!(code(&crumple(folder, &["assess", "b.toml", "--shard=1/2", "--out=b"])), 0);
+    assert_eq!(exit_code(&run_crumple(folder, &["assess", "b.toml", "--shard=1/2", "--out=b"])), 0);
     assert_refused(
-        &crumple(folder, &["merge", "2", "b", "--out=x"]),
+        &run_crumple(folder, &["merge", "2", "b", "--out=x"]),
         "the configuration, or something that it names, differs",
     );
-    assert_refused(&crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]), "there are 5 pieces of evidence");
+    assert_refused(&run_crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]), "there are 5 pieces of evidence");
 }
 
 #[test]
 fn shards_of_trainings_are_put_together_with_their_results() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let train = ["train", "--seeds=3", "--episodes=4"];
-    crumple(folder, &[&train[..], &["--out=single"]].concat());
+    run_crumple(folder, &[&train[..], &["--out=single"]].concat());
     for index in ["1", "2"] {
         let which = format!("{index}/2");
-        crumple(folder, &[&train[..], &["--shard", &which, "--out", index]].concat());
+        run_crumple(folder, &[&train[..], &["--shard", &which, "--out", index]].concat());
     }
-    assert!(stderr(&crumple(folder, &["merge", "2", "--out=all"])).contains("seeds are missing of 3: 0"));
-    let output = crumple(folder, &["merge", "2", "1", "2", "--out=all"]);
+    assert!(stderr(&run_crumple(folder, &["merge", "2", "--out=all"])).contains("seeds are missing of 3: 0"));
+    let output = run_crumple(folder, &["merge", "2", "1", "2", "--out=all"]);
     assert!(!stderr(&output).contains("missing"), "{}", stderr(&output));
-    assert_eq!(names_in(&folder.join("single")), names_in(&folder.join("all")));
+    assert_eq!(file_names_in(&folder.join("single")), file_names_in(&folder.join("all")));
     for name in ["training.json", "learning-curve.json", "learning-curve.svg"] {
         assert_eq!(
             fs::read(folder.join("single").join(name)).unwrap(),
@@ -254,15 +254,15 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     for seed in 0..3 {
         assert_same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
     }
-    let output = crumple(folder, &["merge", "2", "--out=some", "--format=json"]);
-    let said = &objects(&output)[0];
+    let output = run_crumple(folder, &["merge", "2", "--out=some", "--format=json"]);
+    let said = &json_objects(&output)[0];
     assert_eq!((&said["missing_seeds"], &said["missing_shards"]), (&serde_json::json!([0]), &serde_json::json!([1])));
     assert_eq!(said["seeds"].as_array().unwrap().len(), 2, "{said}");
     // A shard that was not begun is missing, wherever it is named.
     fs::create_dir(folder.join("not")).unwrap();
     for order in [["not", "2"], ["2", "not"]] {
-        let output = crumple(folder, &[&["merge", "--out=some"], &order[..]].concat());
-        assert_eq!(code(&output), 1);
+        let output = run_crumple(folder, &[&["merge", "--out=some"], &order[..]].concat());
+        assert_eq!(exit_code(&output), 1);
         assert!(
             stderr(&output).contains("not: not begun")
                 && stderr(&output).contains("seeds are missing of 3: 0, shards 1 of 2")
@@ -270,23 +270,23 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     }
     // What is refused leaves nothing behind.
     let refused = |folders: &[&str], said: &str| {
-        assert_refused(&crumple(folder, &[&["merge", "--out=x"], folders].concat()), said);
+        assert_refused(&run_crumple(folder, &[&["merge", "--out=x"], folders].concat()), said);
         assert!(!folder.join("x").exists());
     };
-    crumple(folder, &[&train[..], &["--shard=1/1", "--out=whole"]].concat());
+    run_crumple(folder, &[&train[..], &["--shard=1/1", "--out=whole"]].concat());
     refused(&["2", "whole"], "whole: shard 1/1 has done what shard 2/2 in 2 has done, too");
     refused(&["1", "2", "--partial"], "--partial: only of a search");
-    assert_refused(&crumple(folder, &["merge", "1", "2", "--out=2"]), "2, which is one of the shards");
-    shard(folder, "1/3", "count");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=2"]), "2, which is one of the shards");
+    run_shard(folder, "1/3", "count");
     for order in [["count", "1"], ["1", "count"]] {
         refused(&order, &format!("{}: a shard of", order[1]));
     }
     // The same seed that came to something else in a copy of its shard.
-    crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
+    run_crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
     let result = folder.join("copy/seed-0/result.json");
     let text = fs::read_to_string(&result).unwrap();
     let changed = text.replacen("\"unseen_contacts\": ", "\"unseen_contacts\": 1", 1);
-    rewritten(&folder.join("copy/seed-0"), "result.json", &changed);
+    rewrite_with_manifest(&folder.join("copy/seed-0"), "result.json", &changed);
     refused(&["1", "2", "copy"], "copy: shard 1/2 came to something else in 1");
     // A seed in another's place, a shard that says something else, one without a word of itself.
     fs::rename(folder.join("1/seed-0"), folder.join("2/seed-2-was")).unwrap();
@@ -318,32 +318,32 @@ fn rewrite_with_manifest(folder: &Path, name: &str, text: &str) {
 #[cfg(unix)]
 #[test]
 fn a_plan_of_a_search_makes_its_shards() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let formula = "--spec=always v1.gap_m > 0.5";
     let plan =
         ["plan", "--controller=idm", "--space=high-risk", "--budget=40", "--shards=2", "--method=uniform", formula];
-    let output = done(folder, &[&plan[..], &["--out=p"]].concat());
+    let output = run_ok(folder, &[&plan[..], &["--out=p"]].concat());
     assert!(stdout(&output).contains("80 evaluations: 40 by uniform"), "{}", stdout(&output));
     for index in ["1", "2"] {
         let mut task = std::process::Command::new("sh");
         task.args(["p/task.sh", index]).current_dir(folder).env("CRUMPLE", env!("CARGO_BIN_EXE_crumple"));
         assert!(task.output().unwrap().status.success());
     }
-    let merged = crumple(folder, &["merge", "p/shards/1", "p/shards/2", "--out=campaign"]);
+    let merged = run_crumple(folder, &["merge", "p/shards/1", "p/shards/2", "--out=campaign"]);
     let planned: serde_json::Value = serde_json::from_slice(&fs::read(folder.join("p/plan.json")).unwrap()).unwrap();
     let words: Vec<String> = serde_json::from_value(planned["command"].clone()).unwrap();
     let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
-    let single = crumple(folder, &[&words[..], &["--log=summary", "--out=single"]].concat());
-    assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
-    assert_refused(&crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
+    let single = run_crumple(folder, &[&words[..], &["--log=summary", "--out=single"]].concat());
+    assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
+    assert_refused(&run_crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
     // Not over an earlier one, unless that is meant.
-    assert_refused(&crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
-    let again = done(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
+    assert_refused(&run_crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
+    let again = run_ok(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
     let read = |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).unwrap();
     assert_eq!(read(&again.stdout), read(&fs::read(folder.join("p/plan.json")).unwrap()));
     // A folder that looks like an option.
-    let output = done(folder, &[&plan[..], &["--out=-x"]].concat());
+    let output = run_ok(folder, &[&plan[..], &["--out=-x"]].concat());
     for line in
         ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/campaign\n"]
     {
@@ -352,9 +352,9 @@ fn a_plan_of_a_search_makes_its_shards() {
     let mut task = std::process::Command::new("sh");
     task.args(["./-x/task.sh", "1"]).current_dir(folder).env("CRUMPLE", env!("CARGO_BIN_EXE_crumple"));
     assert!(task.output().unwrap().status.success() && folder.join("-x/shards/1/work.json").exists());
-    assert_eq!(code(&crumple(folder, &["merge", "./-x/shards/1", "p/shards/2", "--out=campaign"])), 0);
+    assert_eq!(exit_code(&run_crumple(folder, &["merge", "./-x/shards/1", "p/shards/2", "--out=campaign"])), 0);
     assert_refused(
-        &crumple(folder, &["plan", "--controller=idm", "--budget=3", "--shards=4"]),
+        &run_crumple(folder, &["plan", "--controller=idm", "--budget=3", "--shards=4"]),
         "there are 3 evaluations",
     );
 }
@@ -363,14 +363,14 @@ fn a_plan_of_a_search_makes_its_shards() {
 #[cfg(unix)]
 #[test]
 fn what_a_plan_writes_makes_what_it_says() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let plan = ["plan", "--controller=idm", "--rate-below=0.01", "--failures=1", "--confidence=0.9", "--shards=3"];
-    let output = crumple(folder, &[&plan[..], &["--estimator=truth", "--out", "it's; a plan"]].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = run_crumple(folder, &[&plan[..], &["--estimator=truth", "--out", "it's; a plan"]].concat());
+    assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
     assert!(stdout(&output).contains("crumple merge 'it'\\''s; a plan/shards'/* --out"), "{}", stdout(&output));
     let out = folder.join("it's; a plan");
-    assert_eq!(names_in(&out), ["hyperqueue_job.py", "plan.json", "ray_job.py", "slurm.sh", "task.sh"]);
+    assert_eq!(file_names_in(&out), ["hyperqueue_job.py", "plan.json", "ray_job.py", "slurm.sh", "task.sh"]);
     let planned: serde_json::Value = serde_json::from_slice(&fs::read(out.join("plan.json")).unwrap()).unwrap();
     assert!(planned["rate_at_most"].as_f64().unwrap() <= 0.01, "{planned}");
     for index in 1..=3 {
@@ -381,17 +381,17 @@ fn what_a_plan_writes_makes_what_it_says() {
     }
     let shards: Vec<String> = (1..=3).map(|index| format!("it's; a plan/shards/{index}")).collect();
     let shards: Vec<&str> = shards.iter().map(String::as_str).collect();
-    done(folder, &[&["merge", "--out", "rate"], &shards[..]].concat());
+    run_ok(folder, &[&["merge", "--out", "rate"], &shards[..]].concat());
     let words: Vec<String> = serde_json::from_value(planned["command"].clone()).unwrap();
     let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
-    assert_eq!(code(&crumple(folder, &[&words[..], &["--out", "single"]].concat())), 0);
+    assert_eq!(exit_code(&run_crumple(folder, &[&words[..], &["--out", "single"]].concat())), 0);
     assert_same_files(folder, "single", "rate");
     for (more, said) in [
         ("--rate-below=0", "rate: must be above 0 and below 1"),
         ("--rate-below=1e-12", "would take more than 1000000000 runs"),
         ("--runs=0", "runs: must be from 1 to 1000000000"),
     ] {
-        assert_refused(&crumple(folder, &["plan", "--controller=idm", more]), said);
+        assert_refused(&run_crumple(folder, &["plan", "--controller=idm", more]), said);
     }
 }
 
@@ -421,7 +421,7 @@ fn write_engine_stubs(folder: &Path) {
 #[cfg(unix)]
 #[test]
 fn job_files_connect_to_what_is_named_and_to_nothing_else() {
-    let folder = folder();
+    let folder = temp_folder();
     let folder = folder.path();
     let python = |words: &[&str], address: Option<&str>| {
         let mut python = std::process::Command::new("python3");
@@ -434,11 +434,11 @@ fn job_files_connect_to_what_is_named_and_to_nothing_else() {
         println!("skipped: there is no python3");
         return;
     }
-    engines(folder);
-    assert_eq!(code(&crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])), 0);
+    write_engine_stubs(folder);
+    assert_eq!(exit_code(&run_crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])), 0);
     let said = |words: &[&str], address: Option<&str>| {
         let output = python(words, address).unwrap();
-        assert_eq!((code(&output), stderr(&output).lines().count()), (1, 1), "{}", stderr(&output));
+        assert_eq!((exit_code(&output), stderr(&output).lines().count()), (1, 1), "{}", stderr(&output));
         (stdout(&output).to_owned(), stderr(&output).to_owned())
     };
     let (asked, why) = said(&["p/ray_job.py"], None);

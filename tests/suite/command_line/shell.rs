@@ -7,7 +7,7 @@ use super::*;
 
 /// The subcommands that `--help` lists.
 fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
-    let help = crumple(folder, &["--help"]);
+    let help = run_crumple(folder, &["--help"]);
     let commands = stdout(&help).split("Commands:").nth(1).unwrap().split("Options:").next().unwrap().to_owned();
     let names = commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
@@ -16,10 +16,10 @@ fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
 /// Every command has a page, and every shell completes every command.
 #[test]
 fn pages_and_completions_know_every_command() {
-    let folder = folder();
-    let commands = listed(folder.path());
+    let folder = temp_folder();
+    let commands = listed_subcommands(folder.path());
     assert!(commands.len() > 15, "{commands:?}");
-    done(folder.path(), &["man", "--out", "man"]);
+    run_ok(folder.path(), &["man", "--out", "man"]);
     for command in &commands {
         let page = fs::read_to_string(folder.path().join(format!("man/crumple-{command}.1"))).unwrap();
         assert!(page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"), "{command}");
@@ -27,7 +27,7 @@ fn pages_and_completions_know_every_command() {
     assert!(folder.path().join("man/crumple-verify-rate.1").exists());
     // The synopsis is what `--help` says: what has to be there stands without brackets, with what it takes.
     for words in [&["suite", "run"][..], &["suite", "map"], &["verify", "rate"], &["merge"], &["simulate"]] {
-        let help = crumple(folder.path(), &[words, &["--help"]].concat());
+        let help = run_crumple(folder.path(), &[words, &["--help"]].concat());
         let usage = stdout(&help).lines().find_map(|line| line.strip_prefix("Usage: ")).expect("a usage").to_owned();
         let page = fs::read_to_string(folder.path().join(format!("man/crumple-{}.1", words.join("-")))).unwrap();
         let synopsis = page.split(".SH SYNOPSIS\n").nth(1).unwrap().split("\n.SH").next().unwrap();
@@ -35,40 +35,40 @@ fn pages_and_completions_know_every_command() {
         assert_eq!(plain.split_whitespace().collect::<Vec<_>>(), usage.split_whitespace().collect::<Vec<_>>());
     }
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let script = done(folder.path(), &["completions", shell]);
+        let script = run_ok(folder.path(), &["completions", shell]);
         let missing: Vec<_> = commands.iter().filter(|command| !stdout(&script).contains(*command)).collect();
         assert!(missing.is_empty(), "{shell}: {missing:?}");
     }
-    assert_refused(&crumple(folder.path(), &["completions", "tcsh"]), "invalid value 'tcsh'");
+    assert_refused(&run_crumple(folder.path(), &["completions", "tcsh"]), "invalid value 'tcsh'");
 }
 
 /// It says what is missing where nothing is on the `PATH`, and never fails for it.
 #[test]
 fn a_doctor_says_what_is_missing() {
-    let folder = folder();
+    let folder = temp_folder();
     let told = command(folder.path(), &["doctor", "--format", "json"]).env("PATH", "/nowhere").output().unwrap();
-    assert_eq!(code(&told), 0, "{}", stderr(&told));
-    let report = &objects(&told)[0];
+    assert_eq!(exit_code(&told), 0, "{}", stderr(&told));
+    let report = &json_objects(&told)[0];
     // The first is crumple's own, for FMUs, and lies beside it.
     assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
     assert!(report["fused_multiply_add"].is_boolean());
     assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
-    let text = crumple(folder.path(), &["doctor"]);
+    let text = run_crumple(folder.path(), &["doctor"]);
     assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
 }
 
 /// What is shown is a file that takes the place of its name.
 #[test]
 fn what_is_built_in_is_shown_as_a_file() {
-    let folder = folder();
+    let folder = temp_folder();
     let show = |arguments: &[&str]| {
-        let shown = done(folder.path(), &[&["show"], arguments].concat());
+        let shown = run_ok(folder.path(), &[&["show"], arguments].concat());
         fs::write(folder.path().join("mine.toml"), stdout(&shown)).unwrap();
         stdout(&shown).to_owned()
     };
     let runs = |arguments: &[&str]| {
-        let run = crumple(folder.path(), arguments);
-        assert_eq!(code(&run), 0, "{arguments:?}: {}", stderr(&run));
+        let run = run_crumple(folder.path(), arguments);
+        assert_eq!(exit_code(&run), 0, "{arguments:?}: {}", stderr(&run));
         stdout(&run).to_owned()
     };
     show(&["paper-1"]);
@@ -77,8 +77,8 @@ fn what_is_built_in_is_shown_as_a_file() {
     runs(&["verify", "rate", "--controller", "idm", "--space", "mine.toml", "--runs", "5", "--out", "rate"]);
     show(&["fast"]);
     let trained =
-        crumple(folder.path(), &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"]);
-    assert_ne!(code(&trained), 2, "{}", stderr(&trained));
+        run_crumple(folder.path(), &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"]);
+    assert_ne!(exit_code(&trained), 2, "{}", stderr(&trained));
     show(&["un-r152"]);
     assert_eq!(
         runs(&["suite", "run", "mine.toml", "--controller", "idm"]),
@@ -88,8 +88,8 @@ fn what_is_built_in_is_shown_as_a_file() {
     let recording = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
     runs(&["import", recording, "--map", "mine.toml"]);
     show(&["paper-2", "--kind", "box"]);
-    let reached = crumple(folder.path(), &["verify", "reach", "--box", "mine.toml", "--depth", "0"]);
-    assert_ne!(code(&reached), 2, "{}", stderr(&reached));
+    let reached = run_crumple(folder.path(), &["verify", "reach", "--box", "mine.toml", "--depth", "0"]);
+    assert_ne!(exit_code(&reached), 2, "{}", stderr(&reached));
     let vehicle = show(&["heavy"]);
     let head = "version = 1\nname = \"two\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 50.0\nspeed_mps = 0.0\n\
                 driver.constant-speed = {}\n";
@@ -97,11 +97,11 @@ fn what_is_built_in_is_shown_as_a_file() {
     runs(&["simulate", "two.toml", "--expect", "safe"]);
 
     // Names of several kinds are said to be that.
-    let shown = crumple(folder.path(), &["show", "paper"]);
+    let shown = run_crumple(folder.path(), &["show", "paper"]);
     assert!(stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"), "{shown:?}");
     assert!(show(&["paper", "--kind", "preset"]).contains("actor_rate"));
     assert!(show(&["retrain"]).contains("[td3]"));
-    let unknown = crumple(folder.path(), &["show", "paper-4"]);
+    let unknown = run_crumple(folder.path(), &["show", "paper-4"]);
     assert_refused(
         &unknown,
         "there is no built-in file `paper-4`. Names: scenario: paper-1, paper-2, paper-3; space: paper,",

@@ -6,21 +6,21 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{assert_refused, code, crumple, done, folder, names_in, stderr, stdout, write_changed};
+use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, stderr, stdout, write_with_replacements};
 use crate::tiny;
 
 const SEED_FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
 
 fn read_seed_files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
-    FILES.map(|name| fs::read(folder.join(out).join(format!("seed-{seed}")).join(name)).unwrap())
+    SEED_FILES.map(|name| fs::read(folder.join(out).join(format!("seed-{seed}")).join(name)).unwrap())
 }
 
 #[test]
 fn a_killed_training_goes_on_to_the_same_bytes() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let train = |out| ["train", "--preset", "tiny.toml", "--seeds", "2", "--episodes", "45", "--out", out];
-    let through = done(folder.path(), &train("through"));
+    let through = run_ok(folder.path(), &train("through"));
     assert!(stdout(&through).starts_with("  seed"));
     let mut child = Command::new(env!("CARGO_BIN_EXE_crumple"))
         .args(train("killed"))
@@ -36,12 +36,12 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    let again = crumple(folder.path(), &train("killed"));
-    assert_eq!(code(&again), 2, "an existing training is not overwritten");
-    let resumed = done(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
+    let again = run_crumple(folder.path(), &train("killed"));
+    assert_eq!(exit_code(&again), 2, "an existing training is not overwritten");
+    let resumed = run_ok(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
     assert_eq!(stdout(&resumed), stdout(&through));
     for seed in 0..2 {
-        for (name, (through, killed)) in FILES.iter().zip(files(folder.path(), "through", seed).into_iter().zip(files(
+        for (name, (through, killed)) in SEED_FILES.iter().zip(read_seed_files(folder.path(), "through", seed).into_iter().zip(read_seed_files(
             folder.path(),
             "killed",
             seed,
@@ -54,13 +54,13 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
 /// A training that ended and was made longer is the longer one, wherever it ended: after an evaluation, or between two.
 #[test]
 fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
-    let folder = folder();
-    let preset = tiny::changed(&tiny::training(), &[("every_episodes = 1", "every_episodes = 3")]);
+    let folder = temp_folder();
+    let preset = tiny::replace_passages(&tiny::training(), &[("every_episodes = 1", "every_episodes = 3")]);
     fs::write(folder.path().join("tiny.toml"), preset).unwrap();
     let train = |out: &str, episodes: &str, more: &[&str]| {
         let common = ["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", episodes, "--out", out];
-        let trained = crumple(folder.path(), &[&common, more].concat());
-        assert!([0, 1].contains(&code(&trained)), "{}", stderr(&trained));
+        let trained = run_crumple(folder.path(), &[&common, more].concat());
+        assert!([0, 1].contains(&exit_code(&trained)), "{}", stderr(&trained));
     };
     train("straight", "14", &[]);
     // At once, during the random episodes, after an evaluation and between two.
@@ -73,8 +73,8 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
         for episodes in [ends[1], "14"] {
             train(out, episodes, &["--resume"]);
         }
-        let both = files(folder.path(), "straight", 4).into_iter().zip(files(folder.path(), out, 4));
-        for (name, (straight, longer)) in FILES.iter().zip(both) {
+        let both = read_seed_files(folder.path(), "straight", 4).into_iter().zip(read_seed_files(folder.path(), out, 4));
+        for (name, (straight, longer)) in SEED_FILES.iter().zip(both) {
             assert!(straight == longer, "{out}: {name}");
         }
     }
@@ -83,19 +83,19 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
 /// Whatever order seeds are trained in, and in however many commands, `training.json` is about all of them.
 #[test]
 fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let train = |more: &[&str]| {
         let common = ["train", "--preset", "tiny.toml", "--episodes", "12", "--out", "run"];
-        crumple(folder.path(), &[&common, more].concat())
+        run_crumple(folder.path(), &[&common, more].concat())
     };
     let json = || {
         serde_json::from_slice::<serde_json::Value>(&fs::read(folder.path().join("run/training.json")).unwrap())
             .unwrap()
     };
-    assert_eq!(code(&train(&["--seed", "5"])), 0);
+    assert_eq!(exit_code(&train(&["--seed", "5"])), 0);
     let alone = json();
-    assert_eq!(code(&train(&["--seed", "4"])), 0);
+    assert_eq!(exit_code(&train(&["--seed", "4"])), 0);
     let both = json();
     let seeds: Vec<_> = both["seeds"].as_array().unwrap().iter().map(|seed| seed["seed"].as_u64().unwrap()).collect();
     assert_eq!(seeds, [4, 5]);
@@ -104,23 +104,23 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     assert!(curve.contains("\"seeds\": 2"));
     // A copy of a seed under another way to write its number is none of its own.
     fs::create_dir(folder.path().join("run/seed-04")).unwrap();
-    for name in names_in(&folder.path().join("run/seed-4")) {
+    for name in file_names_in(&folder.path().join("run/seed-4")) {
         fs::copy(folder.path().join("run/seed-4").join(&name), folder.path().join("run/seed-04").join(&name)).unwrap();
     }
-    assert_eq!(code(&train(&["--seed", "4", "--resume"])), 0);
+    assert_eq!(exit_code(&train(&["--seed", "4", "--resume"])), 0);
     assert_eq!(json()["seeds"], both["seeds"]);
-    write_changed(
+    write_with_replacements(
         &folder.path().join("other.toml"),
         &fs::read_to_string(folder.path().join("tiny.toml")).unwrap(),
         &[("batch = 8", "batch = 9")],
     );
-    let other = crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
+    let other = run_crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
     assert_refused(&other, "run/seed-4/training.toml: the training there has another `learning.batch`: 8 instead of 9");
     assert!(!folder.path().join("run/seed-7").exists(), "nothing is begun");
     // What the folder says of how it was trained is a preset, and gives the same policy.
     let again =
-        crumple(folder.path(), &["train", "--preset", "run/seed-5/training.toml", "--seed", "5", "--out", "again"]);
-    assert_eq!(code(&again), 0, "{}", stderr(&again));
+        run_crumple(folder.path(), &["train", "--preset", "run/seed-5/training.toml", "--seed", "5", "--out", "again"]);
+    assert_eq!(exit_code(&again), 0, "{}", stderr(&again));
     let policy = |run: &str| fs::read(folder.path().join(run).join("seed-5/policy.safetensors")).unwrap();
     assert!(policy("run") == policy("again"));
 }
@@ -128,7 +128,7 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
 /// A training on spaces says so in its policy, and a space that is none is refused before anything is written.
 #[test]
 fn episodes_are_drawn_from_spaces_by_name_and_file() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     fs::write(
         folder.path().join("wet.toml"),
@@ -139,12 +139,12 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
     let train = |out: &str, spaces: &[&str]| {
         let common = ["train", "--preset", "tiny.toml", "--episodes", "6", "--seed", "4", "--out", out];
         let spaces = spaces.iter().flat_map(|space| ["--space", space]);
-        crumple(folder.path(), &common.into_iter().chain(spaces).collect::<Vec<_>>())
+        run_crumple(folder.path(), &common.into_iter().chain(spaces).collect::<Vec<_>>())
     };
     let of_paper = train("paper", &[]);
     let of_spaces = train("spaces", &["wet.toml=3", "steady"]);
-    assert!([0, 1].contains(&code(&of_spaces)), "{}", stderr(&of_spaces));
-    assert!([0, 1].contains(&code(&of_paper)), "{}", stderr(&of_paper));
+    assert!([0, 1].contains(&exit_code(&of_spaces)), "{}", stderr(&of_spaces));
+    assert!([0, 1].contains(&exit_code(&of_paper)), "{}", stderr(&of_paper));
     let said = fs::read_to_string(folder.path().join("spaces/seed-4/training.toml")).unwrap();
     assert!(said.contains("space = \"wet.toml\"") && said.contains("weight = 3.0"), "{said}");
     let log = |out: &str| fs::read(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
@@ -168,32 +168,32 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
 /// Rates of 0 learn nothing: no checkpoint is better than the untrained network.
 #[test]
 fn what_learned_nothing_leaves_no_policy_and_is_no_success() {
-    let folder = folder();
-    let still = tiny::changed(
+    let folder = temp_folder();
+    let still = tiny::replace_passages(
         &tiny::training(),
         &[("actor_rate = 1e-4", "actor_rate = 0.0"), ("critic_rate = 1e-3", "critic_rate = 0.0")],
     );
     fs::write(folder.path().join("still.toml"), still).unwrap();
     let train = ["train", "--preset", "still.toml", "--episodes", "6", "--out", "run"];
-    let trained = crumple(folder.path(), &train);
-    assert_eq!(code(&trained), 1, "{}", stderr(&trained));
+    let trained = run_crumple(folder.path(), &train);
+    assert_eq!(exit_code(&trained), 1, "{}", stderr(&trained));
     assert!(stderr(&trained).contains("no checkpoint was better than the untrained network"), "{}", stderr(&trained));
     assert!(stdout(&trained).contains("none: nothing learned"), "{}", stdout(&trained));
     let seed = folder.path().join("run/seed-0");
     assert!(!seed.join("policy.safetensors").exists() && seed.join("result.json").exists());
-    let again = crumple(folder.path(), &[&train[..], &["--resume"]].concat());
-    assert_eq!((code(&again), stdout(&again)), (1, stdout(&trained)));
+    let again = run_crumple(folder.path(), &[&train[..], &["--resume"]].concat());
+    assert_eq!((exit_code(&again), stdout(&again)), (1, stdout(&trained)));
 }
 
 #[test]
 fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let trained =
-        crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
-    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+        run_crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
+    assert_eq!(exit_code(&trained), 0, "{}", stderr(&trained));
     let policy = "run/seed-4/policy.safetensors";
-    let driven = done(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
+    let driven = run_ok(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
     assert!(stdout(&driven).starts_with(&format!("paper-1: {policy}, estimator kalman")));
     for name in ["training.json", "learning-curve.svg"] {
         assert!(folder.path().join("run").join(name).exists(), "{name}");
@@ -201,7 +201,7 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let bytes = fs::read(folder.path().join(policy)).unwrap();
     fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() - 9]).unwrap();
     for (file, reason) in [("cut.safetensors", "not a whole safetensors file"), ("none.safetensors", "No such file")] {
-        let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
+        let refused = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
         assert_refused(&refused, reason);
     }
     let names = "there are fast, paper, paper-net, road";
@@ -211,18 +211,18 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
         ("", "--preset: none is named".to_owned()),
         (policy, format!("{policy}: is no preset, but a policy")),
     ] {
-        assert_refused(&crumple(folder.path(), &["train", "--preset", preset]), &reason);
+        assert_refused(&run_crumple(folder.path(), &["train", "--preset", preset]), &reason);
     }
     // What is wanted is another kind of file; it is said which this is, and what takes it.
     for (command, wanted) in [("describe", "is no network from outside"), ("check", "is no certificate")] {
         let drives = "but a policy, which is a controller as it is: `crumple simulate paper-1 --controller FILE`";
-        let refused = crumple(folder.path(), &[command, policy]);
+        let refused = run_crumple(folder.path(), &[command, policy]);
         assert_refused(&refused, &format!("error: {policy}: {wanted}, {drives}"));
-        let refused = crumple(folder.path(), &[command, "run/seed-4/checkpoint.safetensors"]);
+        let refused = run_crumple(folder.path(), &[command, "run/seed-4/checkpoint.safetensors"]);
         assert_refused(&refused, &format!("{wanted}, but a checkpoint, from which `crumple train`"));
     }
-    let described = crumple(folder.path(), &["describe", "baseline"]);
+    let described = run_crumple(folder.path(), &["describe", "baseline"]);
     assert_refused(&described, "baseline: is no network from outside, but a controller as it is");
-    let checked = crumple(folder.path(), &["check", "none.safetensors"]);
+    let checked = run_crumple(folder.path(), &["check", "none.safetensors"]);
     assert_refused(&checked, "none.safetensors: No such file");
 }

@@ -5,37 +5,37 @@ use std::path::Path;
 use crumple_world::scenario::VehicleClass;
 use serde_json::Value;
 
-use super::falsify::assert_same;
+use super::falsify::assert_same_folders;
 use super::{
-    assert_refused, code, command, crumple, done, folder, killed_at_random, names_in, objects, stderr, stdout,
+    assert_refused, exit_code, command, run_crumple, run_ok, temp_folder, kill_at_random_times, file_names_in, json_objects, stderr, stdout,
 };
 
 #[test]
 fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
-    let folder = folder();
+    let folder = temp_folder();
     let arguments = ["simulate", "paper-1", "--controller", "shield:full-throttle", "--estimator", "truth"];
-    let shielded = &objects(&crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()))[0];
+    let shielded = &json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()))[0];
     let first = &shielded["interventions"][0];
     assert_eq!((&first["vehicle"], &first["outside_kernel"]), (&1.into(), &false.into()), "{shielded}");
     assert!(first["to_s"].as_f64() > first["from_s"].as_f64());
     assert_eq!(shielded["outcome"]["rear_vehicle"], 2);
-    let text = crumple(folder.path(), &arguments);
+    let text = run_crumple(folder.path(), &arguments);
     assert!(stdout(&text).contains("the shield of vehicle 1 braked"), "{}", stdout(&text));
     let bare = ["simulate", "paper-1", "--controller", "full-throttle", "--estimator", "truth", "--format", "json"];
-    let bare = &objects(&crumple(folder.path(), &bare))[0];
+    let bare = &json_objects(&run_crumple(folder.path(), &bare))[0];
     assert_eq!((&bare["outcome"]["rear_vehicle"], bare.get("interventions")), (&1.into(), None));
 }
 
 #[test]
 fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
-    let folder = folder();
+    let folder = temp_folder();
     for (controller, said) in [
         ("shield:nobody", "there is no controller `nobody`"),
         ("shield,ahead=0:idm", "`ahead=0` is no setting of a shield"),
         ("shield,gap-error:idm", "`gap-error` is no setting of a shield"),
         ("shield,colour=1:idm", "`colour=1` is no setting of a shield"),
     ] {
-        let output = crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
+        let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
         assert_refused(&output, said);
     }
 }
@@ -44,8 +44,8 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
 #[test]
 fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folder = folder();
-    let help = crumple(folder.path(), &["verify", "shield", "--help"]);
+    let folder = temp_folder();
+    let help = run_crumple(folder.path(), &["verify", "shield", "--help"]);
     let mut all = vec![("--help".to_owned(), stdout(&help).to_owned())];
     let pages = std::fs::read_dir(root.join("docs")).unwrap().map(|entry| entry.unwrap().path());
     for path in pages.chain(["README.md", "reports/assessment.md"].map(|name| root.join(name))) {
@@ -66,12 +66,12 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
 
 #[test]
 fn each_pair_of_classes_gets_a_certificate() {
-    let folder = folder();
-    let output = crumple(folder.path(), &["verify", "shield", "--out", "kernels"]);
+    let folder = temp_folder();
+    let output = run_crumple(folder.path(), &["verify", "shield", "--out", "kernels"]);
     let pairs = VehicleClass::ALL.len().pow(2);
-    assert_eq!((code(&output), stderr(&output)), (0, ""));
+    assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
     assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), pairs);
-    let names = names_in(&folder.path().join("kernels"));
+    let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(names.iter().filter(|name| name.ends_with(".json")).count(), pairs);
     let text = std::fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
@@ -81,17 +81,17 @@ fn each_pair_of_classes_gets_a_certificate() {
 /// What is verified of a box says whose it is and what the checker makes of it, and what is wrong with a box stands where its file says.
 #[test]
 fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
-    let folder = folder();
+    let folder = temp_folder();
     let write = |ranges: &str| {
         let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}\n");
         std::fs::write(folder.path().join("box.toml"), text).unwrap();
     };
-    let reach = |more: &[&str]| crumple(folder.path(), &[&["verify", "reach"], more].concat());
+    let reach = |more: &[&str]| run_crumple(folder.path(), &[&["verify", "reach"], more].concat());
     write("follower_brake_mps2 = 25");
     let verified = reach(&["--box", "box.toml", "--depth", "0", "--certificate", "r.json", "--format", "json"]);
-    assert_eq!(code(&verified), 0, "{}", stderr(&verified));
-    let found = objects(&verified).remove(0);
-    let checked = objects(&crumple(folder.path(), &["check", "r.json", "--format", "json"])).remove(0);
+    assert_eq!(exit_code(&verified), 0, "{}", stderr(&verified));
+    let found = json_objects(&verified).remove(0);
+    let checked = json_objects(&run_crumple(folder.path(), &["check", "r.json", "--format", "json"])).remove(0);
     for (ours, theirs) in [
         ("certificate", "certificate"),
         ("certificate_sha256", "sha256"),
@@ -123,13 +123,13 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
 
 #[test]
 fn a_rate_is_registered_counted_resumed_and_certified() {
-    let folder = folder();
+    let folder = temp_folder();
     let count = |more: &[&str]| {
         let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "2500"];
-        crumple(folder.path(), &[&arguments[..], more].concat())
+        run_crumple(folder.path(), &[&arguments[..], more].concat())
     };
     let whole = count(&["--out", "whole"]);
-    assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+    assert_eq!(exit_code(&whole), 0, "{}", stderr(&whole));
     assert!(stderr(&whole).starts_with("registered as ") && stdout(&whole).starts_with("0 failures, of 2500 runs"));
     let file = |path: &str| std::fs::read_to_string(folder.path().join(path)).unwrap();
     let certificate: Value = serde_json::from_str(&file("whole/certificate.json")).unwrap();
@@ -137,55 +137,55 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     let exact = 1.0 - 0.001_f64.powf(1.0 / 2500.0);
     assert!((at_most / exact - 1.0).abs() < 1e-6, "{at_most} {exact}");
 
-    assert_eq!(code(&count(&["--out", "whole"])), 2, "not without --resume");
+    assert_eq!(exit_code(&count(&["--out", "whole"])), 2, "not without --resume");
     assert_refused(
         &count(&["--out", "whole", "--resume", "--seed", "1"]),
         "the count there has another `configuration.seed`: ",
     );
     let again = count(&["--out", "whole", "--resume"]);
-    assert_eq!((code(&again), stdout(&again)), (0, stdout(&whole)));
-    let fsck = crumple(folder.path(), &["fsck", "whole"]);
-    assert_eq!((code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are whole\n"));
+    assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&whole)));
+    let fsck = run_crumple(folder.path(), &["fsck", "whole"]);
+    assert_eq!((exit_code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are whole\n"));
     for name in ["registration.json", "progress.json", "certificate.json", "work.json"] {
         let path = folder.path().join("whole").join(name);
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
         assert_refused(&count(&["--out", "whole", "--resume"]), &format!("error: whole/{name}: "));
-        assert_ne!(code(&crumple(folder.path(), &["fsck", "whole"])), 0, "{name}");
+        assert_ne!(exit_code(&run_crumple(folder.path(), &["fsck", "whole"])), 0, "{name}");
         std::fs::write(&path, bytes).unwrap();
     }
 }
 
 #[test]
 fn two_controllers_are_compared_on_the_same_draws() {
-    let folder = folder();
+    let folder = temp_folder();
     let compare = |first: &str, second: &str, out: &str| {
         let arguments = ["verify", "rate", "--controller", first, "--against", second, "--runs", "300", "--out", out];
-        crumple(folder.path(), &arguments)
+        run_crumple(folder.path(), &arguments)
     };
     let better = compare("match-leader", "baseline", "better");
-    assert_eq!(code(&better), 0, "{}", stderr(&better));
+    assert_eq!(exit_code(&better), 0, "{}", stderr(&better));
     assert!(stdout(&better).contains("accepted: comparison"), "{}", stdout(&better));
-    assert_eq!(code(&compare("baseline", "match-leader", "worse")), 1);
+    assert_eq!(exit_code(&compare("baseline", "match-leader", "worse")), 1);
 }
 
 #[test]
 fn a_rare_failure_is_estimated_and_never_certified() {
-    let folder = folder();
+    let folder = temp_folder();
     let estimate = |more: &[&str]| {
         let arguments = ["verify", "rate", "--controller", "match-leader", "--rare", "--samples", "100"];
         let arguments = [&arguments[..], &["--repetitions", "5", "--seed", "4", "--out", "rare"], more].concat();
-        crumple(folder.path(), &arguments)
+        run_crumple(folder.path(), &arguments)
     };
     let output = estimate(&["--format", "json"]);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
-    let report = objects(&output).remove(0);
+    assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
+    let report = json_objects(&output).remove(0);
     assert_eq!((&report["certified"], &report["samples"]), (&false.into(), &100.into()));
     let [low, high] = [0, 1].map(|end| report["interval_95"][end].as_f64().unwrap());
     let probability = report["probability"].as_f64().unwrap();
     assert!(low < probability && probability < high && (0.002..0.04).contains(&probability), "{report}");
     assert_eq!(
-        names_in(&folder.path().join("rare")),
+        file_names_in(&folder.path().join("rare")),
         ["rare-estimate.json", "work.json", "work.lock"],
         "no certificate"
     );
@@ -201,7 +201,7 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let text = estimate(&["--resume"]);
     assert!(stdout(&text).contains("no bound and no certificate"), "{}", stdout(&text));
     assert!(stdout(&text).contains("smallest gap") && stdout(&text).contains(" m "), "{}", stdout(&text));
-    let rule = done(
+    let rule = run_ok(
         folder.path(),
         &["verify", "rate", "--controller", "idm", "--rare", "--samples", "50", "--repetitions", "5", "--out", "rule"]
             .into_iter()
@@ -213,49 +213,49 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert!(!said.contains("smallest gap"), "margins of a rule are no gaps: {said}");
     let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
     assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
-    let fsck = || crumple(folder.path(), &["fsck", "rare"]);
-    assert!(code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
+    let fsck = || run_crumple(folder.path(), &["fsck", "rare"]);
+    assert!(exit_code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
         .unwrap();
     assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: not as it was written");
-    assert_eq!(code(&fsck()), 1);
-    assert_eq!(code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
-    assert_eq!(code(&crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
+    assert_eq!(exit_code(&fsck()), 1);
+    assert_eq!(exit_code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
 }
 
 /// Killed at any moment, an estimate goes on where it was, to the bytes of one that nothing happened to.
 #[test]
 fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     for method in ["--rare=splitting", "--rare=importance"] {
-        let folder = folder();
+        let folder = temp_folder();
         let asked =
             ["verify", "rate", "--controller", "match-leader", method, "--samples", "100", "--repetitions", "12"];
         let through = command(folder.path(), &[&asked[..], &["--out", "through"]].concat())
             .env("RAYON_NUM_THREADS", "1")
             .output()
             .unwrap();
-        assert_eq!(code(&through), 0, "{}", stderr(&through));
+        assert_eq!(exit_code(&through), 0, "{}", stderr(&through));
         let resume = [&asked[..], &["--out", "killed", "--resume"]].concat();
-        let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        let killed = kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
         assert!(killed >= 2, "killed {killed} times");
         let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
-        assert_refused(&crumple(folder.path(), &other), "the rare-failure estimate there was configured otherwise");
+        assert_refused(&run_crumple(folder.path(), &other), "the rare-failure estimate there was configured otherwise");
         let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-        assert_eq!((code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
-        assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+        assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
+        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
     }
 }
 
 /// What programs read says what people read, and names things as `check`, `merge` and `suite run` do.
 #[test]
 fn what_is_verified_can_be_read_by_programs() {
-    let folder = folder();
+    let folder = temp_folder();
     let said = |arguments: &[&str]| {
-        let output = done(folder.path(), arguments);
-        objects(&output)
+        let output = run_ok(folder.path(), arguments);
+        json_objects(&output)
     };
     let kernels = said(&["verify", "shield", "--out", "kernels", "--format", "json"]);
-    let names = names_in(&folder.path().join("kernels"));
+    let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(kernels.len(), names.iter().filter(|name| name.ends_with(".json")).count());
     for kernel in &kernels {
         assert_eq!(kernel["accepted"], true);
@@ -284,19 +284,19 @@ fn what_is_verified_can_be_read_by_programs() {
 /// What is of the estimate of a rare failure is refused beside a count, which it would not change; a count that shows nothing is told.
 #[test]
 fn a_count_says_what_it_is_of() {
-    let folder = folder();
+    let folder = temp_folder();
     let rate = ["verify", "rate", "--controller", "baseline", "--runs", "100", "--estimator", "truth", "--out", "rate"];
     for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {
-        assert_refused(&crumple(folder.path(), &[&rate[..], &rare].concat()), &format!("{}: is of --rare", rare[0]));
+        assert_refused(&run_crumple(folder.path(), &[&rate[..], &rare].concat()), &format!("{}: is of --rare", rare[0]));
     }
-    let shown = crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
-    let one = &objects(&shown)[0];
-    assert_eq!((code(&shown), one["runs"].as_u64(), &one["certificate"]), (1, Some(100), &Value::Null), "{one}");
+    let shown = run_crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
+    let one = &json_objects(&shown)[0];
+    assert_eq!((exit_code(&shown), one["runs"].as_u64(), &one["certificate"]), (1, Some(100), &Value::Null), "{one}");
     // Where it is not rare, runs are counted: all of 250 fail, and the truth may be 0.985.
     let rare = ["verify", "rate", "--controller", "baseline", "--estimator", "truth", "--rare", "--samples", "50"];
     let rare =
-        crumple(folder.path(), &[&rare[..], &["--repetitions", "5", "--out", "rare", "--format", "json"]].concat());
-    let one = &objects(&rare)[0];
+        run_crumple(folder.path(), &[&rare[..], &["--repetitions", "5", "--out", "rare", "--format", "json"]].concat());
+    let one = &json_objects(&rare)[0];
     let [low, high] = [0, 1].map(|end| one["interval_95"][end].as_f64().unwrap());
     assert!((low - 0.025_f64.powf(1.0 / 250.0)).abs() < 1e-9 && high == 1.0, "{one}");
 }

@@ -1,44 +1,44 @@
 //! `avoid`, `check` and `worst-case` as a user meets them.
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Driver, built_in, file};
+use crumple_world::scenario::{Driver, built_in_scenario, file};
 
-use super::{assert_refused, code, crumple, folder, objects, stdout};
+use super::{assert_refused, exit_code, run_crumple, temp_folder, json_objects, stdout};
 
 #[test]
 fn an_escape_is_written_replayed_and_checked() {
-    let folder = folder();
-    let run = |arguments: &[&str]| crumple(folder.path(), arguments);
+    let folder = temp_folder();
+    let run = |arguments: &[&str]| run_crumple(folder.path(), arguments);
     let files = ["--certificate", "proof.json", "--out", "escape.toml", "--plot", "escape.svg", "--format", "json"];
     let avoided = run(&[&["avoid", "paper-1"], &files[..]].concat());
-    assert_eq!(code(&avoided), 0);
-    let report = objects(&avoided).remove(0);
+    assert_eq!(exit_code(&avoided), 0);
+    let report = json_objects(&avoided).remove(0);
     assert_eq!(report["verdict"], "avoidable");
     assert!((report["best_min_gap_m"].as_f64().unwrap() - 8.4).abs() < 0.2, "{report}");
     assert!((report["trigger_time_s"].as_f64().unwrap() - 3.2).abs() < 0.2, "{report}");
-    assert_eq!(code(&run(&["simulate", "escape.toml", "--dt", "0.001", "--expect", "safe"])), 0);
-    assert_eq!(code(&run(&["check", "proof.json", "--scenario", "paper-1"])), 0);
-    assert_eq!(code(&run(&["check", "proof.json", "--scenario", "paper-2"])), 1);
+    assert_eq!(exit_code(&run(&["simulate", "escape.toml", "--dt", "0.001", "--expect", "safe"])), 0);
+    assert_eq!(exit_code(&run(&["check", "proof.json", "--scenario", "paper-1"])), 0);
+    assert_eq!(exit_code(&run(&["check", "proof.json", "--scenario", "paper-2"])), 1);
     let given_up = run(&["check", "proof.json", "--work-limit", "0"]);
-    assert_eq!(code(&given_up), 1);
+    assert_eq!(exit_code(&given_up), 1);
     assert!(stdout(&given_up).contains("takes more than 0 operations"), "{}", stdout(&given_up));
     let proof = std::fs::read_to_string(folder.path().join("proof.json")).unwrap();
     std::fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
     let forged = run(&["check", "forged.json"]);
-    assert_eq!(code(&forged), 1, "{}", stdout(&forged));
+    assert_eq!(exit_code(&forged), 1, "{}", stdout(&forged));
     std::fs::write(folder.path().join("other.json"), "{}").unwrap();
-    assert_eq!(code(&run(&["check", "other.json"])), 2);
-    assert_eq!(code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
+    assert_eq!(exit_code(&run(&["check", "other.json"])), 2);
+    assert_eq!(exit_code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
 }
 
 /// An escape is the best that was found on its grid: nobody may read that no better one exists.
 #[test]
 fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
-    let folder = folder();
+    let folder = temp_folder();
     let gap_m = |grid: &str| {
-        let found = crumple(folder.path(), &["avoid", "paper-2", "--grid", grid, "--format", "json"]);
-        assert_eq!(code(&found), 0);
-        let report = objects(&found).remove(0);
+        let found = run_crumple(folder.path(), &["avoid", "paper-2", "--grid", grid, "--format", "json"]);
+        assert_eq!(exit_code(&found), 0);
+        let report = json_objects(&found).remove(0);
         let (kept_m, bound_m) =
             (report["best_min_gap_m"].as_f64().unwrap(), report["min_gap_bound_m"].as_f64().unwrap());
         assert!(kept_m <= bound_m, "{report}");
@@ -46,30 +46,30 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
         kept_m
     };
     assert!(gap_m("0.02") > gap_m("0.1") + 0.01);
-    let words = crumple(folder.path(), &["avoid", "paper-2"]);
+    let words = run_crumple(folder.path(), &["avoid", "paper-2"]);
     assert!(stdout(&words).contains("no driver keeps more than 9.20 m, proved"), "{}", stdout(&words));
-    let proved = crumple(folder.path(), &["avoid", "paper-2", "--bound-certificate", "bound.json"]);
-    assert_eq!(code(&proved), 0, "{proved:?}");
-    let checked = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-2"]);
-    assert_eq!(code(&checked), 0, "{checked:?}");
+    let proved = run_crumple(folder.path(), &["avoid", "paper-2", "--bound-certificate", "bound.json"]);
+    assert_eq!(exit_code(&proved), 0, "{proved:?}");
+    let checked = run_crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-2"]);
+    assert_eq!(exit_code(&checked), 0, "{checked:?}");
     assert!(stdout(&checked).contains("whatever is done, some gap gets as small as 9.19"), "{}", stdout(&checked));
-    let other = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
-    assert_eq!(code(&other), 1, "{other:?}");
+    let other = run_crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
+    assert_eq!(exit_code(&other), 1, "{other:?}");
 }
 
 /// A bound says nothing of a follower that its scene leaves out, and `check` says that the follower exists.
 #[test]
 fn vehicles_that_a_bound_leaves_out_are_counted() {
-    let folder = folder();
+    let folder = temp_folder();
     let followed = |vehicles: usize, name: &str| {
-        let paper = built_in("paper-2").unwrap().edited(|spec| {
-            spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named("idm").unwrap());
+        let paper = built_in_scenario("paper-2").unwrap().edited(|spec| {
+            spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
             spec.vehicles.truncate(vehicles);
         });
         std::fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
-        let said = crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
-        assert_eq!(code(&said), 0, "{said:?}");
-        stdout(&crumple(folder.path(), &["check", name])).to_owned()
+        let said = run_crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
+        assert_eq!(exit_code(&said), 0, "{said:?}");
+        stdout(&run_crumple(folder.path(), &["check", name])).to_owned()
     };
     let said = followed(3, "three.json");
     assert!(said.contains("  behind: 1 vehicle, not part of the claim\n"), "{said}");
@@ -80,11 +80,11 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
 /// A follower whose brake fired in the replay of an escape that was said to leave it alone.
 #[test]
 fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
-    let folder = folder();
+    let folder = temp_folder();
     let scenario = include_str!("../worst_case/escapes/acc-aeb-fires.toml");
     std::fs::write(folder.path().join("law.toml"), scenario).unwrap();
-    let run = |arguments: &[&str]| crumple(folder.path(), &[&["avoid", "law.toml"], arguments].concat());
-    let report = objects(&run(&["--format", "json", "--out", "escape.toml"])).remove(0);
+    let run = |arguments: &[&str]| run_crumple(folder.path(), &[&["avoid", "law.toml"], arguments].concat());
+    let report = json_objects(&run(&["--format", "json", "--out", "escape.toml"])).remove(0);
     assert_eq!((&report["escape_found_by"], &report["optimality"]), (&"closed-loop".into(), &"best-found".into()));
     let simulations = report["simulations"].as_u64().expect("a number");
     let optimised = report["escape_is_best_for"].as_str().expect("words");
@@ -98,12 +98,12 @@ fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
         stdout(&words)
     );
     assert!(stdout(&words).contains(" m, best found\n") && stdout(&words).contains(optimised), "{}", stdout(&words));
-    assert_eq!(code(&crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0);
+    assert_eq!(exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0);
 }
 
 #[test]
 fn a_range_that_is_none_is_refused_with_line_and_field() {
-    let folder = folder();
+    let folder = temp_folder();
     for (range, said) in [
         ("field = \"vehicles[1].speed_mps\"\nlow = nan\nhigh = 3", "ranges.toml:8: ranges[1].low: "),
         ("field = \"vehicles[1].speed_mps\"\nlow = 4\nhigh = 3", "ranges.toml:9: ranges[1].high: "),
@@ -114,42 +114,42 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
         let first = "[[ranges]]\nfield = \"vehicles[0].speed_mps\"\nlow = 24\nhigh = 25\n";
         let text = format!("version = 1\n{first}[[ranges]]\n{range}\n");
         std::fs::write(folder.path().join("ranges.toml"), text).unwrap();
-        assert_refused(&crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), said);
+        assert_refused(&run_crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), said);
     }
 }
 
 /// What is made whatever the budget is said to be more than it.
 #[test]
 fn more_simulations_than_the_budget_are_said() {
-    let folder = folder();
+    let folder = temp_folder();
     let attack = |more: &[&str]| {
-        let found = crumple(folder.path(), &[&["worst-case", "paper-1", "--controller", "idm"], more].concat());
-        assert_eq!(code(&found), 0);
+        let found = run_crumple(folder.path(), &[&["worst-case", "paper-1", "--controller", "idm"], more].concat());
+        assert_eq!(exit_code(&found), 0);
         found
     };
-    let report = objects(&attack(&["--budget", "1", "--format", "json"])).remove(0);
+    let report = json_objects(&attack(&["--budget", "1", "--format", "json"])).remove(0);
     assert!(report["evaluations"].as_u64() > Some(1), "{report}");
     assert_eq!((&report["budget"], &report["is_over_budget"]), (&1.into(), &true.into()));
     assert!(stdout(&attack(&["--budget", "1"])).contains("more simulations than --budget 1: "));
-    let report = objects(&attack(&["--format", "json"])).remove(0);
+    let report = json_objects(&attack(&["--format", "json"])).remove(0);
     assert_eq!((&report["is_over_budget"], report["over_budget_because"].is_null()), (&false.into(), true), "{report}");
 }
 
 #[test]
 fn a_worst_case_is_written_and_collides() {
-    let folder = folder();
-    let found = crumple(
+    let folder = temp_folder();
+    let found = run_crumple(
         folder.path(),
         &["worst-case", "paper-1", "--controller", "idm", "--budget", "500", "--out", "worst.toml", "--format", "json"],
     );
-    assert_eq!(code(&found), 0);
-    let report = objects(&found).remove(0);
+    assert_eq!(exit_code(&found), 0);
+    let report = json_objects(&found).remove(0);
     assert_eq!((&report["found"], &report["method"]), (&true.into(), &"sequential".into()));
     assert_eq!(report["optimality"], "best-found");
-    let words = crumple(folder.path(), &["worst-case", "paper-1", "--controller", "idm", "--budget", "500"]);
+    let words = run_crumple(folder.path(), &["worst-case", "paper-1", "--controller", "idm", "--budget", "500"]);
     assert!(stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"), "{}", stdout(&words));
     let exact = ["worst-case", "paper-1", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
-    assert_eq!(objects(&crumple(folder.path(), &exact)).remove(0)["optimality"], "exact-on-grid");
-    let replayed = crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
-    assert_eq!(code(&replayed), 0);
+    assert_eq!(json_objects(&run_crumple(folder.path(), &exact)).remove(0)["optimality"], "exact-on-grid");
+    let replayed = run_crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
+    assert_eq!(exit_code(&replayed), 0);
 }

@@ -24,7 +24,7 @@ impl WhiteJerk {
         let mut world = Self::new(sensors.gap_noise_m, run);
         let tuning = EgoTuning::new(Self::STEP_S, sensors).gap().clone();
         let normals = [0; 3].map(|_| world.normal());
-        let filter = Filter::running(&tuning, world.state.x, world.state.y, normals);
+        let filter = Filter::new_steady(&tuning, world.state.x, world.state.y, normals);
         (tuning, world, filter)
     }
 
@@ -43,7 +43,7 @@ impl WhiteJerk {
             state: Vector3::new(16.0, 0.0, 0.0),
             transition: Matrix3::new(1.0, h, h * h / 2.0, 0.0, 1.0, h, 0.0, 0.0, 1.0),
             root: gained.cholesky().expect("positive definite").l(),
-            stream: stream(run, Purpose::ScenarioDraw, 0),
+            stream: stream(run, Purpose::ScenarioSampling, 0),
         }
     }
 

@@ -5,11 +5,11 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use crumple_core::digest::sha256;
-use crumple_world::scenario::{built_in, file};
+use crumple_world::scenario::{built_in_scenario, file};
 use tempfile::TempDir;
 
-use crate::command_line::{code, crumple, folder};
-use crate::fmus::{archive, member};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::fmus::{zip_archive, library_member};
 
 /// The file that the program makes when it starts.
 pub(super) const MARKER_FILE: &str = "started";
@@ -92,7 +92,7 @@ const OUTPUTS: [&str; 3] = ["o", "o.toml", "pages"];
 
 impl InputFolder {
     pub(super) fn new() -> Self {
-        let inputs = Self { folder: folder() };
+        let inputs = Self { folder: temp_folder() };
         inputs.write_files();
         inputs.make_run_folders();
         assert!(inputs.has_started(), "the work was made with the program");
@@ -104,14 +104,14 @@ impl InputFolder {
     }
 
     /// Runs a command.
-    pub(super) fn run(&self, words: &[&str]) -> Said {
+    pub(super) fn run(&self, words: &[&str]) -> CommandOutput {
         for output in OUTPUTS {
             let path = self.folder().join(output);
             let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         }
-        let output = crumple(self.folder(), words);
+        let output = run_crumple(self.folder(), words);
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        Said { code: code(&output), text: text(&output.stdout), error: text(&output.stderr) }
+        CommandOutput { code: exit_code(&output), stdout: text(&output.stdout), stderr: text(&output.stderr) }
     }
 
     /// Returns true if the program has started since the last call.
@@ -127,9 +127,9 @@ impl InputFolder {
         self.write("ev", PROGRAM);
         fs::set_permissions(self.folder().join("ev"), fs::Permissions::from_mode(0o755)).unwrap();
         self.write("evil.toml", "version = 1\ncommand = [\"./ev\"]\nfiles = [\"ev\"]\n");
-        let library = member(3, "evil");
-        self.write("evil.fmu", archive(&[("modelDescription.xml", FMU.as_bytes()), (&library, b"no library")]));
-        let short = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 0.5).unwrap();
+        let library = library_member(3, "evil");
+        self.write("evil.fmu", zip_archive(&[("modelDescription.xml", FMU.as_bytes()), (&library, b"no library")]));
+        let short = built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 0.5).unwrap();
         let text = file::to_toml(&short).unwrap();
         self.write("plain-base.toml", &text);
         for (name, path) in [("driven.toml", "evil.toml"), ("driven-fmu.toml", "evil.fmu")] {
@@ -139,12 +139,12 @@ impl InputFolder {
         let mut json = serde_json::to_value(short.spec()).unwrap();
         json["vehicles"][2]["driver"] = serde_json::json!({ "file": { "path": "evil.toml" } });
         self.write("driven.json", json.to_string());
-        self.write("space.toml", space("driven", "driven.toml"));
-        self.write("plain.toml", space("plain", "plain-base.toml"));
+        self.write("space.toml", space_toml("driven", "driven.toml"));
+        self.write("plain.toml", space_toml("plain", "plain-base.toml"));
         self.write("suite.toml", SUITE);
         let idm = "controllers = [\"idm\"]";
-        self.write("scenarios.toml", assessed(idm, "scenarios = [\"driven.toml\"]"));
-        self.write("spaces.toml", assessed(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"));
+        self.write("scenarios.toml", assessment_toml(idm, "scenarios = [\"driven.toml\"]"));
+        self.write("spaces.toml", assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"));
         let preset = crate::tiny::training();
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
@@ -164,7 +164,7 @@ impl InputFolder {
         ];
         for (command, more) in work {
             let said = self.run(&[command, more].concat());
-            assert_eq!(said.code, 0, "{command:?}: {}", said.error);
+            assert_eq!(said.code, 0, "{command:?}: {}", said.stderr);
         }
         let (from, to) = (self.folder().join("suite-shard"), self.folder().join("exec-shard"));
         fs::create_dir(&to).unwrap();
@@ -174,9 +174,9 @@ impl InputFolder {
         }
         for name in ["shard.json", "results.json"] {
             let text = fs::read_to_string(to.join(name)).unwrap();
-            fs::write(to.join(name), text.replace("evil.toml", EXEC)).unwrap();
+            fs::write(to.join(name), text.replace("evil.toml", EXEC_CONTROLLER)).unwrap();
         }
-        rehash(&to);
+        rehash_manifest(&to);
     }
 }
 

@@ -7,8 +7,8 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use crate::command_line::{code, crumple, folder};
-use inputs::{EXEC, Inputs, MARKER_FILE};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
+use inputs::{EXEC_CONTROLLER, InputFolder, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
 
@@ -87,7 +87,7 @@ const CASES: &[(&str, &[&str], StartExpectation)] = &[
     ("describe", &["evil.toml"], StartsNothing),
     ("describe", &["evil.fmu"], StartsNothing),
     ("describe", &["evil.fmu", "--format", "json"], StartsNothing),
-    ("describe", &[EXEC], StartsNothing),
+    ("describe", &[EXEC_CONTROLLER], StartsNothing),
     ("doctor", &[], StartsNothing),
     ("completions", &["bash"], StartsNothing),
     ("man", &["--out", "o"], StartsNothing),
@@ -96,7 +96,7 @@ const CASES: &[(&str, &[&str], StartExpectation)] = &[
 /// Names of all subcommands, as the help lists them; those of a subcommand behind its name.
 fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
     let words: Vec<&str> = of.split_whitespace().chain(["--help"]).collect();
-    let help = String::from_utf8(crumple(folder, &words).stdout).unwrap();
+    let help = String::from_utf8(run_crumple(folder, &words).stdout).unwrap();
     let Some((_, list)) = help.split_once("\nCommands:\n") else { return BTreeSet::from([of.to_owned()]) };
     let lines = list.lines().take_while(|line| !line.is_empty());
     let names = lines.filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')));
@@ -106,52 +106,52 @@ fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
 
 #[test]
 fn no_subcommand_starts_a_program_that_only_a_file_names() {
-    let inputs = Inputs::new();
-    let covered: BTreeSet<String> = TABLE.iter().map(|(command, ..)| (*command).to_owned()).collect();
+    let inputs = InputFolder::new();
+    let covered: BTreeSet<String> = CASES.iter().map(|(command, ..)| (*command).to_owned()).collect();
     assert_eq!(covered, subcommands(inputs.folder(), ""), "every subcommand has a row in the table");
-    for (command, arguments, expected) in TABLE {
+    for (command, arguments, expected) in CASES {
         let words: Vec<&str> = command.split(' ').chain(arguments.iter().copied()).collect();
         let said = inputs.run(&words);
-        assert!(!inputs.has_started(), "{words:?} starts it: {}", said.error);
+        assert!(!inputs.has_started(), "{words:?} starts it: {}", said.stderr);
         let place = match expected {
             StartsNothing => "",
             Refused(place) | RefusedOrStarts(place) => place,
         };
         if !place.is_empty() {
-            assert_eq!(said.code, 2, "{words:?}: {} {}", said.text, said.error);
-            assert!(said.error.contains(OPTION) && said.error.contains(place), "{words:?}: {}", said.error);
+            assert_eq!(said.code, 2, "{words:?}: {} {}", said.stdout, said.stderr);
+            assert!(said.stderr.contains(OPTION) && said.stderr.contains(place), "{words:?}: {}", said.stderr);
         }
         if let Refused(_) = expected {
             continue;
         }
         let said = inputs.run(&[&words[..], &[OPTION]].concat());
-        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", said.error);
+        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", said.stderr);
     }
 }
 
 /// With the option, crumple gives an FMU that a scenario names to its host, which finds no library in it.
 #[test]
 fn the_option_permits_the_fmu_that_a_scenario_names() {
-    let inputs = Inputs::new();
+    let inputs = InputFolder::new();
     let said = inputs.run(&["simulate", "driven-fmu.toml", OPTION]);
-    assert!(said.code == 2 && said.error.contains("evil.fmu") && !said.error.contains(OPTION), "{}", said.error);
+    assert!(said.code == 2 && said.stderr.contains("evil.fmu") && !said.stderr.contains(OPTION), "{}", said.stderr);
     let listed = inputs.run(&["describe", "evil.fmu"]);
-    assert_eq!(listed.code, 0, "{}", listed.error);
-    assert!(listed.text.contains("input      gap_ahead_m"), "{}", listed.text);
+    assert_eq!(listed.code, 0, "{}", listed.stderr);
+    assert!(listed.stdout.contains("input      gap_ahead_m"), "{}", listed.stdout);
     let listed: serde_json::Value =
-        serde_json::from_str(&inputs.run(&["describe", "evil.fmu", "--format", "json"]).text).unwrap();
+        serde_json::from_str(&inputs.run(&["describe", "evil.fmu", "--format", "json"]).stdout).unwrap();
     assert_eq!(listed["variables"][1]["causality"], "output", "{listed}");
 }
 
 #[test]
 fn what_the_command_line_or_its_configuration_names_starts() {
-    let inputs = Inputs::new();
-    fs::write(inputs.folder().join("named.toml"), inputs::assessed("controllers = [\"idm\", \"evil.toml\"]", ""))
+    let inputs = InputFolder::new();
+    fs::write(inputs.folder().join("named.toml"), inputs::assessment_toml("controllers = [\"idm\", \"evil.toml\"]", ""))
         .unwrap();
     let search = ["falsify", "--controller", "evil.toml", "--space", "plain.toml", "--budget", "2", "--out", "own"];
     let cases: [&[&str]; 6] = [
         &["simulate", "paper-1", "--controller", "evil.toml"],
-        &["simulate", "paper-1", "--controller", EXEC],
+        &["simulate", "paper-1", "--controller", EXEC_CONTROLLER],
         &["simulate", "paper-1", "--controller", "shield:evil.toml"],
         &["assess", "named.toml", "--out", "report"],
         &search,
@@ -159,53 +159,53 @@ fn what_the_command_line_or_its_configuration_names_starts() {
     ];
     for words in cases {
         let said = inputs.run(words);
-        assert!(inputs.has_started() && said.code < 2, "{words:?}: {}", said.error);
+        assert!(inputs.has_started() && said.code < 2, "{words:?}: {}", said.stderr);
     }
 }
 
 /// `merge --format html` draws a failure with the controller that the shard records, and with no other.
 #[test]
 fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available() {
-    let inputs = Inputs::new();
+    let inputs = InputFolder::new();
     let page = |shard: &str, more: &[&str]| {
         inputs.run(&[&["merge", shard, "--out", "pages", "--format", "html"], more].concat())
     };
     let is_missing = "Not drawn: the recorded controller is not available here.";
     // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
-    for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC)] {
+    for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC_CONTROLLER)] {
         let said = page(shard, &[]);
-        assert!(!inputs.has_started() && said.code == 0, "{}", said.error);
-        assert!(said.text.contains(is_missing) && !said.text.contains("<figure"), "{}", said.text);
+        assert!(!inputs.has_started() && said.code == 0, "{}", said.stderr);
+        assert!(said.stdout.contains(is_missing) && !said.stdout.contains("<figure"), "{}", said.stdout);
         assert!(
-            said.error.contains(OPTION) && said.error.contains(&format!("`{name}` is not available")),
+            said.stderr.contains(OPTION) && said.stderr.contains(&format!("`{name}` is not available")),
             "{}",
-            said.error
+            said.stderr
         );
     }
     let said = page("suite-shard", &[OPTION]);
-    assert!(inputs.has_started() && said.text.contains("<figure") && !said.text.contains(is_missing), "{}", said.error);
+    assert!(inputs.has_started() && said.stdout.contains("<figure") && !said.stdout.contains(is_missing), "{}", said.stderr);
     // Another controller of the same name: a network, which needs no permission, and a program.
     let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
     fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
     let said = page("suite-shard", &[OPTION]);
     assert!(
-        !inputs.has_started() && said.text.contains(is_missing) && !said.text.contains("<figure"),
+        !inputs.has_started() && said.stdout.contains(is_missing) && !said.stdout.contains("<figure"),
         "{}",
-        said.error
+        said.stderr
     );
-    assert!(said.error.contains("`evil.toml` is not available: its identity is "), "{}", said.error);
+    assert!(said.stderr.contains("`evil.toml` is not available: its identity is "), "{}", said.stderr);
     let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
     fs::copy(networks.join("acc-5x20.onnx"), inputs.folder().join("acc-5x20.onnx")).unwrap();
     fs::copy(networks.join("acc.toml"), inputs.folder().join("evil.toml")).unwrap();
     let said = page("suite-shard", &[]);
-    assert!(said.text.contains(is_missing) && !said.text.contains("<figure"), "{}", said.error);
-    assert!(said.error.contains("`evil.toml` is not available: its identity is "), "{}", said.error);
+    assert!(said.stdout.contains(is_missing) && !said.stdout.contains("<figure"), "{}", said.stderr);
+    assert!(said.stderr.contains("`evil.toml` is not available: its identity is "), "{}", said.stderr);
 }
 
 /// `git status` starts the programs that the configuration of a repository names.
 #[test]
 fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
-    let folder = folder();
+    let folder = temp_folder();
     let git = |arguments: &[&str]| {
         let done = std::process::Command::new("git").current_dir(folder.path()).args(arguments).output();
         done.is_ok_and(|done| done.status.success())
@@ -214,8 +214,8 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
         println!("skipped: there is no git");
         return;
     }
-    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"]", "")).unwrap();
-    fs::write(folder.path().join("plain.toml"), inputs::space("plain", "paper-1")).unwrap();
+    fs::write(folder.path().join("a.toml"), inputs::assessment_toml("controllers = [\"idm\"]", "")).unwrap();
+    fs::write(folder.path().join("plain.toml"), inputs::space_toml("plain", "paper-1")).unwrap();
     let author = ["-c", "user.name=a", "-c", "user.email=a@b"];
     assert!(git(&["add", "a.toml"]) && git(&[&author[..], &["commit", "--quiet", "-m", "a"]].concat()));
     fs::write(folder.path().join(".gitattributes"), "*.toml filter=evil\n").unwrap();
@@ -223,10 +223,10 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     assert!(git(&["config", "filter.evil.clean", &format!("{marker}; cat")]));
     assert!(git(&["config", "core.fsmonitor", &marker]));
     // A later time stamp, so that git compares contents.
-    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"] ", "")).unwrap();
+    fs::write(folder.path().join("a.toml"), inputs::assessment_toml("controllers = [\"idm\"] ", "")).unwrap();
     let starts_nothing = || {
-        let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
-        assert!(code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
+        let assessed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
+        assert!(exit_code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
         assert!(!folder.path().join(MARKER_FILE).exists());
     };
     starts_nothing();
@@ -236,6 +236,6 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     fs::create_dir_all(hook.parent().unwrap()).unwrap();
     fs::write(&hook, format!("#!/bin/sh\n{marker}\n")).unwrap();
     fs::set_permissions(&hook, PermissionsExt::from_mode(0o755)).unwrap();
-    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"]", "")).unwrap();
+    fs::write(folder.path().join("a.toml"), inputs::assessment_toml("controllers = [\"idm\"]", "")).unwrap();
     starts_nothing();
 }

@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::damage::{assert_same, files, scratch};
+use crate::damage::{assert_same_contents, read_files, scratch_folder};
 use crate::tiny;
 
 /// Calls that are tried in each way, unless `FAULTS` says otherwise.
@@ -24,15 +24,15 @@ struct ResumableCommand {
     preset: Option<fn() -> String>,
 }
 
-const CAMPAIGN: Kept =
-    Kept { arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"], preset: None };
+const CAMPAIGN: ResumableCommand =
+    ResumableCommand { arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"], preset: None };
 
-const COUNT: Kept = Kept {
+const COUNT: ResumableCommand = ResumableCommand {
     arguments: &["verify", "rate", "--controller", "idm", "--space", "paper", "--runs", "400", "--confidence", "0.9"],
     preset: None,
 };
 
-const ESTIMATE: Kept = Kept {
+const ESTIMATE: ResumableCommand = ResumableCommand {
     arguments: &[
         "verify",
         "rate",
@@ -49,13 +49,13 @@ const ESTIMATE: Kept = Kept {
     preset: None,
 };
 
-const TRAINING: Kept = Kept {
+const TRAINING: ResumableCommand = ResumableCommand {
     arguments: &["train", "--preset", "tiny.toml", "--seed", "1", "--episodes", "33"],
     preset: Some(tiny::training),
 };
 
 /// In a space of which an avoidable contact is soon seen to be one, and every round looks for such.
-const RETRAINING: Kept = Kept {
+const RETRAINING: ResumableCommand = ResumableCommand {
     arguments: &[
         "retrain",
         "--preset",
@@ -89,12 +89,12 @@ const RETRAINING: Kept = Kept {
 /// The files of a folder, by name.
 type FolderFiles = BTreeMap<String, Vec<u8>>;
 
-impl Kept {
+impl ResumableCommand {
     /// A folder in which it can be run.
     fn new_folder(&self) -> tempfile::TempDir {
-        let place = scratch();
+        let place = scratch_folder();
         if let Some(preset) = self.preset {
-            fs::write(place.path().join("tiny.toml"), tiny::forgetful(&preset())).unwrap();
+            fs::write(place.path().join("tiny.toml"), tiny::with_small_memory(&preset())).unwrap();
         }
         place
     }
@@ -110,22 +110,22 @@ impl Kept {
     fn assert_completes(&self, place: &Path, genuine: &FolderFiles, what: &str) {
         let ended = self.command(place).output().unwrap();
         // A gate may fail, as it does without faults.
-        assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", said(&ended));
-        assert_same(&files(&place.join("run")), genuine, what);
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", describe_output(&ended));
+        assert_same_contents(&read_files(&place.join("run")), genuine, what);
     }
 
     /// The files it ends with, and the trace of what it did.
     fn run_without_faults(&self, shim: &Path) -> (FolderFiles, Vec<u8>) {
-        let place = self.place();
+        let place = self.new_folder();
         let trace = place.path().join("trace");
-        let ended = shimmed(&mut self.command(place.path()), shim, &place.path().join("run"))
+        let ended = with_shim(&mut self.command(place.path()), shim, &place.path().join("run"))
             .env("FAULT_TRACE", &trace)
             .output()
             .unwrap();
-        assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", said(&ended));
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", describe_output(&ended));
         let renamed = String::from_utf8_lossy(&fs::read(&trace).unwrap()).matches("\nrename ").count();
         assert!(renamed > 5, "what it does is seen");
-        (files(&place.path().join("run")), fs::read(&trace).unwrap())
+        (read_files(&place.path().join("run")), fs::read(&trace).unwrap())
     }
 }
 
@@ -148,7 +148,7 @@ fn build_shim(folder: &Path) -> PathBuf {
         .args(["-ldl", "-lpthread"])
         .output();
     let built = built.unwrap();
-    assert!(built.status.success(), "{}", said(&built));
+    assert!(built.status.success(), "{}", describe_output(&built));
     library
 }
 
@@ -169,26 +169,26 @@ fn call_count(trace: &[u8]) -> usize {
 }
 
 /// A full disk, a disk that fails, and an end without warning, at any call.
-fn assert_survives_faults(kept: &Kept) {
+fn assert_survives_faults(kept: &ResumableCommand) {
     let folder = tempfile::tempdir().unwrap();
-    let shim = shim(folder.path());
-    let (genuine, trace) = kept.genuine(&shim);
-    let calls = calls(&trace);
+    let shim = build_shim(folder.path());
+    let (genuine, trace) = kept.run_without_faults(&shim);
+    let calls = call_count(&trace);
     for (salt, fault) in ["enospc", "eio", "kill"].into_iter().enumerate() {
-        for at in tried(calls, salt) {
-            let (place, what) = (kept.place(), format!("{fault} at call {at} of {calls}"));
+        for at in selected_calls(calls, salt) {
+            let (place, what) = (kept.new_folder(), format!("{fault} at call {at} of {calls}"));
             let mut command = kept.command(place.path());
-            let faulty = shimmed(&mut command, &shim, &place.path().join("run"))
+            let faulty = with_shim(&mut command, &shim, &place.path().join("run"))
                 .env("FAULT_AT", at.to_string())
                 .env("FAULT", fault);
             let ended = faulty.output().unwrap();
             match (ended.status.code(), fault) {
                 // What was only tidying up may fail.
                 (Some(3), "enospc" | "eio") | (None, "kill") | (Some(0 | 1), _) => {}
-                _ => panic!("{what}: {}", said(&ended)),
+                _ => panic!("{what}: {}", describe_output(&ended)),
             }
             if ended.status.code() == Some(3) {
-                assert!(said(&ended).contains("run"), "{what} names no file: {}", said(&ended));
+                assert!(describe_output(&ended).contains("run"), "{what} names no file: {}", describe_output(&ended));
             }
             kept.assert_completes(place.path(), &genuine, &what);
         }
@@ -196,13 +196,13 @@ fn assert_survives_faults(kept: &Kept) {
 }
 
 /// The power goes at any call, and what had not been made to reach the disk is gone, or partly gone.
-fn assert_survives_power_loss(kept: &Kept) {
+fn assert_survives_power_loss(kept: &ResumableCommand) {
     let folder = tempfile::tempdir().unwrap();
-    let (genuine, trace) = kept.genuine(&shim(folder.path()));
-    let changes = power::changes(&trace);
+    let (genuine, trace) = kept.run_without_faults(&build_shim(folder.path()));
+    let changes = power::parse_operations(&trace);
     for (salt, loss) in power::PowerLoss::ALL.into_iter().enumerate() {
-        for at in tried(changes.len(), salt) {
-            let place = kept.place();
+        for at in selected_calls(changes.len(), salt) {
+            let place = kept.new_folder();
             power::disk_after_power_loss(&changes[..at], loss).write_to(&place.path().join("run"));
             kept.assert_completes(
                 place.path(),

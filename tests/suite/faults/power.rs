@@ -94,7 +94,7 @@ pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
                 rest = &rest[count + 1..];
                 DiskOperation::Write { handle: handle(parts[0]), offset, bytes }
             }
-            "cut" => DiskOperation::Cut { handle: handle(&two(' ').0), length: number(&two(' ').1) },
+            "cut" => DiskOperation::Truncate { handle: handle(&two(' ').0), length: number(&two(' ').1) },
             "sync" => DiskOperation::Sync { handle: handle(arguments) },
             "rename" => DiskOperation::Rename { from: two('\t').0, to: two('\t').1 },
             "link" => DiskOperation::Link { from: two('\t').0, to: two('\t').1 },
@@ -124,7 +124,7 @@ struct DurableContents {
 #[derive(Default)]
 struct Disk {
     root: String,
-    files: Vec<Contents>,
+    files: Vec<DurableContents>,
     now: BTreeMap<String, DiskNode>,
     durable: BTreeMap<String, DiskNode>,
     handles: BTreeMap<u32, String>,
@@ -136,14 +136,14 @@ struct Disk {
 pub(super) struct SurvivingFiles(BTreeMap<String, Option<Vec<u8>>>);
 
 /// The disk when the power comes back.
-pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) -> Left {
+pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) -> SurvivingFiles {
     let mut disk = Disk::default();
     for change in changes {
-        disk.make(change);
+        disk.apply(change);
     }
     let names = if matches!(loss, PowerLoss::Everything | PowerLoss::Names) { &disk.durable } else { &disk.now };
     let contents = |file: usize| {
-        let Contents { now, durable } = &disk.files[file];
+        let DurableContents { now, durable } = &disk.files[file];
         match loss {
             PowerLoss::Everything | PowerLoss::Contents => durable.clone(),
             PowerLoss::Names => now.clone(),
@@ -161,7 +161,7 @@ pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) 
             DiskNode::Folder => (name, None),
         }
     });
-    Left(left.collect())
+    SurvivingFiles(left.collect())
 }
 
 impl Disk {
@@ -178,7 +178,7 @@ impl Disk {
                 let file = match self.now.get(path) {
                     Some(DiskNode::File(file)) => *file,
                     _ => {
-                        self.files.push(Contents::default());
+                        self.files.push(DurableContents::default());
                         self.now.insert(path.clone(), DiskNode::File(self.files.len() - 1));
                         self.files.len() - 1
                     }
@@ -187,26 +187,26 @@ impl Disk {
                     self.files[file].now.clear();
                 }
                 self.handles.insert(*handle, path.clone());
-                self.opened.insert(*handle, file);
+                self.open_files.insert(*handle, file);
             }
             DiskOperation::Reopen { handle, path } => {
                 self.handles.insert(*handle, path.clone());
                 match self.now.get(path) {
-                    Some(DiskNode::File(file)) => self.opened.insert(*handle, *file),
-                    _ => self.opened.remove(handle),
+                    Some(DiskNode::File(file)) => self.open_files.insert(*handle, *file),
+                    _ => self.open_files.remove(handle),
                 };
             }
             DiskOperation::Close { handle } => {
                 self.handles.remove(handle);
-                self.opened.remove(handle);
+                self.open_files.remove(handle);
             }
             DiskOperation::Write { handle, offset, bytes } => {
-                let now = &mut self.files[self.opened[handle]].now;
+                let now = &mut self.files[self.open_files[handle]].now;
                 now.resize(now.len().max(offset + bytes.len()), 0);
                 now[*offset..offset + bytes.len()].copy_from_slice(bytes);
             }
-            DiskOperation::Cut { handle, length } => self.files[self.opened[handle]].now.resize(*length, 0),
-            DiskOperation::Sync { handle } => match self.opened.get(handle) {
+            DiskOperation::Truncate { handle, length } => self.files[self.open_files[handle]].now.resize(*length, 0),
+            DiskOperation::Sync { handle } => match self.open_files.get(handle) {
                 Some(&file) => self.files[file].durable = self.files[file].now.clone(),
                 None => self.sync_names(&self.handles[handle].clone()),
             },
@@ -231,7 +231,7 @@ impl Disk {
     }
 }
 
-impl Left {
+impl SurvivingFiles {
     pub(super) fn write_to(&self, folder: &Path) {
         fs::create_dir_all(folder).unwrap();
         for (name, contents) in &self.0 {

@@ -9,12 +9,12 @@ use super::*;
 fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
     let place = odd_fmu_folder(what)?;
     fs::create_dir(place.path().join("temporary")).unwrap();
-    let library = compiled(place.path(), ODD, &format!("-DWHAT={what}"))?;
+    let library = compile_library(place.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
     let resource = vec![7; 1 << 20];
     let members: [(&str, &[u8]); 3] =
-        [("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library), ("resources/data", &resource)];
-    fs::write(place.path().join("odd.fmu"), archive(&members)).unwrap();
+        [("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library), ("resources/data", &resource)];
+    fs::write(place.path().join("odd.fmu"), zip_archive(&members)).unwrap();
     Some(place)
 }
 
@@ -53,27 +53,27 @@ fn simulate_odd(place: &Path) -> std::process::Output {
 fn a_run_leaves_no_unpacked_folder_behind() {
     let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
     let ran = simulate_odd(place.path());
-    assert_eq!(code(&ran), 0, "{}", String::from_utf8_lossy(&ran.stderr));
-    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+    assert_eq!(exit_code(&ran), 0, "{}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(unpacked_folders(place.path()), [] as [&Path; 0]);
 }
 
 #[test]
 fn what_killed_hosts_left_is_removed_at_the_next_start_and_what_is_in_use_is_not() {
     let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
-    let mut killed = [host(place.path()), host(place.path())];
-    let mut running = host(place.path());
-    assert_eq!(unpacked(place.path()).len(), 3);
+    let mut killed = [start_host(place.path()), start_host(place.path())];
+    let mut running = start_host(place.path());
+    assert_eq!(unpacked_folders(place.path()).len(), 3);
     for host in &mut killed {
         host.kill().unwrap();
         host.wait().unwrap();
     }
-    assert_eq!(unpacked(place.path()).len(), 3);
-    assert_eq!(code(&simulate_odd(place.path())), 0);
-    let [left] = unpacked(place.path()).try_into().expect("that of the host that runs");
+    assert_eq!(unpacked_folders(place.path()).len(), 3);
+    assert_eq!(exit_code(&simulate_odd(place.path())), 0);
+    let [left] = unpacked_folders(place.path()).try_into().expect("that of the host that runs");
     assert_eq!(fs::metadata(left.join("resources/data")).unwrap().len(), 1 << 20);
     drop(running.stdin.take());
     assert!(running.wait().unwrap().success());
-    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+    assert_eq!(unpacked_folders(place.path()), [] as [&Path; 0]);
 }
 
 /// A host that crashes cannot remove its folder; the next one does.
@@ -84,22 +84,22 @@ fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
         let ran = simulate_odd(place.path());
         assert!(String::from_utf8_lossy(&ran.stdout).contains("CONTROLLER FAILED"));
     }
-    assert!(unpacked(place.path()).len() <= 2, "{:?}", unpacked(place.path()));
-    drop(host(place.path()).wait_with_output());
-    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+    assert!(unpacked_folders(place.path()).len() <= 2, "{:?}", unpacked_folders(place.path()));
+    drop(start_host(place.path()).wait_with_output());
+    assert_eq!(unpacked_folders(place.path()), [] as [&Path; 0]);
 }
 
 #[test]
 fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
     let place = folder();
     let source = "extern int missing_symbol; int *reference = &missing_symbol;";
-    let Some(undefined) = compiled(place.path(), source, "-DNOTHING") else { return };
+    let Some(undefined) = compile_library(place.path(), source, "-DNOTHING") else { return };
     for (library, reason) in [(undefined.as_slice(), "missing_symbol"), (&[b'x'; 100], "binaries/")] {
-        let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&member(2, "follower"), library)];
-        fs::write(place.path().join("follower.fmu"), archive(&members)).unwrap();
-        let ran = crumple(place.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+        let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&library_member(2, "follower"), library)];
+        fs::write(place.path().join("follower.fmu"), zip_archive(&members)).unwrap();
+        let ran = run_crumple(place.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
         let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-        assert_eq!(code(&ran), 2, "{said}");
+        assert_eq!(exit_code(&ran), 2, "{said}");
         assert!(said.contains("its library cannot be loaded: ") && said.contains(reason), "{said}");
         assert!(said.contains("build the FMU for this system") && !said.contains("crumple-fmu-run-"), "{said}");
     }

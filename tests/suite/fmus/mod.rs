@@ -10,15 +10,15 @@ use std::process::Command;
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-use crate::command_line::{code, crumple, folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 const EXAMPLE: &str = include_str!("../../../examples/controllers/fmu/follower.c");
 const EXAMPLE_XML: &str = include_str!("../../../examples/controllers/fmu/modelDescription.xml");
@@ -63,20 +63,20 @@ pub(crate) fn zip_archive(members: &[(&str, &[u8])]) -> Vec<u8> {
 
 /// A folder with the example as `follower.fmu`.
 fn example_fmu_folder() -> Option<tempfile::TempDir> {
-    let folder = folder();
-    let library = compiled(folder.path(), EXAMPLE, "-DEXAMPLE")?;
-    let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&member(2, "follower"), &library)];
-    fs::write(folder.path().join("follower.fmu"), archive(&members)).unwrap();
+    let folder = temp_folder();
+    let library = compile_library(folder.path(), EXAMPLE, "-DEXAMPLE")?;
+    let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&library_member(2, "follower"), &library)];
+    fs::write(folder.path().join("follower.fmu"), zip_archive(&members)).unwrap();
     Some(folder)
 }
 
 /// A folder with the other one as `odd.fmu`, and its controller file.
 fn odd_fmu_folder(what: &str) -> Option<tempfile::TempDir> {
-    let folder = folder();
-    let library = compiled(folder.path(), ODD, &format!("-DWHAT={what}"))?;
+    let folder = temp_folder();
+    let library = compile_library(folder.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", if what == "ONCE" { "\"true\"" } else { "\"false\"" });
-    let members = [("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library)];
-    fs::write(folder.path().join("odd.fmu"), archive(&members)).unwrap();
+    let members = [("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library)];
+    fs::write(folder.path().join("odd.fmu"), zip_archive(&members)).unwrap();
     fs::write(folder.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     Some(folder)
 }
@@ -105,7 +105,7 @@ fn find_controller(name: &str, folder: &Path) -> NamedController {
     NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
@@ -115,7 +115,7 @@ fn draw_scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(|index| space.draw(5, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
 }
 
-fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<SimulationResult> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
@@ -130,14 +130,14 @@ fn one_law_drives_alike_by_both_editions_and_without() {
     fs::write(example.path().join("process.c"), source).unwrap();
     let arguments = ["-O2", "-o", "process", "process.c", "-lm"];
     assert!(Command::new("cc").args(arguments).current_dir(example.path()).status().unwrap().success());
-    let scenarios = draws(25);
-    let expected = simulate_in_lockstep(&find("exec:./process", example.path()).kind, &scenarios);
-    let by_fmi_2 = find("follower.fmu", example.path()).kind;
+    let scenarios = draw_scenarios(25);
+    let expected = simulate_in_lockstep(&find_controller("exec:./process", example.path()).kind, &scenarios);
+    let by_fmi_2 = find_controller("follower.fmu", example.path()).kind;
     assert_eq!(simulate_in_lockstep(&by_fmi_2, &scenarios), expected);
-    assert_eq!(drive(&by_fmi_2, &scenarios[7]), expected[7]);
+    assert_eq!(simulate_with_truth(&by_fmi_2, &scenarios[7]), expected[7]);
     for what in ["NOTHING", "ONCE", "PRINT", "WARN"] {
         let odd = odd_fmu_folder(what).unwrap();
-        assert_eq!(simulate_in_lockstep(&find("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
+        assert_eq!(simulate_in_lockstep(&find_controller("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
     }
 }
 
@@ -147,9 +147,9 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
     let Some(odd) = odd_fmu_folder("LATER") else { return };
     let text = ODD_CONTROLLER.replace("fmu =", "decision_interval_s = 0.1\nfmu =");
     fs::write(odd.path().join("odd.toml"), text).unwrap();
-    let scenario = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 2.0).unwrap();
-    let controller = find("odd.toml", odd.path()).kind;
-    let simulated = drive(&controller, &scenario);
+    let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 2.0).unwrap();
+    let controller = find_controller("odd.toml", odd.path()).kind;
+    let simulated = simulate_with_truth(&controller, &scenario);
     let trace = simulated.trace.as_ref().unwrap();
     let (gaps_m, [ahead, own]) = (trace.gaps_m(1), [&trace.vehicles[0], &trace.vehicles[1]]);
     let decay = 1.0 - (-0.1_f64 / 0.3).exp();
@@ -163,7 +163,7 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
         checked += 1;
     }
     assert_eq!(checked, 20);
-    assert_eq!(drive(&controller, &scenario), simulated);
+    assert_eq!(simulate_with_truth(&controller, &scenario), simulated);
 }
 
 #[test]
@@ -179,8 +179,8 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
     ];
     for (what, time_s, why, last) in cases {
         let Some(odd) = odd_fmu_folder(what) else { return };
-        let failed = drive(&find("odd.toml", odd.path()).kind, &built_in("paper-1").unwrap()).outcome;
-        let failed = failed.failed().unwrap_or_else(|| panic!("{what} drives on"));
+        let failed = simulate_with_truth(&find_controller("odd.toml", odd.path()).kind, &built_in_scenario("paper-1").unwrap()).outcome;
+        let failed = failed.failed_controller().unwrap_or_else(|| panic!("{what} drives on"));
         let said = failed.to_string();
         assert!((failed.time_s - time_s).abs() < 1e-9 && said.contains("`odd.fmu`"), "{what}: {said}");
         assert!(said.contains(why) && said.contains(last), "{what}: {said}");
@@ -191,9 +191,9 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
 #[test]
 fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     let Some(odd) = odd_fmu_folder("NOTHING") else { return };
-    let identity = |folder: &Path| find("odd.toml", folder).kind.identity().expect("has one");
+    let identity = |folder: &Path| find_controller("odd.toml", folder).kind.identity().expect("has one");
     let first = identity(odd.path());
-    let elsewhere = folder();
+    let elsewhere = temp_folder();
     for name in ["odd.toml", "odd.fmu"] {
         fs::copy(odd.path().join(name), elsewhere.path().join(name)).unwrap();
     }
@@ -201,8 +201,8 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     fs::write(elsewhere.path().join("odd.toml"), ODD_CONTROLLER.replace("= 30.0", "= 29.0")).unwrap();
     assert_ne!(identity(elsewhere.path()), first);
     let search = ["falsify", "--controller", "odd.toml", "--budget", "2", "--out", "found", "--format", "json"];
-    let found = crumple(odd.path(), &search);
-    assert!([0, 1].contains(&code(&found)), "{}", String::from_utf8_lossy(&found.stderr));
+    let found = run_crumple(odd.path(), &search);
+    assert!([0, 1].contains(&exit_code(&found)), "{}", String::from_utf8_lossy(&found.stderr));
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
         .output()
         .unwrap();
     fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
-    assert_eq!(code(&nobody), 2);
+    assert_eq!(exit_code(&nobody), 2);
 }
 
 /// Each of 200 damaged ones: one clear error, exit code 2; and so for whatever else is in an archive.
@@ -278,7 +278,7 @@ fn damaged_fmus_are_refused() {
     // A name or a date of a member may change and still be one.
     assert!(accepted < 40, "{accepted} of 200 are accepted");
 
-    let library = member(2, "follower");
+    let library = library_member(2, "follower");
     let far = "../".repeat(9) + "tmp/evil";
     let big = EXAMPLE_XML.replace("</fmi", &(" ".repeat(17 << 20) + "</fmi"));
     let model = |was: &str, is: &str| EXAMPLE_XML.replacen(was, is, 1);
@@ -301,23 +301,23 @@ fn damaged_fmus_are_refused() {
         (big, "has more than 16777216 bytes"),
     ];
     for (xml, said) in described {
-        fs::write(&path, archive(&[("modelDescription.xml", xml.as_bytes()), (&library, &whole)])).unwrap();
+        fs::write(&path, zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library, &whole)])).unwrap();
         let error = refused(said).unwrap_or_else(|| panic!("accepted, should say {said}"));
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
     let xml = EXAMPLE_XML.as_bytes();
     fs::write(
         &path,
-        archive(&[("resources/../../evil", xml), ("modelDescription.xml", xml), (&library, xml), (&far, xml)]),
+        zip_archive(&[("resources/../../evil", xml), ("modelDescription.xml", xml), (&library, xml), (&far, xml)]),
     )
     .unwrap();
-    let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+    let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
     let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-    assert!(code(&ran) == 2 && said.contains("leads out of the archive"), "{said}");
+    assert!(exit_code(&ran) == 2 && said.contains("leads out of the archive"), "{said}");
     for bytes in [&whole[..700], b"PK", b""] {
         fs::write(&path, bytes).unwrap();
-        let ran = crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-        assert_eq!(code(&ran), 2);
+        let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+        assert_eq!(exit_code(&ran), 2);
         let said = String::from_utf8_lossy(&ran.stderr).into_owned();
         assert_eq!(said.matches("follower.fmu: ").count(), 1, "{said}");
     }

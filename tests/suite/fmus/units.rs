@@ -26,7 +26,7 @@ fn convert_units_in_source(source: &str, first: u32) -> String {
     let read = source.get(begin..).and_then(|rest| rest.split_once(';')).expect("a statement").0.to_owned();
     let value = read.strip_prefix("values[one] = ").expect("an assignment");
     let source = source.replace(&read, &format!("values[one] = ({value} - {offset}) / {factor}"));
-    source.replace("typedef struct {\n    double values", &format!("{TABLE}typedef struct {{\n    double values"))
+    source.replace("typedef struct {\n    double values", &format!("{UNIT_TABLE}typedef struct {{\n    double values"))
 }
 
 /// The description of the example with other units; the set speed gets its unit from a declared type.
@@ -64,7 +64,7 @@ fn other_units_odd_xml() -> String {
 const PARAMETERS: &str =
     "version = 1\nfmu = \"follower.fmu\"\nparameters = { time_gap_s = 1.0, set_speed_mps = 26.0 }\n";
 
-fn largest_difference_m(one: &Simulated, other: &Simulated) -> f64 {
+fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64 {
     let (one, other) = (one.trace.as_ref().unwrap(), other.trace.as_ref().unwrap());
     let positions = |trace: &crumple_world::sim::Trace| trace.vehicles[1].position_m.clone();
     positions(one).iter().zip(positions(other)).map(|(one, other)| (one - other).abs()).fold(0.0, f64::max)
@@ -75,33 +75,33 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     let Some(plain) = example_fmu_folder() else { return };
     fs::write(plain.path().join("f.toml"), PARAMETERS).unwrap();
     let scenario = built_in("paper-1").unwrap();
-    let expected = drive(&find("f.toml", plain.path()).kind, &scenario);
+    let expected = simulate_with_truth(&find_controller("f.toml", plain.path()).kind, &scenario);
 
     let two = folder();
-    let library = compiled(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
+    let library = compile_library(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
     let xml = other_units_xml();
-    let bytes = archive(&[("modelDescription.xml", xml.as_bytes()), (&member(2, "follower"), &library)]);
+    let bytes = zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library_member(2, "follower"), &library)]);
     fs::write(two.path().join("follower.fmu"), bytes).unwrap();
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
-    let found = drive(&find("f.toml", two.path()).kind, &scenario);
+    let found = simulate_with_truth(&find_controller("f.toml", two.path()).kind, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
-    assert!(expected.outcome.failed().is_none() && apart_m < 1e-9, "FMI 2: {apart_m} m");
+    assert!(expected.outcome.failed_controller().is_none() && apart_m < 1e-9, "FMI 2: {apart_m} m");
     // Without a controller file the variables are called like quantities, and are converted too.
-    let by_names = |folder: &Path| drive(&find("follower.fmu", folder).kind, &scenario);
+    let by_names = |folder: &Path| simulate_with_truth(&find_controller("follower.fmu", folder).kind, &scenario);
     let apart_m = largest_difference_m(&by_names(plain.path()), &by_names(two.path()));
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
 
     let three = folder();
-    let library = compiled(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
+    let library = compile_library(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
     let xml = other_units_odd_xml();
     fs::write(
         three.path().join("odd.fmu"),
-        archive(&[("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library)]),
+        zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library)]),
     )
     .unwrap();
     let text = ODD_CONTROLLER.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
     fs::write(three.path().join("odd.toml"), text).unwrap();
-    let apart_m = largest_difference_m(&expected, &drive(&find("odd.toml", three.path()).kind, &scenario));
+    let apart_m = largest_difference_m(&expected, &simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario));
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
 
@@ -110,10 +110,10 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 fn units_that_cannot_be_converted_are_refused_by_name() {
     let place = folder();
     let found = |xml: &str, toml: &str| {
-        let library = member(2, "follower");
+        let library = library_member(2, "follower");
         fs::write(
             place.path().join("follower.fmu"),
-            archive(&[("modelDescription.xml", xml.as_bytes()), (&library, b"")]),
+            zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library, b"")]),
         )
         .unwrap();
         fs::write(place.path().join("f.toml"), toml).unwrap();
@@ -180,12 +180,12 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
 #[test]
 fn numbers_of_a_controller_file_are_in_si_units() {
     let place = folder();
-    let library = member(2, "follower");
-    let bytes = archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
+    let library = library_member(2, "follower");
+    let bytes = zip_archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
     fs::write(place.path().join("follower.fmu"), bytes).unwrap();
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = 0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();
-    let ControllerKind::Process(process) = find("f.toml", place.path()).kind else { panic!("a process") };
+    let ControllerKind::Process(process) = find_controller("f.toml", place.path()).kind else { panic!("a process") };
     let input = &process.setup().mapping.inputs[0];
     let close = |found: f64, expected: f64| (found - expected).abs() < 1e-12;
     assert!(close(input.offset, 3.048) && close(input.scale, 0.3048), "{input:?}");

@@ -33,10 +33,10 @@ pub(super) struct ForgedCertificate {
 }
 
 /// Forges one of some genuine certificates; `others` lends it parts.
-pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate], random: &mut Xoshiro256PlusPlus) -> Forged {
+pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate], random: &mut Xoshiro256PlusPlus) -> ForgedCertificate {
     let mut value = serde_json::to_value(&genuine.certificate).unwrap_or_default();
     let mut policy = genuine.policy.clone();
-    let places = places(&value);
+    let places = json_pointers(&value);
     let place = places.choose(random).cloned().unwrap_or_default();
     let (mut text, mut keeps_order) = (None, true);
     let mut change = match random.random_range(0..12_u32) {
@@ -51,7 +51,7 @@ pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate],
         }
         6 => {
             // The value that stands there stays the last, or the first, of two.
-            let canonical = genuine.certificate.canonical();
+            let canonical = genuine.certificate.to_canonical_json();
             let names: Vec<usize> = canonical.match_indices("\":").map(|(at, _)| at).collect();
             let at = names.choose(random).copied().unwrap_or_default();
             let name = canonical.get(..at).and_then(|before| before.rsplit('"').next()).unwrap_or_default().to_owned();
@@ -101,13 +101,13 @@ pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate],
         }
     };
     if text.is_none() && random.random() {
-        mend(&mut value);
+        repair_hashes(&mut value);
         change += ", mended";
     }
     // In the order of the types, or it would be refused for its order alone.
     let ordered = serde_json::from_value::<Certificate>(value.clone()).ok().filter(|_| keeps_order);
-    let text = text.unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.canonical()));
-    Forged { change, text, policy }
+    let text = text.unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.to_canonical_json()));
+    ForgedCertificate { change, text, policy }
 }
 
 fn change_number(value: &mut Value, places: &[String], random: &mut Xoshiro256PlusPlus) -> String {
@@ -170,7 +170,7 @@ fn change_policy(
     others: &[GenuineCertificate],
     random: &mut Xoshiro256PlusPlus,
 ) -> String {
-    let Some(bytes) = policy else { return change_text(value, &places(value), random) };
+    let Some(bytes) = policy else { return change_text(value, &json_pointers(value), random) };
     let header = u64::from_le_bytes(bytes.first_chunk().copied().unwrap_or_default()) as usize;
     let what = match random.random_range(0..4_u32) {
         0 => {

@@ -31,7 +31,7 @@ fn text(term: usize) -> String {
 
 impl Term {
     pub(super) fn symbol(name: &str) -> Self {
-        Self(noted(name.to_owned()))
+        Self(intern(name.to_owned()))
     }
 
     pub(super) fn text(self) -> String {
@@ -39,7 +39,7 @@ impl Term {
     }
 
     fn binary(operator: &str, one: Self, other: Self) -> Self {
-        Self(noted(format!("({operator} {} {})", one.text(), other.text())))
+        Self(intern(format!("({operator} {} {})", one.text(), other.text())))
     }
 }
 
@@ -49,7 +49,7 @@ impl Truth {
     }
 
     fn binary(operator: &str, one: usize, other: usize) -> Self {
-        Self(noted(format!("({operator} {} {})", text(one), text(other))))
+        Self(intern(format!("({operator} {} {})", text(one), text(other))))
     }
 }
 
@@ -58,7 +58,7 @@ macro_rules! operators {
         $(impl $trait for Term {
             type Output = Self;
             fn $method(self, other: Self) -> Self {
-                Self::of_two($operator, self, other)
+                Self::binary($operator, self, other)
             }
         })*
     };
@@ -68,42 +68,42 @@ operators!(Add add "+", Sub sub "-", Mul mul "*", Div div "/",);
 impl Neg for Term {
     type Output = Self;
     fn neg(self) -> Self {
-        Self(noted(format!("(- {})", self.text())))
+        Self(intern(format!("(- {})", self.text())))
     }
 }
 
 impl BitAnd for Truth {
     type Output = Self;
     fn bitand(self, other: Self) -> Self {
-        Self::of_two("and", self.0, other.0)
+        Self::binary("and", self.0, other.0)
     }
 }
 
 impl BitOr for Truth {
     type Output = Self;
     fn bitor(self, other: Self) -> Self {
-        Self::of_two("or", self.0, other.0)
+        Self::binary("or", self.0, other.0)
     }
 }
 
 impl Real for Term {
     type Truth = Truth;
 
-    fn of(value: f64) -> Self {
+    fn from_f64(value: f64) -> Self {
         let size = format!("{:?}", value.abs());
-        Self(noted(if value < 0.0 { format!("(- {size})") } else { size }))
+        Self(intern(if value < 0.0 { format!("(- {size})") } else { size }))
     }
 
-    fn above(self, other: Self) -> Truth {
-        Truth::of_two(">", self.0, other.0)
+    fn greater_than(self, other: Self) -> Truth {
+        Truth::binary(">", self.0, other.0)
     }
 
     fn at_least(self, other: Self) -> Truth {
-        Truth::of_two(">=", self.0, other.0)
+        Truth::binary(">=", self.0, other.0)
     }
 
-    fn either(truth: Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+    fn select(truth: Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
         let (then, otherwise) = (then(), otherwise());
-        Self(noted(format!("(ite {} {} {})", truth.text(), then.text(), otherwise.text())))
+        Self(intern(format!("(ite {} {} {})", truth.text(), then.text(), otherwise.text())))
     }
 }

@@ -1,15 +1,15 @@
 //! Stopping distances and contact times against closed forms, to 1e-9.
 
-use crumple_fuzzing::Setup;
+use crumple_fuzzing::RunSetup;
 use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
     VehicleSpec,
 };
-use crumple_world::sim::Simulated;
+use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_profile, cases, traced};
+use crate::generate::{any_profile, cases, simulate_traced};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
@@ -60,7 +60,7 @@ fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (
 /// Two vehicles that drive by themselves from the start, `gap_m` apart, in a scenario long enough for both to stop.
 fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f64, steps: u32) -> Scenario {
     let vehicle = |body: AcceleratedBody| {
-        let profile = Pieces { from_s: vec![0.0], accel_mps2: vec![body.a] };
+        let profile = PiecewiseAcceleration { from_s: vec![0.0], accel_mps2: vec![body.a] };
         VehicleSpec {
             length_m: Some(4.0),
             max_brake_mps2: Some(30.0),
@@ -84,8 +84,8 @@ fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f
     .expect("valid")
 }
 
-fn run(scenario: &Scenario) -> Simulated {
-    traced(scenario, &Setup::truthful().options(scenario.spec().step_s))
+fn run(scenario: &Scenario) -> SimulationResult {
+    simulate_traced(scenario, &RunSetup::with_true_state().options(scenario.spec().step_s))
 }
 
 /// A script that a vehicle at `v` can keep: one that does not ease off, and recorded speeds that start at the vehicle's and
@@ -150,13 +150,13 @@ proptest! {
         v in 0.0..60.0_f64,
         b in 1.0..10.0_f64,
         onset_steps in 0..50_u32,
-        step_s in step_s(),
+        step_s in any_step_s(),
     ) {
         let onset_s = f64::from(onset_steps) * step_s;
         let steps = onset_steps + (v / b / step_s).ceil() as u32 + 2;
         let front = AcceleratedBody { x: 100.0, v, a: 0.0 };
         let rear = AcceleratedBody { x: 0.0, v: 0.0, a: 0.0 };
-        let braking = scenario(front, rear, step_s, steps).edited(|spec| {
+        let braking = two_vehicle_scenario(front, rear, step_s, steps).edited(|spec| {
             let brake = Brake { onset_s, rate_mps2: b };
             spec.vehicles[0].driver = Driver::Profile(LeadProfile::Brake(brake));
         }).unwrap();
@@ -176,9 +176,9 @@ proptest! {
         profile in (1..6_u8).prop_flat_map(any_profile),
         step_s in prop::sample::select(vec![0.01, 0.05, 0.1]),
     ) {
-        let (v, profile) = feasible(v, profile);
+        let (v, profile) = make_feasible(v, profile);
         let bodies = [AcceleratedBody { x: 100.0, v, a: 0.0 }, AcceleratedBody { x: 0.0, v: 0.0, a: 0.0 }];
-        let scripted = scenario(bodies[0], bodies[1], step_s, 100).edited(|spec| {
+        let scripted = two_vehicle_scenario(bodies[0], bodies[1], step_s, 100).edited(|spec| {
             spec.vehicles[0].driver = Driver::Profile(profile.clone());
         }).unwrap();
         let result = run(&scripted);
@@ -198,13 +198,13 @@ proptest! {
     fn constant_speed_into_a_braking_vehicle(
         (g, v_f, v_r) in (0.1..50.0_f64, 0.0..40.0_f64, 1.0..40.0_f64),
         b in 1.0..10.0_f64,
-        step_s in step_s(),
+        step_s in any_step_s(),
     ) {
         let closing = v_r - v_f;
         let while_moving = 2.0 * g / (closing + (closing * closing + 2.0 * b * g).sqrt());
         let time_s = if while_moving <= v_f / b { while_moving } else { (g + v_f * v_f / (2.0 * b)) / v_r };
         let steps = (time_s / step_s) as u32 + 2;
-        let result = run(&scenario(AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
+        let result = run(&two_vehicle_scenario(AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
         let contact = result.outcome.contact().expect("nothing stops the rear one");
         prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
         prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
@@ -212,10 +212,10 @@ proptest! {
 
     /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g) or stops v² / 2b on.
     #[test]
-    fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in step_s()) {
+    fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in any_step_s()) {
         let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
         prop_assume!(left.abs() > 1e-3);
-        let result = run(&scenario(AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b }, step_s, steps));
+        let result = run(&two_vehicle_scenario(AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b }, step_s, steps));
         if left > 0.0 {
             let contact = result.outcome.contact().expect("it cannot stop in time");
             prop_assert!((contact.time_s - (v - left.sqrt()) / b).abs() < 1e-9);
@@ -232,13 +232,13 @@ proptest! {
     fn any_two_bodies_meet_where_their_parabolas_do(
         (g, v_f, v_r) in (0.01..40.0_f64, 0.0..40.0_f64, 0.0..40.0_f64),
         (a_f, a_r) in (-10.0..4.0_f64, -10.0..4.0_f64),
-        (steps, step_s) in (1..120_u32, step_s()),
+        (steps, step_s) in (1..120_u32, any_step_s()),
     ) {
         let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: a_f }, AcceleratedBody { x: 0.0, v: v_r, a: a_r });
         let steps = steps.min((12.0 / step_s) as u32);
-        let (meeting_s, smallest_m) = meet(front, rear, f64::from(steps) * step_s);
+        let (meeting_s, smallest_m) = first_contact(front, rear, f64::from(steps) * step_s);
         prop_assume!(meeting_s.is_some() || smallest_m > 1e-6);
-        let result = run(&scenario(front, rear, step_s, steps));
+        let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
         match (result.outcome.contact(), meeting_s) {
             (None, None) => {
                 let min_gap_m = result.vehicles[1].min_gap_m.unwrap();
@@ -260,7 +260,7 @@ proptest! {
 fn noise_is_as_large_as_stated() {
     let deviation_mps2 = 0.3;
     let body = |x: f64| AcceleratedBody { x, v: 30.0, a: 0.0 };
-    let scenario = scenario(body(1000.0), body(0.0), 0.01, 2000).edited(|spec| {
+    let scenario = two_vehicle_scenario(body(1000.0), body(0.0), 0.01, 2000).edited(|spec| {
         spec.vehicles[0].acceleration_noise_mps2 = deviation_mps2;
     });
     let result = run(&scenario.expect("valid"));

@@ -1,13 +1,13 @@
 //! Impacts keep momentum, take energy away and leave vehicles stuck together.
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
-use crumple_fuzzing::{Setup, TestCase, script};
+use crumple_fuzzing::{RunSetup, TestCase, make_scripted};
 use crumple_world::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_scenario, ask, cases, traced};
+use crate::generate::{any_scenario, check_oracle, cases, simulate_traced};
 
 /// A line in which some vehicles do not look and the one ahead of them is slower.
 fn any_pile_up() -> impl Strategy<Value = Scenario> {
@@ -17,7 +17,7 @@ fn any_pile_up() -> impl Strategy<Value = Scenario> {
             for (index, (vehicle, (careless, extra_mps))) in spec.vehicles.iter_mut().zip(careless).enumerate() {
                 vehicle.speed_mps = 5.0 * index as f64 + extra_mps;
                 if careless {
-                    script(vehicle, LeadProfile::ConstantSpeed);
+                    make_scripted(vehicle, LeadProfile::ConstantSpeed);
                 }
             }
         };
@@ -25,8 +25,8 @@ fn any_pile_up() -> impl Strategy<Value = Scenario> {
     })
 }
 
-fn continuing_setup() -> Setup {
-    Setup { after_contact: AfterContact::Continue, ..Setup::truthful() }
+fn continuing_setup() -> RunSetup {
+    RunSetup { after_contact: AfterContact::Continue, ..RunSetup::with_true_state() }
 }
 
 proptest! {
@@ -35,15 +35,15 @@ proptest! {
     /// Every impact keeps the momentum of its two bodies and never adds energy; each body's change of speed is told right;
     /// whoever touches stays together, with one speed and no gap, to the end.
     #[test]
-    fn each_impact_keeps_momentum_and_leaves_vehicles_stuck_together(scenario in pile_up()) {
-        ask(&TestCase { scenario, setup: going_on() }, impacts_are_inelastic)?;
+    fn each_impact_keeps_momentum_and_leaves_vehicles_stuck_together(scenario in any_pile_up()) {
+        check_oracle(&TestCase { scenario, setup: continuing_setup() }, impacts_are_inelastic)?;
     }
 
     /// Over a step in which nobody brakes to standstill, forces alone change the momentum of the line, whatever hits
     /// whatever in it: impacts have no momentum of their own to give.
     #[test]
-    fn the_motion_itself_keeps_momentum_through_impacts(scenario in pile_up()) {
-        let result = traced(&scenario, &going_on().options(scenario.spec().step_s));
+    fn the_motion_itself_keeps_momentum_through_impacts(scenario in any_pile_up()) {
+        let result = simulate_traced(&scenario, &continuing_setup().options(scenario.spec().step_s));
         let trace = trace_of(&result);
         for k in 0..trace.len() - 1 {
             let dt_s = trace.time_s[k + 1] - trace.time_s[k];
@@ -65,8 +65,8 @@ proptest! {
 
     /// A vehicle that stands is held, whatever it and those it sticks to want: it is never braked.
     #[test]
-    fn nobody_who_stands_is_braked(scenario in pile_up()) {
-        let result = traced(&scenario, &going_on().options(scenario.spec().step_s));
+    fn nobody_who_stands_is_braked(scenario in any_pile_up()) {
+        let result = simulate_traced(&scenario, &continuing_setup().options(scenario.spec().step_s));
         for (index, track) in trace_of(&result).vehicles.iter().enumerate() {
             let standing = (0..track.speed_mps.len() - 1).filter(|&k| track.speed_mps[k] == 0.0);
             for (k, a) in standing.map(|k| (k, track.acceleration_mps2[k])) {
@@ -81,9 +81,9 @@ proptest! {
 fn pile_ups_pile_up() {
     use proptest::strategy::ValueTree;
     let mut runner = proptest::test_runner::TestRunner::deterministic();
-    let strategy = pile_up();
-    let options = going_on().options(0.01);
+    let strategy = any_pile_up();
+    let options = continuing_setup().options(0.01);
     let impacts: usize =
-        (0..200).map(|_| traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len()).sum();
+        (0..200).map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len()).sum();
     assert!(impacts > 200, "{impacts} impacts in 200 scenarios");
 }

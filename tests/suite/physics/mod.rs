@@ -4,15 +4,15 @@ mod closed_forms;
 mod impacts;
 mod symmetry;
 
-use crumple_fuzzing::oracle::{monitor_agrees, motion_is_physical, one_story, same_impacts, step_size_decides_nothing};
+use crumple_fuzzing::oracle::{monitor_agrees, motion_is_physical, metrics_agree, check_same_impacts, step_size_changes_nothing};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{Simulated, Trace};
+use crumple_world::sim::{SimulationResult, Trace};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, ask, cases, traced};
+use crate::generate::{any_test_case, check_oracle, cases, simulate_traced};
 
-fn trace_of(result: &Simulated) -> &Trace {
+fn trace_of(result: &SimulationResult) -> &Trace {
     result.trace.as_ref().expect("kept")
 }
 
@@ -22,39 +22,39 @@ proptest! {
     /// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
     #[test]
     fn vehicles_move_forward_continuously_and_braking_takes_energy_away(test_case in any_test_case()) {
-        ask(&test_case, motion_is_physical)?;
+        check_oracle(&test_case, motion_is_physical)?;
     }
 
     /// The recorded motion, the verdict and the report's verdict tell one story, and nobody goes beyond what road and
     /// vehicle allow.
     #[test]
     fn verdict_summary_and_trace_agree(test_case in any_test_case()) {
-        ask(&test_case, one_story)?;
+        check_oracle(&test_case, metrics_agree)?;
     }
 
     /// "Always a gap" holds on the trace if and only if nobody touches.
     #[test]
     fn the_monitor_says_what_the_verdict_says(test_case in any_test_case()) {
-        ask(&test_case, monitor_agrees)?;
+        check_oracle(&test_case, monitor_agrees)?;
     }
 
     /// Ten times finer integration, with controllers, sensors and noise at the same instants, is the same motion.
     #[test]
     fn the_integration_step_changes_nothing(test_case in any_test_case()) {
-        ask(&test_case, step_size_decides_nothing)?;
+        check_oracle(&test_case, step_size_changes_nothing)?;
     }
 }
 
 /// The paper's scenarios, which everything is compared on, are among those that do not depend on the step.
 #[test]
 fn the_verdicts_of_the_papers_distribution_do_not_depend_on_the_step() {
-    let baseline = crumple_world::control::ControllerSpec::named("baseline").unwrap();
+    let baseline = crumple_world::control::ControllerSpec::from_name("baseline").unwrap();
     for index in 0..40 {
         let scenario: Scenario = crumple_world::scenario::PaperDistribution { seed: 11 }.draw(index).unwrap();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
             let options = crumple_world::sim::RunOptions::new(baseline.clone()).with_estimator(estimator);
-            let [coarse, fine] = [0.01, 0.001].map(|dt_s| traced(&scenario, &options.clone().with_dt_s(dt_s)));
-            same_impacts(&coarse, &fine, 0, 0.0).expect("the same verdict");
+            let [coarse, fine] = [0.01, 0.001].map(|dt_s| simulate_traced(&scenario, &options.clone().with_dt_s(dt_s)));
+            check_same_impacts(&coarse, &fine, 0, 0.0).expect("the same verdict");
         }
     }
 }

@@ -1,35 +1,35 @@
 //! What may be moved, delayed or added without changing what happens.
 
-use crumple_fuzzing::oracle::{grazes, same_impacts};
-use crumple_fuzzing::{Kind, Setup, Shape, script};
+use crumple_fuzzing::oracle::{is_grazing, check_same_impacts};
+use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape, make_scripted};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, Recorded, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
-use crumple_world::sim::Simulated;
+use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_setup, cases, noise_free, scenario_of, traced, unlearned,
+    any_after_contact, any_profile, any_scenario, any_setup, cases, without_noise, any_scenario_of_shape, simulate_traced, without_learned_drivers,
 };
 
 /// [`same_impacts`] for a property.
-fn assert_same_impacts(before: &Simulated, after: &Simulated, shift: usize, shift_s: f64) -> Result<(), TestCaseError> {
-    same_impacts(before, after, shift, shift_s).map_err(TestCaseError::fail)
+fn assert_same_impacts(before: &SimulationResult, after: &SimulationResult, shift: usize, shift_s: f64) -> Result<(), TestCaseError> {
+    check_same_impacts(before, after, shift, shift_s).map_err(TestCaseError::fail)
 }
 
 /// Vehicles at one speed whose drivers hold it until the leader does something.
 fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
-    let followers = prop::collection::vec((0..4_u8).prop_map(Kind::Controller), 1..4);
+    let followers = prop::collection::vec((0..4_u8).prop_map(DriverKind::Controller), 1..4);
     let shape =
         (1..6_u8, followers, prop::sample::select(vec![0.01, 0.02, 0.05])).prop_map(|(leader, followers, step_s)| {
-            let leader = [Kind::Profile(leader)];
-            Shape { step_s, drivers: leader.into_iter().chain(followers).collect() }
+            let leader = [DriverKind::Profile(leader)];
+            ScenarioShape { step_s, drivers: leader.into_iter().chain(followers).collect() }
         });
-    (shape.prop_flat_map(|shape| scenario_of(&shape)), 5.0..40.0_f64).prop_map(|(scenario, speed_mps)| {
+    (shape.prop_flat_map(|shape| any_scenario_of_shape(&shape)), 5.0..40.0_f64).prop_map(|(scenario, speed_mps)| {
         let steady = |spec: &mut ScenarioSpec| {
             for vehicle in &mut spec.vehicles {
                 (vehicle.speed_mps, vehicle.acceleration_noise_mps2) = (speed_mps, 0.0);
-                if let Driver::Profile(LeadProfile::Recorded(Recorded { speed_mps: recorded, .. })) =
+                if let Driver::Profile(LeadProfile::Recorded(RecordedSpeeds { speed_mps: recorded, .. })) =
                     &mut vehicle.driver
                 {
                     recorded[0] = speed_mps;
@@ -64,12 +64,12 @@ proptest! {
         let later = scenario.edited(|spec| {
             spec.duration_s += by_s;
             if let Driver::Profile(profile) = &mut spec.vehicles[0].driver {
-                delayed(profile, by_s);
+                delay_profile(profile, by_s);
             }
         }).expect("still valid");
-        let options = Setup { after_contact, ..Setup::truthful() }.options(spec.step_s);
-        let (now, then) = (traced(&scenario, &options), traced(&later, &options));
-        prop_assume!(!grazes(&now) && !grazes(&then));
+        let options = RunSetup { after_contact, ..RunSetup::with_true_state() }.options(spec.step_s);
+        let (now, then) = (simulate_traced(&scenario, &options), simulate_traced(&later, &options));
+        prop_assume!(!is_grazing(&now) && !is_grazing(&then));
         assert_same_impacts(&now, &then, 0, by_s)?;
         let farther_m = by_s * spec.vehicles[0].speed_mps;
         for (now, then) in trace_of(&now).vehicles.iter().zip(&trace_of(&then).vehicles) {
@@ -87,11 +87,11 @@ proptest! {
         setup in any_setup().prop_filter("rounds to single precision", |setup| !setup.is_learned()),
         shift_m in -1e4..1e4_f64,
     ) {
-        let scenario = unlearned(&scenario);
+        let scenario = without_learned_drivers(&scenario);
         let moved = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| v.position_m += shift_m)).unwrap();
         let options = setup.options(scenario.spec().step_s);
-        let (here, there) = (traced(&scenario, &options), traced(&moved, &options));
-        prop_assume!(!grazes(&here) && !grazes(&there));
+        let (here, there) = (simulate_traced(&scenario, &options), simulate_traced(&moved, &options));
+        prop_assume!(!is_grazing(&here) && !is_grazing(&there));
         assert_same_impacts(&here, &there, 0, 0.0)?;
         for (here, there) in trace_of(&here).vehicles.iter().zip(&trace_of(&there).vehicles) {
             for (x, shifted_x) in here.position_m.iter().zip(&there.position_m) {
@@ -108,15 +108,15 @@ proptest! {
         profile in (0..6_u8).prop_flat_map(any_profile),
         setup in any_setup(),
     ) {
-        let alone = noise_free(&scenario).edited(|spec| {
+        let alone = without_noise(&scenario).edited(|spec| {
             spec.vehicles[0].max_brake_mps2 = Some(9.0);
-            script(&mut spec.vehicles[0], profile);
+            make_scripted(&mut spec.vehicles[0], profile);
         }).unwrap();
         let far = VehicleSpec::new(VehicleClass::Light, 1e5, 50.0, Driver::Profile(LeadProfile::ConstantSpeed));
         let led = alone.edited(|spec| spec.vehicles.insert(0, far)).unwrap();
-        let setup = Setup { estimator: EstimatorKind::Truth, ..setup };
+        let setup = RunSetup { estimator: EstimatorKind::Truth, ..setup };
         let options = setup.options(alone.spec().step_s);
-        let (alone, led) = (traced(&alone, &options), traced(&led, &options));
+        let (alone, led) = (simulate_traced(&alone, &options), simulate_traced(&led, &options));
         assert_same_impacts(&alone, &led, 1, 0.0)?;
         prop_assert_eq!(&trace_of(&alone).vehicles[..], &trace_of(&led).vehicles[1..]);
         prop_assert_eq!(&alone.vehicles[1..], &led.vehicles[2..]);
@@ -128,13 +128,13 @@ proptest! {
         scenario in any_scenario(),
         setup in any_setup().prop_filter("looks behind", |setup| setup.looks_ahead_only()),
     ) {
-        let scenario = unlearned(&scenario);
+        let scenario = without_learned_drivers(&scenario);
         let last_m = scenario.vehicles().last().unwrap().position_m;
         let far = VehicleSpec::new(
             VehicleClass::Heavy, last_m - 1e4, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
         let followed = scenario.edited(|spec| spec.vehicles.push(far)).unwrap();
         let options = setup.options(scenario.spec().step_s);
-        let (alone, followed) = (traced(&scenario, &options), traced(&followed, &options));
+        let (alone, followed) = (simulate_traced(&scenario, &options), simulate_traced(&followed, &options));
         prop_assert_eq!(&alone.impacts, &followed.impacts);
         let vehicles = alone.vehicles.len();
         prop_assert_eq!(&trace_of(&alone).vehicles[..], &trace_of(&followed).vehicles[..vehicles]);
@@ -149,9 +149,9 @@ fn scenarios_of_the_symmetry_tests_are_neither_all_safe_nor_all_fatal() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let scenarios: [BoxedStrategy<Scenario>; 2] = [any_scenario().boxed(), any_steady_scenario().boxed()];
     for strategy in scenarios {
-        let options = Setup::truthful().options(0.01);
+        let options = RunSetup::with_true_state().options(0.01);
         let collisions = (0..200)
-            .map(|_| traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
+            .map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
             .sum::<usize>();
         assert!((20..180).contains(&collisions), "{collisions} of 200 collide");
     }

@@ -12,19 +12,19 @@ use crumple_report::assessment::AssessmentPlan;
 use crumple_world::control::allow_external;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Driver, Scenario, built_in, file};
+use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate, simulate_batch,
+    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
 };
 
-use crate::command_line::falsify::assert_same;
-use crate::command_line::{code, crumple, folder, killed_at_random};
+use crate::command_line::falsify::assert_same_folders;
+use crate::command_line::{exit_code, run_crumple, temp_folder, kill_at_random_times};
 
 const BAD_SCRIPT: &str = include_str!("bad.sh");
 
 /// A folder with `bad.sh`, and with a controller file for what it shall do.
 fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
-    let folder = folder();
+    let folder = temp_folder();
     fs::write(folder.path().join("bad.sh"), BAD_SCRIPT).unwrap();
     let mark = folder.path().display();
     let text = format!(
@@ -40,7 +40,7 @@ fn find_controller(name: &str, folder: &Path) -> NamedController {
     NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
@@ -56,19 +56,19 @@ fn running_processes(mark: &str) -> Vec<String> {
 /// The system ends processes soon, and not at once.
 fn assert_no_process_remains(mark: &str) {
     let end = Instant::now() + Duration::from_secs(20);
-    while !alive(mark).is_empty() {
-        assert!(Instant::now() < end, "{:?}", alive(mark));
+    while !running_processes(mark).is_empty() {
+        assert!(Instant::now() < end, "{:?}", running_processes(mark));
         sleep(Duration::from_millis(20));
     }
 }
 
 fn short_scenario() -> Scenario {
-    built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
+    built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
 }
 
 /// Writes `short.toml`, a space of runs of a second.
 fn write_short_space(folder: &Path) {
-    fs::write(folder.join("base.toml"), file::to_toml(&short()).unwrap()).unwrap();
+    fs::write(folder.join("base.toml"), file::to_toml(&short_scenario()).unwrap()).unwrap();
     let space = "version = 1\nname = \"short\"\nbase = \"base.toml\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
                  unit = \"m\"\ndistribution.uniform = { low = 15.0, high = 40.0 }\n";
     fs::write(folder.join("short.toml"), space).unwrap();
@@ -104,11 +104,11 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         ("leave-out", 0.03, "`bad`", "which is no answer: missing field `acceleration_mps2`"),
         ("stay", f64::INFINITY, "", ""),
     ];
-    let scenario = short();
+    let scenario = short_scenario();
     for (what, time_s, who, why) in cases {
-        let folder = bad(what, LISTED);
-        let controller = find("bad.toml", folder.path()).kind;
-        match drive(&controller, &scenario).outcome {
+        let folder = bad_process_folder(what, LISTED_FILES);
+        let controller = find_controller("bad.toml", folder.path()).kind;
+        match simulate_with_truth(&controller, &scenario).outcome {
             Outcome::ControllerFailed(failed) => {
                 let said = failed.to_string();
                 assert!(said.contains(who) && said.contains(why), "{what}: {said}");
@@ -122,8 +122,8 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         drop(controller);
         assert_no_process_remains(&folder.path().display().to_string());
     }
-    let failed = drive(&find("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
-    let said = failed.failed().unwrap().to_string();
+    let failed = simulate_with_truth(&find_controller("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
+    let said = failed.failed_controller().unwrap().to_string();
     assert!(said.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"), "{said}");
     assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
     assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
@@ -137,13 +137,13 @@ fn a_failure_in_a_batch_is_of_one_run() {
     let picky =
         text.replace("    wanted_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    wanted_mps2 =");
     fs::write(folder.path().join("picky.py"), picky).unwrap();
-    let controller = find("exec:python3 picky.py", folder.path()).kind;
-    let scenarios = draws(40);
+    let controller = find_controller("exec:python3 picky.py", folder.path()).kind;
+    let scenarios = draw_scenarios(40);
     let together = simulate_in_lockstep(&controller, &scenarios);
-    let failed = together.iter().filter(|one| one.outcome.failed().is_some()).count();
+    let failed = together.iter().filter(|one| one.outcome.failed_controller().is_some()).count();
     assert!((1..40).contains(&failed), "{failed}");
     for (scenario, together) in scenarios.iter().zip(together) {
-        assert_eq!(drive(&controller, scenario), together);
+        assert_eq!(simulate_with_truth(&controller, scenario), together);
     }
 }
 
@@ -152,7 +152,7 @@ fn draw_scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(|index| space.draw(3, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
 }
 
-fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<SimulationResult> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
@@ -166,7 +166,7 @@ fn python_example_folder() -> Option<tempfile::TempDir> {
         println!("skipped: there is no python3");
         return None;
     }
-    let folder = folder();
+    let folder = temp_folder();
     for name in ["follower.py", "follower.toml", "follower.c"] {
         fs::copy(Path::new(EXAMPLES).join(name), folder.path().join(name)).unwrap();
     }
@@ -184,25 +184,25 @@ fn the_examples_drive_alike() {
         Ok(compiled) if compiled.status.success() => commands.push("exec:./follower"),
         _ => println!("skipped follower.c: there is no C compiler"),
     }
-    let scenarios = draws(30);
-    let first = simulate_in_lockstep(&find(commands[0], folder.path()).kind, &scenarios);
+    let scenarios = draw_scenarios(30);
+    let first = simulate_in_lockstep(&find_controller(commands[0], folder.path()).kind, &scenarios);
     for command in commands {
-        let controller = find(command, folder.path()).kind;
+        let controller = find_controller(command, folder.path()).kind;
         assert_eq!(simulate_in_lockstep(&controller, &scenarios), first, "{command}");
-        assert_eq!(drive(&controller, &scenarios[3]), first[3], "{command}");
+        assert_eq!(simulate_with_truth(&controller, &scenarios[3]), first[3], "{command}");
     }
-    assert!(drive(&find("follower.toml", folder.path()).kind, &built_in("paper-1").unwrap()).outcome.is_safe());
+    assert!(simulate_with_truth(&find_controller("follower.toml", folder.path()).kind, &built_in_scenario("paper-1").unwrap()).outcome.is_safe());
 }
 
 /// Asked twice, each of its first runs; from then on it is not started any more.
 #[test]
 fn who_is_not_what_he_claims_is_caught_within_two_runs() {
     for (what, caught_in_run) in [("differ", 0), ("remember", 1)] {
-        let folder = bad(what, LISTED);
-        let controller = find("bad.toml", folder.path()).kind;
+        let folder = bad_process_folder(what, LISTED_FILES);
+        let controller = find_controller("bad.toml", folder.path()).kind;
         for run in 0..4 {
-            let outcome = drive(&controller, &short()).outcome;
-            let said = outcome.failed().map(ToString::to_string).unwrap_or_default();
+            let outcome = simulate_with_truth(&controller, &short_scenario()).outcome;
+            let said = outcome.failed_controller().map(ToString::to_string).unwrap_or_default();
             let is_caught = said.contains("says that it is deterministic, and when it was asked the same twice");
             assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {said}");
         }
@@ -211,29 +211,29 @@ fn who_is_not_what_he_claims_is_caught_within_two_runs() {
 
 #[test]
 fn who_says_that_he_is_not_deterministic_is_marked() {
-    let own = bad("admit", LISTED);
-    let failed = drive(&find("bad.toml", own.path()).kind, &short()).outcome;
-    assert!(failed.failed().unwrap().to_string().contains("its controller file has to say `deterministic = false`"));
-    let folder = bad("admit", &format!("{LISTED}\ndeterministic = false"));
-    let simulated = crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
+    let own = bad_process_folder("admit", LISTED_FILES);
+    let failed = simulate_with_truth(&find_controller("bad.toml", own.path()).kind, &short_scenario()).outcome;
+    assert!(failed.failed_controller().unwrap().to_string().contains("its controller file has to say `deterministic = false`"));
+    let folder = bad_process_folder("admit", &format!("{LISTED_FILES}\ndeterministic = false"));
+    let simulated = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
     let report: serde_json::Value = serde_json::from_slice(&simulated.stdout).unwrap();
     assert_eq!(report["nondeterministic"], true, "{report}");
-    let text = crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
+    let text = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
     let text = String::from_utf8(text.stdout).unwrap();
     assert!(text.contains("the controller says that it is not deterministic"), "{text}");
     write_short_space(folder.path());
     let search = ["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "3", "--format", "json"];
-    let summary = crumple(folder.path(), &search);
+    let summary = run_crumple(folder.path(), &search);
     let summary: serde_json::Value = serde_json::from_slice(&summary.stdout).unwrap();
     assert_eq!(summary["nondeterministic"], true);
 }
 
 #[test]
 fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
-    let folder = bad("be good", "");
+    let folder = bad_process_folder("be good", "");
     let refused = |arguments: &[&str]| {
-        let output = crumple(folder.path(), arguments);
-        assert_eq!(code(&output), 2, "{arguments:?}");
+        let output = run_crumple(folder.path(), arguments);
+        assert_eq!(exit_code(&output), 2, "{arguments:?}");
         String::from_utf8(output.stderr).unwrap()
     };
     for controller in ["bad.toml", "exec:sh bad.sh"] {
@@ -242,7 +242,7 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
         let said = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
         assert!(said.contains("states no identity"), "{said}");
     }
-    let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let text = file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
     let said = refused(&["simulate", "driven.toml", "--allow-external"]);
     assert!(said.contains("states no identity: the driver of a scenario has to list its `files`"), "{said}");
@@ -256,20 +256,20 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
 #[test]
 fn a_scenario_may_have_a_process_as_a_driver() {
     allow_external();
-    let folder = bad("be good", LISTED);
-    let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let folder = bad_process_folder("be good", LISTED_FILES);
+    let text = file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     let driven = file::from_toml(&text, &folder.path().join("driven.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
-    let under_test = drive(&find("bad.toml", folder.path()).kind, &short());
+    let under_test = simulate_with_truth(&find_controller("bad.toml", folder.path()).kind, &short_scenario());
     assert_eq!(
-        drive(&ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::named("idm").unwrap()), &driven),
+        simulate_with_truth(&ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::from_name("idm").unwrap()), &driven),
         under_test
     );
 }
 
 #[test]
 fn controller_files_of_commands_are_refused_by_file_line_and_field() {
-    let folder = bad("be good", LISTED);
+    let folder = bad_process_folder("be good", LISTED_FILES);
     let whole = fs::read_to_string(folder.path().join("bad.toml")).unwrap();
     let cases = [
         ("command = [\"sh\", ", "command = [] # ", "bad.toml:2: command: must be a program"),
@@ -303,13 +303,13 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
 /// What decides how it drives is its identity; and while it is used, its files stay what they were.
 #[test]
 fn the_identity_of_a_process_is_that_of_its_files() {
-    let folder = bad("be good", LISTED);
+    let folder = bad_process_folder("be good", LISTED_FILES);
     let path = folder.path().join("bad.sh");
-    let controller = find("bad.toml", folder.path()).kind;
-    assert_eq!(controller.identity(), find("bad.toml", folder.path()).kind.identity());
-    fs::write(&path, format!("{BAD}\n# changed\n")).unwrap();
-    assert_ne!(controller.identity(), find("bad.toml", folder.path()).kind.identity());
-    let said = drive(&controller, &short()).outcome.failed().unwrap().to_string();
+    let controller = find_controller("bad.toml", folder.path()).kind;
+    assert_eq!(controller.identity(), find_controller("bad.toml", folder.path()).kind.identity());
+    fs::write(&path, format!("{BAD_SCRIPT}\n# changed\n")).unwrap();
+    assert_ne!(controller.identity(), find_controller("bad.toml", folder.path()).kind.identity());
+    let said = simulate_with_truth(&controller, &short_scenario()).outcome.failed_controller().unwrap().to_string();
     assert!(said.contains("cannot be started again: bad.sh has changed since it was read"), "{said}");
 }
 
@@ -317,7 +317,7 @@ fn the_identity_of_a_process_is_that_of_its_files() {
 #[cfg(target_os = "linux")]
 #[test]
 fn nothing_stays_behind_a_kill() {
-    let folder = bad("sleep", LISTED);
+    let folder = bad_process_folder("sleep", LISTED_FILES);
     let mark = folder.path().display().to_string();
     let text = fs::read_to_string(folder.path().join("bad.toml")).unwrap().replace("0.4", "600.0");
     fs::write(folder.path().join("bad.toml"), text).unwrap();
@@ -331,11 +331,11 @@ fn nothing_stays_behind_a_kill() {
     let watchmen = format!("crumple-watchman-{}", killed.id());
     // Its own process and the one that lingers, of each of two that are asked the same.
     let end = Instant::now() + Duration::from_secs(60);
-    while alive(&mark).len() < 3 {
-        assert!(Instant::now() < end, "{:?}", alive(&mark));
+    while running_processes(&mark).len() < 3 {
+        assert!(Instant::now() < end, "{:?}", running_processes(&mark));
         sleep(Duration::from_millis(20));
     }
-    assert_eq!(alive(&watchmen).len(), 2);
+    assert_eq!(running_processes(&watchmen).len(), 2);
     killed.kill().unwrap();
     killed.wait().unwrap();
     assert_no_process_remains(&mark);
@@ -370,7 +370,7 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         assert!(said.contains(expected), "{said}");
         assert_no_process_remains(&mark);
     }
-    let complete = crumple(folder.path(), &["fsck", "200"]);
+    let complete = run_crumple(folder.path(), &["fsck", "200"]);
     let said = String::from_utf8_lossy(&complete.stdout).into_owned();
     assert!(said.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {said}");
 }
@@ -385,17 +385,17 @@ mod tier_2 {
     fn a_campaign_with_a_process_goes_on_after_a_kill() {
         let Some(folder) = python_example_folder() else { return };
         let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
-        let alone = crate::tiny::changed(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
+        let alone = crate::tiny::replace_passages(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
         fs::write(folder.path().join("alone.toml"), alone).unwrap();
         let campaign =
             ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
-        let through = crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
-        assert_eq!(code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
+        let through = run_crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
+        assert_eq!(exit_code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
         let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
-        let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        let killed = kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
         assert!(killed >= 2, "killed {killed} times");
-        let ended = crumple(folder.path(), &resume);
-        assert_eq!((code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
-        assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+        let ended = run_crumple(folder.path(), &resume);
+        assert_eq!((exit_code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
+        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
     }
 }

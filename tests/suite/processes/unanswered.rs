@@ -3,14 +3,14 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_suites::{MapSpec, Situation, Suite, SuiteRunError, run};
+use crumple_suites::{CrashMapSpec, CrashMapSituation, TestSuite, SuiteRunError, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
 
-use super::{bad, drive, find, short, write_short_space};
-use crate::command_line::{code, crumple, folder};
+use super::{bad_process_folder, simulate_with_truth, find_controller, short_scenario, write_short_space};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 /// Holds its speed, and dies where the vehicle ahead is nearer than its argument, in whole metres.
 const NEAR_SCRIPT: &str = r#"#!/bin/sh
@@ -34,9 +34,9 @@ done
 /// A folder with a space of short runs, a controller that dies near others, one that never does, one that remembers the runs before, and
 /// two that cannot be started.
 fn controllers_folder() -> tempfile::TempDir {
-    let folder = bad("remember", "files = [\"bad.sh\"]");
+    let folder = bad_process_folder("remember", "files = [\"bad.sh\"]");
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
-    write("near.sh", NEAR);
+    write("near.sh", NEAR_SCRIPT);
     let controller = |command: &str| {
         format!(
             "version = 1\ncommand = {command}\nfiles = [\"near.sh\"]\ninputs = [{{ quantity = \"gap_ahead_m\" }}]\n"
@@ -52,9 +52,9 @@ fn controllers_folder() -> tempfile::TempDir {
 
 /// What a command says on standard output, with its exit code and its errors.
 fn run_and_capture(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
-    let output = crumple(folder, arguments);
+    let output = run_crumple(folder, arguments);
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (code(&output), text(&output.stdout), text(&output.stderr))
+    (exit_code(&output), text(&output.stdout), text(&output.stderr))
 }
 
 fn read_json(path: &Path) -> Value {
@@ -66,7 +66,7 @@ const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.t
 
 #[test]
 fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
-    let folder = bench();
+    let folder = controllers_folder();
     let commands: [&[&str]; 10] = [
         &["simulate", "paper-1", "--controller"],
         &["falsify", "--space", "short.toml", "--budget", "3", "--out", "out", "--controller"],
@@ -90,22 +90,22 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
         ("shield:missing.toml", "missing.toml:2: command: ", "cannot be started"),
     ] {
         for command in commands {
-            let (code, text, error) = said(folder.path(), &[command, &[controller]].concat());
+            let (code, text, error) = run_and_capture(folder.path(), &[command, &[controller]].concat());
             assert_eq!(code, 2, "{command:?} {controller}: {text}{error}");
             assert!(error.contains(place) && error.contains(why), "{command:?}: {error}");
             assert!(text.is_empty() && !folder.path().join("out").exists(), "{command:?}: {text}");
         }
         if controller == "missing.toml" {
             let driven =
-                file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
+                file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
             fs::write(folder.path().join("driven.toml"), driven).unwrap();
-            let (code, _, error) = said(folder.path(), &["simulate", "driven.toml", "--allow-external"]);
+            let (code, _, error) = run_and_capture(folder.path(), &["simulate", "driven.toml", "--allow-external"]);
             assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
             assert!(error.contains(place) && error.contains(why), "{error}");
         }
-        fs::write(folder.path().join("a.toml"), format!("{ASSESSED}controllers = [\"idm\", \"{controller}\"]\n"))
+        fs::write(folder.path().join("a.toml"), format!("{ASSESSMENT}controllers = [\"idm\", \"{controller}\"]\n"))
             .unwrap();
-        let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
+        let (code, text, error) = run_and_capture(folder.path(), &["assess", "a.toml", "--out", "out"]);
         assert_eq!(code, 2, "{text}{error}");
         assert!(error.contains("a.toml:9: controllers[1]: ") && error.contains(why), "{error}");
         assert!(!folder.path().join("out").exists());
@@ -114,12 +114,12 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
 
 #[test]
 fn a_search_says_why_a_controller_gave_no_answer() {
-    let folder = bench();
+    let folder = controllers_folder();
     let search = ["falsify", "--controller", "near.toml", "--space", "short.toml", "--budget", "10", "--out", "out"];
-    let (code, text, error) = said(folder.path(), &search);
+    let (code, text, error) = run_and_capture(folder.path(), &search);
     let why = "it said last: gap table: index ";
     assert!(code == 0 && text.contains("the controller of vehicle 1 fails") && text.contains(why), "{text}{error}");
-    let summary = json(&folder.path().join("out/summary.json"));
+    let summary = read_json(&folder.path().join("out/summary.json"));
     let because = |of: &Value| of["because"].as_str().unwrap_or_default().to_owned();
     assert!(because(&summary["counterexamples"][0]).contains(why), "{summary}");
     assert!(because(&summary["failures"][0]).contains("`near` ended by itself with exit code 9"), "{summary}");
@@ -128,18 +128,18 @@ fn a_search_says_why_a_controller_gave_no_answer() {
     let scenario = fs::read_to_string(folder.path().join("out").join(file)).unwrap();
     assert!(scenario.contains(why), "{scenario}");
     let nothing = ["falsify", "--controller", "far.toml", "--space", "short.toml", "--budget", "4", "--out", "none"];
-    let (code, _, error) = said(folder.path(), &nothing);
+    let (code, _, error) = run_and_capture(folder.path(), &nothing);
     assert!(code == 0 && !error.contains("counterexamples"), "{error}");
 }
 
 #[test]
 fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
-    let folder = bench();
+    let folder = controllers_folder();
     let against = |controller: &str, other: &str| {
         let search = ["falsify", "--space", "short.toml", "--budget", "10", "--out", "out", "--format"];
         let out =
-            said(folder.path(), &[&search[..], &["text", "--controller", controller, "--against", other]].concat());
-        let summary = json(&folder.path().join("out/summary.json"));
+            run_and_capture(folder.path(), &[&search[..], &["text", "--controller", controller, "--against", other]].concat());
+        let summary = read_json(&folder.path().join("out/summary.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
         (out, summary)
     };
@@ -148,7 +148,7 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
     assert!(text.contains("gap table: index"), "{text}");
     let gate =
         ["falsify", "--space", "short.toml", "--budget", "10", "--out", "gate", "--controller", "idm", "--against"];
-    let (code, _, error) = said(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
+    let (code, _, error) = run_and_capture(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
     assert!(code == 1 && error.contains("gave no answer, so that they were not judged"), "{error}");
     let silent = &summary["methods"][1]["other_unanswered"];
     assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
@@ -162,8 +162,8 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
         let rate =
             ["verify", "rate", "--space", "short.toml", "--runs", "60", "--out", "out", "--controller", controller];
         let other = other.map_or(Vec::new(), |other| vec!["--against", other]);
-        let said = said(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
-        let tally = json(&folder.path().join("out/progress.json"));
+        let said = run_and_capture(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
+        let tally = read_json(&folder.path().join("out/progress.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
         (said, tally)
     };
@@ -180,7 +180,7 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
 
 #[test]
 fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
-    let folder = bench();
+    let folder = controllers_folder();
     fs::write(
         folder.path().join("worse.toml"),
         fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("24", "33"),
@@ -189,20 +189,20 @@ fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
     // Both fail by giving no answer: the first against it, the second for nobody.
     let rate = ["verify", "rate", "--space", "short.toml", "--runs", "40", "--confidence", "0.6", "--out", "out"];
     let (code, text, error) =
-        said(folder.path(), &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat());
+        run_and_capture(folder.path(), &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat());
     assert_eq!(code, 1, "{text}{error}");
     let (code, text, error) =
-        said(folder.path(), &[&rate[..8], &["--out", "one", "--controller", "near.toml"]].concat());
+        run_and_capture(folder.path(), &[&rate[..8], &["--out", "one", "--controller", "near.toml"]].concat());
     assert_eq!(code, 0, "{text}{error}");
     let check = ["check", "one/certificate.json", "--rerun", "--controller", "near.toml"];
-    let (code, text, error) = said(folder.path(), &check);
+    let (code, text, error) = run_and_capture(folder.path(), &check);
     assert!(code == 0 && text.contains("confirmed"), "{text}{error}");
 }
 
 #[test]
 fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
-    let folder = bench();
-    fs::write(folder.path().join("a.toml"), format!("{ASSESSED}controllers = [\"idm\", \"bad.toml\"]\n")).unwrap();
+    let folder = controllers_folder();
+    fs::write(folder.path().join("a.toml"), format!("{ASSESSMENT}controllers = [\"idm\", \"bad.toml\"]\n")).unwrap();
     let commands: [&[&str]; 6] = [
         &["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "5", "--out", "out"],
         &[
@@ -224,7 +224,7 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
         &["assess", "a.toml", "--out", "out"],
     ];
     for command in commands {
-        let (code, text, error) = said(folder.path(), command);
+        let (code, text, error) = run_and_capture(folder.path(), command);
         assert_eq!(code, 2, "{command:?}: {text}{error}");
         let told = [
             "the controller `bad.toml` was refused on the way",
@@ -242,41 +242,41 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
 /// A few later runs are asked twice, too.
 #[test]
 fn who_remembers_late_is_caught_in_the_end() {
-    let folder = bad("remember-late", "files = [\"bad.sh\"]");
-    let controller = find("bad.toml", folder.path());
-    let scenario = short();
-    let failed = (0..64).find(|_| drive(&controller.kind, &scenario).outcome.failed().is_some());
+    let folder = bad_process_folder("remember-late", "files = [\"bad.sh\"]");
+    let controller = find_controller("bad.toml", folder.path());
+    let scenario = short_scenario();
+    let failed = (0..64).find(|_| simulate_with_truth(&controller.kind, &scenario).outcome.failed_controller().is_some());
     assert!(failed.is_some_and(|run| run > 4), "{failed:?}");
     assert!(controller.ensure_trusted().is_err_and(|error| error.to_string().contains("is its state cleared at reset?")));
-    assert!(find("bad.toml", folder.path()).ensure_trusted().is_ok());
+    assert!(find_controller("bad.toml", folder.path()).ensure_trusted().is_ok());
 }
 
 /// Who calls a suite or a map of one need not ask whether a controller was refused on the way.
 #[test]
 fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
-    let folder = bad("remember", "files = [\"bad.sh\"]");
-    let suite = Suite::shipped("afgbv-cut-in").unwrap().unwrap();
-    let refused = run(&suite, &[find("bad.toml", folder.path())], EstimatorKind::Truth);
+    let folder = bad_process_folder("remember", "files = [\"bad.sh\"]");
+    let suite = TestSuite::shipped("afgbv-cut-in").unwrap().unwrap();
+    let refused = run(&suite, &[find_controller("bad.toml", folder.path())], EstimatorKind::Truth);
     assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
-    let map = MapSpec::new(Situation::CarFollowing { time_gap_s: 1.0 }, [4, 4]).unwrap();
-    let refused = map.run(&[find("bad.toml", folder.path())], EstimatorKind::Truth);
+    let map = CrashMapSpec::new(CrashMapSituation::CarFollowing { time_gap_s: 1.0 }, [4, 4]).unwrap();
+    let refused = map.run(&[find_controller("bad.toml", folder.path())], EstimatorKind::Truth);
     assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
 }
 
 /// Finds fields relative to the folder and behind a shield; a command by itself has no file.
 #[test]
 fn a_field_of_a_controller_is_found_in_its_file() {
-    let folder = bench();
+    let folder = controllers_folder();
     for name in ["near.toml", "shield:near.toml"] {
-        let told = find(name, folder.path()).place_of("files");
+        let told = find_controller(name, folder.path()).field_location("files");
         assert_eq!(told, folder.path().join("near.toml:3: ").display().to_string());
     }
-    assert_eq!(find("exec:near", folder.path()).place_of("files"), "");
+    assert_eq!(find_controller("exec:near", folder.path()).field_location("files"), "");
 }
 
 #[test]
 fn an_assessment_takes_no_answer_for_nothing_but_that() {
-    let folder = bench();
+    let folder = controllers_folder();
     let suites = "suites = [{ suite = \"fmvss-127\", controllers = [\"near.toml\"] }]\n";
     let gates = [
         "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
@@ -290,11 +290,11 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     // It dies in every drive, and at once in most.
     let near = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("\"24\"", "\"900\"");
     fs::write(folder.path().join("near.toml"), near).unwrap();
-    let config = format!("{ASSESSED}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
+    let config = format!("{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let (code, text, error) = said(folder.path(), &["assess", "a.toml", "--out", "out"]);
+    let (code, text, error) = run_and_capture(folder.path(), &["assess", "a.toml", "--out", "out"]);
     assert_eq!(code, 1, "{text}{error}");
-    let report = json(&folder.path().join("out/assessment.json"));
+    let report = read_json(&folder.path().join("out/assessment.json"));
     let held: Vec<_> =
         report["summary"]["gates"].as_array().unwrap().iter().filter(|gate| gate["holds"] == true).collect();
     assert!(held.is_empty(), "{held:?}");
@@ -338,12 +338,12 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
 
 #[test]
 fn a_worst_case_without_an_answer_has_no_margin() {
-    let folder = bench();
+    let folder = controllers_folder();
     let attack = ["worst-case", "paper-1", "--controller", "near.toml", "--budget", "60"];
-    let (code, text, error) = said(folder.path(), &attack);
+    let (code, text, error) = run_and_capture(folder.path(), &attack);
     assert!(code == 0 && text.contains("CONTROLLER FAILED") && text.contains("gap table: index"), "{text}{error}");
     assert!(!text.contains("margin") && !text.contains("optimum"), "{text}");
-    let (_, text, _) = said(folder.path(), &[&attack[..], &["--format", "json"]].concat());
+    let (_, text, _) = run_and_capture(folder.path(), &[&attack[..], &["--format", "json"]].concat());
     let report: Value = serde_json::from_str(&text).unwrap();
     assert_eq!((&report["margin_m"], &report["method"], &report["found"]), (&Value::Null, &Value::Null, &true.into()));
 }
@@ -351,7 +351,7 @@ fn a_worst_case_without_an_answer_has_no_margin() {
 /// Who names a program, or what one is made of, hears how to name it.
 #[test]
 fn a_file_that_is_no_controller_is_told_how_to_become_one() {
-    let folder = folder();
+    let folder = temp_folder();
     for (name, told) in [
         ("aeb", "asked as `exec:./aeb`"),
         ("aeb.c", "is no controller, but a source text: a program is asked as `exec:./aeb`"),

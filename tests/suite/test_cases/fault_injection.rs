@@ -4,26 +4,26 @@ use std::collections::HashSet;
 use std::sync::LazyLock;
 
 use crumple_fuzzing::oracle::{
-    engines_agree, estimates_are_sane, files_keep_scenarios, impacts_are_inelastic, monitor_agrees, motion_is_physical,
-    nobody_does_the_impossible, one_story, shield_keeps_clear, step_size_decides_nothing,
+    engines_agree, estimates_within_bounds, files_round_trip, impacts_are_inelastic, monitor_agrees, motion_is_physical,
+    avoidability_bound_holds, metrics_agree, shield_prevents_front_collisions, step_size_changes_nothing,
 };
-use crumple_fuzzing::{Crumple, FileFormat, Law, ORACLES, Oracle, Sight, System, TEST_CASE_BYTES, TestCase};
+use crumple_fuzzing::{Crumple, ScenarioFormat, Invariant, ORACLES, OracleFn, ObservationSample, System, TEST_CASE_BYTES, TestCase};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::ContactRole;
-use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{
-    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate,
+    self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_test_case, bytes, cases};
+use crate::generate::{any_test_case, any_bytes, cases};
 
 /// A proof, of something else than what it is shown for.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
@@ -85,7 +85,7 @@ pub(super) enum Fault {
 }
 
 impl System for FaultySystem {
-    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         match self.0 {
             Fault::GapSign => {
                 // A vehicle without length is touched 2 m or more too late.
@@ -107,11 +107,11 @@ impl System for FaultySystem {
                     _ => simulate(run, keep),
                 }
             }
-            fault => damaged(fault, simulate(run, keep), run),
+            fault => inject_fault(fault, simulate(run, keep), run),
         }
     }
 
-    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<SimulationResult> {
         let mut results = sim::simulate_batch(runs, keep, |_, simulated| simulated);
         match self.0 {
             Fault::BatchOffByOne => results.rotate_left(1),
@@ -132,40 +132,40 @@ impl System for FaultySystem {
         results
     }
 
-    fn observe(&self, run: &Run, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
-        Crumple.observe(run, &mut |sight| {
-            let Observation { speed_mps: own_mps, .. } = sight.seen;
-            let mut seen = sight.seen;
+    fn for_each_observation(&self, run: &Run, each: &mut dyn FnMut(&ObservationSample<'_>) -> bool) {
+        Crumple.for_each_observation(run, &mut |sight| {
+            let Observation { speed_mps: own_mps, .. } = sight.observation;
+            let mut seen = sight.observation;
             match (self.0, &mut seen.ahead) {
                 (Fault::RateSign, Some(ahead)) => ahead.speed_mps = own_mps - (ahead.speed_mps - own_mps),
                 (Fault::Reversing, _) if own_mps < 0.5 => seen.speed_mps = own_mps - 0.5,
                 _ => {}
             }
-            each(&Sight { seen, ..*sight })
+            each(&ObservationSample { observation: seen, ..*sight })
         });
     }
 
-    fn full_throttle(&self) -> ControllerKind {
+    fn shielded_full_throttle(&self) -> ControllerKind {
         if self.0 == Fault::NoShield {
             ControllerSpec::FullThrottle(Default::default()).into()
         } else {
-            Crumple.full_throttle()
+            Crumple.shielded_full_throttle()
         }
     }
 
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
         let mut avoidance = Crumple.avoid(scenario)?;
-        if self.0 == Fault::HalfTheBound {
+        if self.0 == Fault::HalvedBound {
             avoidance.min_gap_bound_m = avoidance.min_gap_bound_m.map(|bound_m| 0.5 * bound_m);
         }
-        if self.0 == Fault::Doom {
+        if self.0 == Fault::AlwaysUnavoidable {
             avoidance.verdict = worst_case::AvoidanceVerdict::Unavoidable(Box::new(PROOF.clone()));
         }
         Some(avoidance)
     }
 
-    fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
-        let back = Crumple.through_file(scenario, format)?;
+    fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
+        let back = Crumple.file_round_trip(scenario, format)?;
         Ok(match self.0 {
             Fault::RoundedFile => back
                 .edited(|spec| spec.vehicles[0].speed_mps = (spec.vehicles[0].speed_mps * 1e6).round() / 1e6)
@@ -175,7 +175,7 @@ impl System for FaultySystem {
         })
     }
 
-    fn robustness_over_time(&self, formula: &Formula, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
+    fn robustness_over_time(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
         let mut over_time = Crumple.robustness_over_time(formula, signals)?;
         if self.0 == Fault::LateWindow {
             over_time.rotate_left(1);
@@ -183,20 +183,20 @@ impl System for FaultySystem {
         Ok(over_time)
     }
 
-    fn is_satisfied(&self, formula: &Formula, signals: &Signals<'_>) -> Result<bool, MonitorError> {
-        Ok(self.0 == Fault::Yes || Crumple.is_satisfied(formula, signals)?)
+    fn is_satisfied(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
+        Ok(self.0 == Fault::AlwaysSatisfied || Crumple.is_satisfied(formula, signals)?)
     }
 
     fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
         match Crumple.contact_role(contact, scenario) {
-            ContactRole::Hits if self.0 == Fault::Blame => ContactRole::IsHit,
+            ContactRole::Hits if self.0 == Fault::ContactRoleSwapped => ContactRole::IsHit,
             told => told,
         }
     }
 }
 
 /// A result with something wrong in it.
-fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
+fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> SimulationResult {
     let Some(trace) = &mut result.trace else { return result };
     match fault {
         Fault::NoStandstill => {
@@ -216,7 +216,7 @@ fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
                 track.position_m[last] += 0.5 * track.speed_mps[last] * (trace.time_s[last] - trace.time_s[last - 1]);
             }
         }
-        Fault::Perpetual => {
+        Fault::CoastingAccelerates => {
             for track in &mut trace.vehicles {
                 if let Some(k) = track.acceleration_mps2.iter().position(|a| *a == 0.0)
                     && let Some(next_mps) = track.speed_mps.get_mut(k + 1)
@@ -225,7 +225,7 @@ fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
                 }
             }
         }
-        Fault::Loosened => {
+        Fault::ContactReleased => {
             for impact in &result.impacts {
                 let last_mps = trace.vehicles[impact.contact.rear_vehicle].speed_mps.last_mut();
                 *last_mps.expect("every track has samples") *= 0.5;
@@ -240,13 +240,13 @@ fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
             result.impacts.clear();
             result.outcome = Outcome::NoCollision;
         }
-        Fault::GapOfTheNext => {
+        Fault::GapOfVehicleBehind => {
             let rears = result.vehicles.len() - 1;
             for index in 1..rears {
                 result.vehicles[index].min_gap_m = result.vehicles[index + 1].min_gap_m;
             }
         }
-        Fault::Limitless => {
+        Fault::FrictionIgnored => {
             let friction = run.scenario().spec().environment.friction;
             for (track, summary) in trace.vehicles.iter_mut().zip(&mut result.vehicles) {
                 track.acceleration_mps2.iter_mut().for_each(|a| *a = a.min(*a / friction));
@@ -261,33 +261,33 @@ fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
 /// Every oracle notices what it is there to notice, when the suite asks it and when the fuzz target does.
 #[test]
 fn every_oracle_notices_its_fault() {
-    let wrong: [(Fault, Oracle, Law); 23] = [
-        (Fault::GapSign, one_story, Law::OneStory),
-        (Fault::NoStandstill, motion_is_physical, Law::ForwardMotion),
-        (Fault::Leap, motion_is_physical, Law::Continuity),
-        (Fault::Perpetual, motion_is_physical, Law::Energy),
-        (Fault::NoiseOnSubsteps, step_size_decides_nothing, Law::StepSize),
-        (Fault::BatchOffByOne, engines_agree, Law::Engines),
-        (Fault::BatchSeed, engines_agree, Law::Engines),
-        (Fault::BatchSample, engines_agree, Law::Engines),
-        (Fault::ElasticImpact, impacts_are_inelastic, Law::Momentum),
-        (Fault::Loosened, impacts_are_inelastic, Law::Sticking),
-        (Fault::ContactForgotten, monitor_agrees, Law::Monitor),
-        (Fault::GapOfTheNext, one_story, Law::OneStory),
-        (Fault::Limitless, one_story, Law::Limits),
-        (Fault::Blame, one_story, Law::ContactRole),
-        (Fault::RateSign, estimates_are_sane, Law::Estimates),
-        (Fault::Reversing, estimates_are_sane, Law::Estimates),
-        (Fault::RoundedFile, files_keep_scenarios, Law::Files),
-        (Fault::SeedlessFile, files_keep_scenarios, Law::Files),
-        (Fault::LateWindow, monitor_agrees, Law::Monitor),
-        (Fault::Yes, monitor_agrees, Law::Monitor),
-        (Fault::NoShield, shield_keeps_clear, Law::Shield),
-        (Fault::HalfTheBound, nobody_does_the_impossible, Law::Avoidability),
-        (Fault::Doom, nobody_does_the_impossible, Law::Avoidability),
+    let wrong: [(Fault, OracleFn, Invariant); 23] = [
+        (Fault::GapSign, metrics_agree, Invariant::MetricsAgree),
+        (Fault::NoStandstill, motion_is_physical, Invariant::ForwardMotion),
+        (Fault::Leap, motion_is_physical, Invariant::Continuity),
+        (Fault::CoastingAccelerates, motion_is_physical, Invariant::Energy),
+        (Fault::NoiseOnSubsteps, step_size_changes_nothing, Invariant::StepSize),
+        (Fault::BatchOffByOne, engines_agree, Invariant::Engines),
+        (Fault::BatchSeed, engines_agree, Invariant::Engines),
+        (Fault::BatchSample, engines_agree, Invariant::Engines),
+        (Fault::ElasticImpact, impacts_are_inelastic, Invariant::Momentum),
+        (Fault::ContactReleased, impacts_are_inelastic, Invariant::Sticking),
+        (Fault::ContactForgotten, monitor_agrees, Invariant::Monitor),
+        (Fault::GapOfVehicleBehind, metrics_agree, Invariant::MetricsAgree),
+        (Fault::FrictionIgnored, metrics_agree, Invariant::Limits),
+        (Fault::ContactRoleSwapped, metrics_agree, Invariant::ContactRole),
+        (Fault::RateSign, estimates_within_bounds, Invariant::Estimates),
+        (Fault::Reversing, estimates_within_bounds, Invariant::Estimates),
+        (Fault::RoundedFile, files_round_trip, Invariant::Files),
+        (Fault::SeedlessFile, files_round_trip, Invariant::Files),
+        (Fault::LateWindow, monitor_agrees, Invariant::Monitor),
+        (Fault::AlwaysSatisfied, monitor_agrees, Invariant::Monitor),
+        (Fault::NoShield, shield_prevents_front_collisions, Invariant::Shield),
+        (Fault::HalvedBound, avoidability_bound_holds, Invariant::Avoidability),
+        (Fault::AlwaysUnavoidable, avoidability_bound_holds, Invariant::Avoidability),
     ];
     let oracles: HashSet<usize> = wrong.iter().map(|(_, oracle, _)| *oracle as usize).collect();
-    let laws: HashSet<Law> = wrong.iter().map(|(.., law)| *law).collect();
+    let laws: HashSet<Invariant> = wrong.iter().map(|(.., law)| *law).collect();
     // Of the 18 laws, one is that every test case can be run, and two are of the targets that read files.
     assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
     for (fault, oracle, law) in wrong {
@@ -295,20 +295,20 @@ fn every_oracle_notices_its_fault() {
         // As a property of the suite.
         let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..cases(256) };
         let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
-        let property = runner.run(&any_test_case(), |test_case| match test_case.ask(oracle, &system) {
-            Err(violation) if violation.law == law => Err(TestCaseError::fail(violation.to_string())),
+        let property = runner.run(&any_test_case(), |test_case| match test_case.check(oracle, &system) {
+            Err(violation) if violation.invariant == law => Err(TestCaseError::fail(violation.to_string())),
             _ => Ok(()),
         });
         assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
         // As the fuzz target asks it.
         let mut runner = TestRunner::deterministic();
-        let strategy = bytes(TEST_CASE_BYTES);
+        let strategy = any_bytes(TEST_CASE_BYTES);
         // Some faults show in few of all scenarios: that of the bound only where nothing is noisy and nobody collides.
         let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
         // By whichever oracle is asked first; of the right program they say nothing.
         let is_noticed = |bytes: Vec<u8>| {
             let test_case = TestCase::from_bytes(&bytes);
-            test_case.examine(&system).is_err() && test_case.examine(&Crumple).is_ok()
+            test_case.check_all(&system).is_err() && test_case.check_all(&Crumple).is_ok()
         };
         assert!(inputs.any(is_noticed), "the fuzz target misses {fault:?}");
     }

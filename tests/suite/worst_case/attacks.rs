@@ -8,17 +8,17 @@ use crumple_world::control::{
     AebSettings, Baseline, BuiltIn, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
 };
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in, file};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
-use super::scenes::{Dice, small};
+use super::scenes::{Dice, small_scenario};
 
 fn options(controller: &str) -> RunOptions {
-    RunOptions::new(ControllerSpec::named(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
+    RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
 }
 
 fn find_attack(scenario: &Scenario, options: &RunOptions, aim: Aim, envelope: Envelope, budget: usize) -> Option<Attack> {
-    attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").found
+    attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").attack
 }
 
 /// Random braking within the envelope, one acceleration a tenth of a second, and its ∫ a².
@@ -37,21 +37,21 @@ fn random_braking(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (
         accel_mps2.push(now);
     }
     let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum();
-    let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+    let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
     (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).expect("within the envelope"))
 }
 
 #[test]
 fn the_mildest_profile_is_milder_than_any_sample() {
     for name in ["paper-1", "paper-2"] {
-        let scenario = built_in(name).unwrap();
-        let envelope = Envelope::of(&scenario);
-        let mildest = found_by(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
+        let scenario = built_in_scenario(name).unwrap();
+        let envelope = Envelope::from_scenario(&scenario);
+        let mildest = find_attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
         assert_eq!(mildest.method, AttackMethod::Exact);
         assert!(mildest.programs <= 40, "{name}: {} programs", mildest.programs);
         assert!(mildest.outcome.contact().is_some());
         let mut dice = Dice(7);
-        let samples: Vec<_> = (0..4000).map(|_| sample(&scenario, envelope, &mut dice)).collect();
+        let samples: Vec<_> = (0..4000).map(|_| random_braking(&scenario, envelope, &mut dice)).collect();
         let runs: Vec<_> = samples.iter().map(|(_, s)| Run::new(s, options("baseline")).unwrap()).collect();
         let collided =
             simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome != Outcome::NoCollision);
@@ -59,7 +59,7 @@ fn the_mildest_profile_is_milder_than_any_sample() {
         let least = collided.map(|((effort, _), _)| *effort).fold(f64::INFINITY, f64::min);
         assert!(least.is_finite(), "some samples collide");
         assert!(mildest.effort_m2ps3 < least, "{name}: {} against {least} of samples", mildest.effort_m2ps3);
-        let peak = found_by(&scenario, &options("baseline"), Aim::LeastPeak, envelope, 0).expect("collides");
+        let peak = find_attack(&scenario, &options("baseline"), Aim::LeastPeak, envelope, 0).expect("collides");
         assert!(peak.peak_brake_mps2 <= mildest.peak_brake_mps2 + 1e-6);
         assert!(peak.effort_m2ps3 >= mildest.effort_m2ps3 - 1e-6);
     }
@@ -70,14 +70,14 @@ fn the_mildest_profile_is_milder_than_any_sample() {
 fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
     let mut exact = 0;
     for seed in 0..16 {
-        let scenario = small(seed).edited(|spec| spec.vehicles.truncate(2)).unwrap();
-        let found = found_by(&scenario, &options("baseline"), Aim::Mildest, Envelope::of(&scenario), 0);
+        let scenario = small_scenario(seed).edited(|spec| spec.vehicles.truncate(2)).unwrap();
+        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::from_scenario(&scenario), 0);
         let steps = scenario.steps();
         let plain = (0..=90).map(|tenths| {
             let accel_mps2: Vec<f64> = (1..=steps).map(|step| -(0.1 * f64::from(tenths)).min(step as f64)).collect();
             let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum::<f64>();
             let from_s = (0..steps).map(|step| step as f64 * 0.1).collect();
-            let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+            let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
             (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).unwrap())
         });
         let collides = |scenario: &Scenario| {
@@ -100,11 +100,11 @@ fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
 /// Against controllers of which nothing is known but what they do.
 #[test]
 fn every_controller_has_a_worst_case_that_replays_from_its_file() {
-    let scenario = built_in("paper-1").unwrap();
-    let envelope = Envelope::of(&scenario);
+    let scenario = built_in_scenario("paper-1").unwrap();
+    let envelope = Envelope::from_scenario(&scenario);
     for controller in ["baseline", "match-leader", "idm", "policy"] {
         for aim in [Aim::Mildest, Aim::Severest] {
-            let found = found_by(&scenario, &options(controller), aim, envelope, 1500);
+            let found = find_attack(&scenario, &options(controller), aim, envelope, 1500);
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
             let read = file::from_toml(&text, Path::new("worst.toml")).unwrap();
@@ -124,7 +124,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
 fn nothing_is_milder_than_the_exact_profile() {
     // What the sequential program comes down to is no promise, and should not become worse unseen.
     for (delays_s, most_m2ps3) in [([0.0, 0.0], 7.5), ([0.3, 0.2], 6.3)] {
-        let scenario = built_in("paper-1").unwrap().edited(|spec| {
+        let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.duration_s = 8.0;
             [spec.vehicles[1].reaction_delay_s, spec.vehicles[1].actuator_delay_s] = delays_s;
         });
@@ -136,9 +136,9 @@ fn nothing_is_milder_than_the_exact_profile() {
 #[test]
 fn no_plain_pulse_is_milder_than_the_profile_found() {
     for (name, controller) in [("paper-1", "idm"), ("paper-1", "acc-aeb"), ("paper-2", "idm")] {
-        let scenario = built_in(name).unwrap();
-        let envelope = Envelope::of(&scenario);
-        let found = found_by(&scenario, &options(controller), Aim::Mildest, envelope, 3000).expect("collides");
+        let scenario = built_in_scenario(name).unwrap();
+        let envelope = Envelope::from_scenario(&scenario);
+        let found = find_attack(&scenario, &options(controller), Aim::Mildest, envelope, 3000).expect("collides");
         assert_eq!((found.method, found.method.optimality()), (AttackMethod::Sequential, "best-found"));
         let cells = scenario.steps() / 10;
         let pulses = (1..=30).flat_map(|depth| (2..60).step_by(2).map(move |length| (f64::from(depth) * 0.25, length)));
@@ -152,7 +152,7 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             let accel_mps2: Vec<f64> = (0..cells).map(held).collect();
             let effort_m2ps3 = accel_mps2.iter().map(|a| 0.1 * a * a).sum::<f64>();
             let from_s = (0..cells).map(|cell| 0.1 * cell as f64).collect();
-            let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+            let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
             (effort_m2ps3, scenario.edited(|spec| spec.vehicles[0].driver = script).unwrap())
         });
         let scripted: Vec<_> = scripted.collect();
@@ -184,11 +184,11 @@ impl ControllerSource for OutsideBaseline {
 }
 
 fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
-    let envelope = Envelope::of(scenario);
-    let exact = found_by(scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
+    let envelope = Envelope::from_scenario(scenario);
+    let exact = find_attack(scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
     // The same controller from outside takes the other way.
     let custom = RunOptions { controller: std::sync::Arc::new(OutsideBaseline).into(), ..options("baseline") };
-    let found = found_by(scenario, &custom, Aim::Mildest, envelope, 3000).expect("collides");
+    let found = find_attack(scenario, &custom, Aim::Mildest, envelope, 3000).expect("collides");
     assert_eq!((exact.method, found.method), (AttackMethod::Exact, AttackMethod::Sequential));
     assert!(exact.programs <= 150, "{} programs", exact.programs);
     assert!(found.effort_m2ps3 < most_m2ps3, "{} m²/s³", found.effort_m2ps3);
@@ -197,11 +197,11 @@ fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
 
 #[test]
 fn a_jerk_without_bounds_is_none() {
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     for controller in ["baseline", "idm"] {
         let effort = |jerk_mps3| {
-            let envelope = Envelope { jerk_mps3, ..Envelope::of(&scenario) };
-            let found = found_by(&scenario, &options(controller), Aim::Mildest, envelope, 400);
+            let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
+            let found = find_attack(&scenario, &options(controller), Aim::Mildest, envelope, 400);
             found.expect("collides").effort_m2ps3
         };
         assert_eq!(effort(1e308), effort(1e6), "{controller}");
@@ -209,8 +209,8 @@ fn a_jerk_without_bounds_is_none() {
     }
     // What is exact can only get milder with more freedom.
     let exact = |jerk_mps3| {
-        let envelope = Envelope { jerk_mps3, ..Envelope::of(&scenario) };
-        let found = found_by(&scenario, &options("baseline"), Aim::Mildest, envelope, 0);
+        let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
+        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0);
         found.expect("collides").effort_m2ps3
     };
     assert!(exact(1e308) <= exact(10.0) * (1.0 + 1e-3), "{} against {}", exact(1e308), exact(10.0));
@@ -219,10 +219,10 @@ fn a_jerk_without_bounds_is_none() {
 /// Within the envelope, at its first instant too.
 #[test]
 fn no_profile_is_rougher_than_the_envelope() {
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     let envelope = Envelope { max_brake_mps2: 6.0, jerk_mps3: 8.0 };
     for (controller, aim) in [("baseline", Aim::Mildest), ("idm", Aim::Mildest), ("policy", Aim::Severest)] {
-        let found = found_by(&scenario, &options(controller), aim, envelope, 800).expect("collides");
+        let found = find_attack(&scenario, &options(controller), aim, envelope, 800).expect("collides");
         let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver else { panic!() };
         let mut before = (0.0, 0.0);
         for (&from_s, &accel_mps2) in pieces.from_s.iter().zip(&pieces.accel_mps2) {
@@ -245,23 +245,23 @@ fn whoever_answers_late_or_with_noise_is_not_enumerated() {
         |spec| spec.vehicles[0].acceleration_noise_mps2 = 0.02,
     ];
     for (index, change) in changes.into_iter().enumerate() {
-        let scenario = built_in("paper-1").unwrap().edited(change).unwrap();
-        let found = found_by(&scenario, &options("baseline"), Aim::Mildest, Envelope::of(&scenario), 200);
+        let scenario = built_in_scenario("paper-1").unwrap().edited(change).unwrap();
+        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::from_scenario(&scenario), 200);
         assert_eq!(found.expect("collides").method, AttackMethod::Sequential, "change {index}");
     }
 }
 
 #[test]
 fn nonsense_is_refused() {
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     let none = Envelope { max_brake_mps2: 0.0, jerk_mps3: 10.0 };
     assert!(attack(&scenario, &options("idm"), Aim::Mildest, none, 100, &Quiet).is_err());
     let reacting = scenario.edited(|spec| {
-        spec.vehicles[0].driver = Driver::Controller(ControllerSpec::named("idm").expect("built in"));
+        spec.vehicles[0].driver = Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
     });
-    assert!(attack(&reacting.unwrap(), &options("idm"), Aim::Mildest, Envelope::of(&scenario), 100, &Quiet).is_err());
+    assert!(attack(&reacting.unwrap(), &options("idm"), Aim::Mildest, Envelope::from_scenario(&scenario), 100, &Quiet).is_err());
     // Nothing to hit and nobody behind: a single pair that matches its leader.
     let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
     let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
-    assert!(found_by(&pair, &options("match-leader"), Aim::Mildest, gentle, 500).is_none());
+    assert!(find_attack(&pair, &options("match-leader"), Aim::Mildest, gentle, 500).is_none());
 }

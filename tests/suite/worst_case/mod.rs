@@ -8,17 +8,17 @@ mod opponent;
 mod scenes;
 
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, Family, FieldRange, Ranges, Reason, avoid, avoid_all,
-    certify, is_about,
+    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, ScenarioBox, FieldRange, ScenarioRanges, UndecidedReason, avoid, avoid_box,
+    certify, covers_scenario,
 };
-use crumple_verify::{Accepted, Certificate, Rejection, Statement};
+use crumple_verify::{ProvedClaim, Certificate, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in, file};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use serde_json::Value;
 
-use scenes::{random, scenario_of, small, with_profile};
+use scenes::{random_scenario, scenario_of_scene, small_scenario, with_profile};
 
 /// Decided, and where there is an escape its bound is one that the checker accepts, and no smaller one.
 fn decide_with_bound(scenario: &Scenario) -> Avoidance {
@@ -26,8 +26,8 @@ fn decide_with_bound(scenario: &Scenario) -> Avoidance {
     let avoidance = avoid(scenario, options).expect("the default grid fits");
     let Some(certificate) = &avoidance.bound_certificate else { return avoidance };
     let bound_m = avoidance.min_gap_bound_m.expect("what is certified");
-    assert!(matches!(check(certificate), Accepted::GapBound { gap_m, .. } if gap_m == bound_m));
-    assert!(is_about(certificate, scenario));
+    assert!(matches!(check_certificate(certificate), ProvedClaim::GapBound { gap_m, .. } if gap_m == bound_m));
+    assert!(covers_scenario(certificate, scenario));
     let mut stronger = (**certificate).clone();
     if let Statement::GapBound(claim) = &mut stronger.statement {
         claim.gap_m = claim.gap_m.next_down();
@@ -36,17 +36,17 @@ fn decide_with_bound(scenario: &Scenario) -> Avoidance {
     avoidance
 }
 
-fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> Simulated {
+fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKind, parts: f64) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let options = options.with_dt_s(scenario.spec().step_s / parts);
     simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
 }
 
-fn smallest_gap_m(simulated: &Simulated) -> f64 {
+fn smallest_gap_m(simulated: &SimulationResult) -> f64 {
     simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
 }
 
-fn check_certificate(certificate: &Certificate) -> Accepted {
+fn check_certificate(certificate: &Certificate) -> ProvedClaim {
     // What counts is what stands in the file.
     let text = serde_json::to_string(certificate).expect("plain data");
     let read = Certificate::from_json(&text).expect("our own file");
@@ -58,8 +58,8 @@ fn check_certificate(certificate: &Certificate) -> Accepted {
 #[test]
 fn the_papers_collisions_were_avoidable() {
     for (name, gap_m, trigger_s) in [("paper-1", 8.4, Some(3.2)), ("paper-2", 9.2, None), ("paper-3", 8.7, None)] {
-        let scenario = built_in(name).unwrap();
-        let avoidance = decide(&scenario);
+        let scenario = built_in_scenario(name).unwrap();
+        let avoidance = decide_with_bound(&scenario);
         let escape = avoidance.verdict.escape().unwrap_or_else(|| panic!("{name}: {:?}", avoidance.verdict));
         assert!((escape.min_gap_m - gap_m).abs() < 0.2, "{name}: {} m", escape.min_gap_m);
         assert!(avoidance.bound_certificate.is_some(), "{name}");
@@ -74,18 +74,18 @@ fn the_papers_collisions_were_avoidable() {
                 run(&escape_file, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
         }
-        let certificate = certify(&Family::point(&scenario), escape).expect("accepted");
+        let certificate = certify(&ScenarioBox::point(&scenario), escape).expect("accepted");
         assert!(
-            matches!(check(&certificate), Accepted::Avoidable { smallest_gap_m, .. } if smallest_gap_m > gap_m - 0.3)
+            matches!(check_certificate(&certificate), ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } if smallest_gap_m > gap_m - 0.3)
         );
-        assert!(is_about(&certificate, &scenario));
-        assert!(!is_about(&certificate, &scenario.edited(|s| s.vehicles[1].position_m += 0.001).unwrap()));
+        assert!(covers_scenario(&certificate, &scenario));
+        assert!(!covers_scenario(&certificate, &scenario.edited(|s| s.vehicles[1].position_m += 0.001).unwrap()));
     }
 }
 
 #[test]
 fn a_finer_grid_closes_the_bracket() {
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     let avoidance = avoid(&scenario, AvoidOptions { grid_s: Some(0.01), ..AvoidOptions::default() }).unwrap();
     let gap_m = avoidance.verdict.escape().unwrap().min_gap_m;
     assert!((avoidance.min_gap_bound_m.unwrap() - gap_m).abs() < 0.02, "{avoidance:?}");
@@ -100,12 +100,12 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
         let avoidance =
             avoid(scenario, AvoidOptions { grid_s, certify_bound: true, ..AvoidOptions::default() }).unwrap();
         let (kept_m, certificate) = (avoidance.best_min_gap_m?, avoidance.bound_certificate.expect("a bound"));
-        let Accepted::GapBound { gap_m: bound_m, .. } = check(&certificate) else { panic!("a bound") };
+        let ProvedClaim::GapBound { gap_m: bound_m, .. } = check_certificate(&certificate) else { panic!("a bound") };
         assert!(avoidance.min_gap_bound_m == Some(bound_m) && kept_m <= bound_m);
         Some((kept_m, bound_m))
     };
     for (name, said_m, found_m) in [("paper-2", 9.16, 9.1768), ("paper-3", 8.66, 8.6814)] {
-        let scenario = built_in(name).unwrap();
+        let scenario = built_in_scenario(name).unwrap();
         let (coarse_m, bound_m) = kept_m(&scenario, None).unwrap();
         let (fine_m, _) = kept_m(&scenario, Some(0.02)).unwrap();
         println!("{name}: {coarse_m} {fine_m} {bound_m}");
@@ -114,7 +114,7 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
     }
     // 5.90 m where 5.77 m was said to be the best: as much is gained elsewhere.
     let mut most_m: f64 = 0.0;
-    for scenario in (0..40).map(small) {
+    for scenario in (0..40).map(small_scenario) {
         let Some((coarse_m, bound_m)) = kept_m(&scenario, Some(0.3)) else { continue };
         let Some((fine_m, _)) = kept_m(&scenario, Some(0.1)) else { continue };
         assert!(fine_m <= bound_m, "{}: {fine_m} {bound_m}", scenario.spec().name);
@@ -126,7 +126,7 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
 
 #[test]
 fn smoother_escapes_cost_less_and_keep_half_the_gap() {
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     let effort = |escape| {
         let avoidance = avoid(&scenario, AvoidOptions { escape, ..AvoidOptions::default() }).unwrap();
         let escape = avoidance.verdict.escape().expect("avoidable").clone();
@@ -145,8 +145,8 @@ fn smoother_escapes_cost_less_and_keep_half_the_gap() {
 fn brute_force_never_does_better() {
     let mut escaped = 0;
     for seed in 0..60 {
-        let scenario = small(seed);
-        let avoidance = decide(&scenario);
+        let scenario = small_scenario(seed);
+        let avoidance = decide_with_bound(&scenario);
         let brute_m = brute_force_m(&scenario);
         match &avoidance.verdict {
             AvoidanceVerdict::Unavoidable(_) => assert!(brute_m <= 0.0, "{seed}: brute force keeps {brute_m} m"),
@@ -178,13 +178,13 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
 /// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
 #[test]
 fn no_controller_contradicts_a_verdict() {
-    let count: u64 = 100 * u64::from(crate::generate::cases(256).cases) / 256;
+    let count: u64 = 100 * u64::from(crate::generate::cases_with_values(256).cases) / 256;
     let (mut undecided, mut avoidable, mut unavoidable, mut programs) = (Vec::new(), 0, 0, 0);
     for seed in 0..count {
-        let scenario = random(seed);
-        let avoidance = decide(&scenario);
+        let scenario = random_scenario(seed);
+        let avoidance = decide_with_bound(&scenario);
         programs += avoidance.programs;
-        let kept_m = ControllerSpec::built_in().into_iter().map(|controller| {
+        let kept_m = ControllerSpec::all().into_iter().map(|controller| {
             let results =
                 [EstimatorKind::Truth, EstimatorKind::Kalman].map(|eyes| run(&scenario, &controller, eyes, 1.0));
             (controller.name(), results.iter().map(smallest_gap_m).fold(0.0, f64::max))
@@ -197,7 +197,7 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
                 }
-                check(&certify(&Family::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
+                check_certificate(&certify(&ScenarioBox::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
             }
             AvoidanceVerdict::Unavoidable(certificate) => {
                 unavoidable += 1;
@@ -205,8 +205,8 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
                 }
-                assert!(matches!(check(certificate), Accepted::Unavoidable { overlap_m, .. } if overlap_m > 0.0));
-                assert!(is_about(certificate, &scenario));
+                assert!(matches!(check_certificate(certificate), ProvedClaim::Unavoidable { overlap_m, .. } if overlap_m > 0.0));
+                assert!(covers_scenario(certificate, &scenario));
             }
             AvoidanceVerdict::Undecided(reason) => undecided.push((seed, reason.clone())),
         }
@@ -248,28 +248,28 @@ fn a_certificate_is_about_its_own_scenario() {
         |s| s.vehicles[2].driver = Driver::Controller(ControllerSpec::Baseline(AebSettings { ttc_s: 1.3 })),
         |s| s.vehicles.truncate(2),
     ];
-    let certified = |scenario: &Scenario| match decide(scenario).verdict {
-        AvoidanceVerdict::Avoidable(escape) => Some(certify(&Family::point(scenario), &escape).expect("accepted")),
+    let certified = |scenario: &Scenario| match decide_with_bound(scenario).verdict {
+        AvoidanceVerdict::Avoidable(escape) => Some(certify(&ScenarioBox::point(scenario), &escape).expect("accepted")),
         AvoidanceVerdict::Unavoidable(certificate) => Some(*certificate),
         AvoidanceVerdict::Undecided(_) => None,
     };
     // Nobody who answers late can follow a profile that begins at once.
-    let paper_1 = built_in("paper-1").unwrap();
+    let paper_1 = built_in_scenario("paper-1").unwrap();
     let late = paper_1.edited(|spec| spec.vehicles[1].reaction_delay_s = 0.2).unwrap();
     let (early, waits) = (certified(&paper_1).expect("decided"), certified(&late).expect("decided"));
-    assert!(!is_about(&early, &late) && is_about(&waits, &late) && is_about(&waits, &paper_1));
+    assert!(!covers_scenario(&early, &late) && covers_scenario(&waits, &late) && covers_scenario(&waits, &paper_1));
     let mut kinds = std::collections::BTreeSet::new();
-    for scenario in (0..12).map(small) {
+    for scenario in (0..12).map(small_scenario) {
         let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
         if let Some(certificate) = certified(&pair) {
-            assert!(is_about(&certificate, &pair) && !is_about(&certificate, &scenario), "{}", scenario.spec().name);
+            assert!(covers_scenario(&certificate, &pair) && !covers_scenario(&certificate, &scenario), "{}", scenario.spec().name);
         }
         let Some(certificate) = certified(&scenario) else { continue };
         kinds.insert(certificate.statement.name());
-        assert!(is_about(&certificate, &scenario), "{}", scenario.spec().name);
+        assert!(covers_scenario(&certificate, &scenario), "{}", scenario.spec().name);
         for (index, change) in changes.iter().enumerate() {
             let other = scenario.edited(change).unwrap();
-            assert!(!is_about(&certificate, &other), "{}: change {index}", scenario.spec().name);
+            assert!(!covers_scenario(&certificate, &other), "{}: change {index}", scenario.spec().name);
         }
     }
     assert_eq!(kinds.len(), 2, "{kinds:?}");
@@ -278,11 +278,11 @@ fn a_certificate_is_about_its_own_scenario() {
 /// Whatever single change of a file the checker accepts is a true statement: it is solved or replayed anew.
 #[test]
 fn what_survives_mutation_is_true() {
-    let verdicts = (0..40).map(|seed| (small(seed), decide(&small(seed)).verdict));
+    let verdicts = (0..40).map(|seed| (small_scenario(seed), decide_with_bound(&small_scenario(seed)).verdict));
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
         let (kind, certificate) = match verdict {
-            AvoidanceVerdict::Avoidable(escape) => (0, certify(&Family::point(&scenario), &escape).expect("accepted")),
+            AvoidanceVerdict::Avoidable(escape) => (0, certify(&ScenarioBox::point(&scenario), &escape).expect("accepted")),
             AvoidanceVerdict::Unavoidable(certificate) => (1, *certificate),
             AvoidanceVerdict::Undecided(_) => continue,
         };
@@ -312,9 +312,9 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
     match (&original.statement, &mutant.statement) {
         // The same claim with another proof.
         (Statement::Unavoidable(before), Statement::Unavoidable(after)) if before.scene == after.scene => true,
-        (_, Statement::Unavoidable(claim)) => scenario_of(&claim.scene, &[])
-            .is_none_or(|scenario| !matches!(decide(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
-        (_, Statement::Avoidable(claim)) => scenario_of(&claim.scene, &claim.witness).is_none_or(|scenario| {
+        (_, Statement::Unavoidable(claim)) => scenario_of_scene(&claim.scene, &[])
+            .is_none_or(|scenario| !matches!(decide_with_bound(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
+        (_, Statement::Avoidable(claim)) => scenario_of_scene(&claim.scene, &claim.witness).is_none_or(|scenario| {
             let replayed = run(&scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
             smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
         }),
@@ -324,24 +324,24 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
 
 #[test]
 fn a_box_is_decided_as_a_whole() {
-    let paper_1 = built_in("paper-1").unwrap();
-    let ranges = |low, high| Ranges {
+    let paper_1 = built_in_scenario("paper-1").unwrap();
+    let ranges = |low, high| ScenarioRanges {
         version: 1,
         ranges: vec![
             FieldRange { field: "vehicles[0].driver.brake.rate_mps2".into(), low, high },
             FieldRange { field: "vehicles[1].position_m".into(), low: 17.9, high: 18.1 },
         ],
     };
-    let family = Family::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
-    let avoidance = avoid_all(&family, AvoidOptions::default()).unwrap();
+    let family = ScenarioBox::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
+    let avoidance = avoid_box(&family, AvoidOptions::default()).unwrap();
     let AvoidanceVerdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
     let certificate = certify(&family, escape).unwrap();
-    check(&certificate);
-    assert!(is_about(&certificate, &paper_1), "a scenario of the box");
+    check_certificate(&certificate);
+    assert!(covers_scenario(&certificate, &paper_1), "a scenario of the box");
     for rate_mps2 in [2.9, 3.0, 3.1] {
-        let scenario = Family::new(
+        let scenario = ScenarioBox::new(
             &escape.scenario,
-            &Ranges {
+            &ScenarioRanges {
                 version: 1,
                 ranges: vec![FieldRange {
                     field: "vehicles[0].driver.brake.rate_mps2".into(),
@@ -360,77 +360,77 @@ fn a_box_is_decided_as_a_whole() {
     }
     // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
     let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
-    let hopeless = Family::new(&wall, &ranges(0.0, 3.0)).unwrap();
-    let AvoidanceVerdict::Unavoidable(proof) = avoid_all(&hopeless, AvoidOptions::default()).unwrap().verdict else {
+    let hopeless = ScenarioBox::new(&wall, &ranges(0.0, 3.0)).unwrap();
+    let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&hopeless, AvoidOptions::default()).unwrap().verdict else {
         panic!()
     };
-    check(&proof);
+    check_certificate(&proof);
     // Nor at any of many speeds, fast or slow.
-    let speeds = |low, high| Ranges {
+    let speeds = |low, high| ScenarioRanges {
         version: 1,
         ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
     };
-    let wide = Family::new(&wall, &speeds(18.0, 40.0)).unwrap();
-    let AvoidanceVerdict::Unavoidable(proof) = avoid_all(&wide, AvoidOptions::default()).unwrap().verdict else {
+    let wide = ScenarioBox::new(&wall, &speeds(18.0, 40.0)).unwrap();
+    let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&wide, AvoidOptions::default()).unwrap().verdict else {
         panic!()
     };
-    check(&proof);
+    check_certificate(&proof);
     // At 10 m/s it stops.
-    let partly = Family::new(&wall, &speeds(10.0, 40.0)).unwrap();
-    assert!(matches!(avoid_all(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
+    let partly = ScenarioBox::new(&wall, &speeds(10.0, 40.0)).unwrap();
+    assert!(matches!(avoid_box(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
     // Braking that begins sooner or later is escaped by one profile, too.
-    let onset = |low, high| Ranges {
+    let onset = |low, high| ScenarioRanges {
         version: 1,
         ranges: vec![FieldRange { field: "vehicles[0].driver.brake.onset_s".into(), low, high }],
     };
-    let family = Family::new(&paper_1, &onset(0.9, 1.1)).unwrap();
-    let AvoidanceVerdict::Avoidable(escape) = avoid_all(&family, AvoidOptions::default()).unwrap().verdict else {
+    let family = ScenarioBox::new(&paper_1, &onset(0.9, 1.1)).unwrap();
+    let AvoidanceVerdict::Avoidable(escape) = avoid_box(&family, AvoidOptions::default()).unwrap().verdict else {
         panic!()
     };
-    check(&certify(&family, &escape).unwrap());
+    check_certificate(&certify(&family, &escape).unwrap());
     for onset_s in [0.9, 1.0, 1.1] {
-        let member = Family::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
+        let member = ScenarioBox::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
         let replayed =
             run(member.centre(), &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
         assert!(smallest_gap_m(&replayed) >= escape.min_gap_m - 1e-9, "{onset_s}");
     }
-    let bad = Ranges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
-    assert!(Family::new(&paper_1, &bad).is_err());
+    let bad = ScenarioRanges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
+    assert!(ScenarioBox::new(&paper_1, &bad).is_err());
 }
 
 #[test]
 fn what_is_not_modelled_is_undecided_or_still_proved() {
     let reason = |change: &dyn Fn(&mut crumple_world::scenario::ScenarioSpec)| {
-        let changed = built_in("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
-        match decide(&changed).verdict {
+        let changed = built_in_scenario("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
+        match decide_with_bound(&changed).verdict {
             AvoidanceVerdict::Undecided(reason) => Some(reason),
             _ => None,
         }
     };
-    let idm = ControllerSpec::named("idm").unwrap();
+    let idm = ControllerSpec::from_name("idm").unwrap();
     let idm = crumple_world::scenario::Driver::Controller(idm);
     // Whoever leads, a script that touches nobody is an escape; where none is found nothing is said.
     assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), None);
     let wall = |s: &mut crumple_world::scenario::ScenarioSpec| {
         (s.vehicles[0].speed_mps, s.vehicles[0].driver) = (0.0, idm.clone());
     };
-    assert_eq!(reason(&wall), Some(Reason::Leader));
-    assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(Reason::NoEgo));
-    assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(Reason::EgoResponse { vehicle: 1 }));
+    assert_eq!(reason(&wall), Some(UndecidedReason::Leader));
+    assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(UndecidedReason::NoEgo));
+    assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(UndecidedReason::EgoResponse { vehicle: 1 }));
     // A delay of the ego is part of the escape; nobody helps a car that runs into a wall, lag or not.
     assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
     assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
     assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
     // Noise of the ego may take it beyond any bound.
-    let noisy = built_in("paper-1").unwrap().edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01).unwrap();
-    let avoidance = decide(&noisy);
+    let noisy = built_in_scenario("paper-1").unwrap().edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01).unwrap();
+    let avoidance = decide_with_bound(&noisy);
     assert!(avoidance.best_min_gap_m.is_some() && avoidance.min_gap_bound_m.is_none(), "{avoidance:?}");
 }
 
 /// A certificate has room for sixteen.
 #[test]
 fn too_many_vehicles_are_said_to_be() {
-    let paper_3 = built_in("paper-3").unwrap();
+    let paper_3 = built_in_scenario("paper-3").unwrap();
     let crowd = paper_3.edited(|spec| {
         let ego = spec.vehicles[1].clone();
         spec.vehicles.truncate(2);
@@ -440,6 +440,6 @@ fn too_many_vehicles_are_said_to_be() {
             spec.vehicles.push(crumple_world::scenario::VehicleSpec { position_m, ..ego.clone() });
         }
     });
-    let avoidance = decide(&crowd.unwrap());
-    assert_eq!(avoidance.verdict, AvoidanceVerdict::Undecided(Reason::TooManyVehicles { egos: 17, most: 16 }));
+    let avoidance = decide_with_bound(&crowd.unwrap());
+    assert_eq!(avoidance.verdict, AvoidanceVerdict::Undecided(UndecidedReason::TooManyVehicles { egos: 17, most: 16 }));
 }

@@ -9,7 +9,7 @@ use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, Emer
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, file};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 use super::scenes::Dice;
@@ -36,15 +36,15 @@ pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> Tri
     while left > 0 {
         let profiles: Vec<_> = (0..left.min(BATCH))
             .map(|_| match best.is_empty() || dice.between(0.0, 1.0) < 0.4 {
-                true => any_profile(scenario, dice),
+                true => random_profile(scenario, dice),
                 false => {
                     let from = &best[(dice.between(0.0, best.len() as f64) as usize).min(best.len() - 1)];
-                    changed(scenario, from.pieces.clone(), dice)
+                    mutate_profile(scenario, from.pieces.clone(), dice)
                 }
             })
             .collect();
         left -= profiles.len();
-        best.extend(tried(scenario, profiles));
+        best.extend(simulate_profiles(scenario, profiles));
         best.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
         best.truncate(ELITE_COUNT);
     }
@@ -65,13 +65,13 @@ fn random_level_mps2(scenario: &Scenario, dice: &mut Dice) -> f64 {
 
 /// One to eight pieces.
 fn random_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
-    let horizon = HORIZONS[(dice.between(0.0, 4.0) as usize).min(3)];
+    let horizon = HORIZON_SHARES[(dice.between(0.0, 4.0) as usize).min(3)];
     let count = 1 + dice.between(0.0, 8.0) as usize;
-    let mut pieces = vec![(0.0, level(scenario, dice))];
+    let mut pieces = vec![(0.0, random_level_mps2(scenario, dice))];
     for _ in 1..count {
-        pieces.push((horizon * scenario.spec().duration_s * dice.between(0.0, 1.0), level(scenario, dice)));
+        pieces.push((horizon * scenario.spec().duration_s * dice.between(0.0, 1.0), random_level_mps2(scenario, dice)));
     }
-    in_order(scenario, pieces)
+    normalise_profile(scenario, pieces)
 }
 
 /// One to three random changes: of a level, of a knot, of all levels, or of the number of pieces.
@@ -83,16 +83,16 @@ fn mutate_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut D
         match dice.between(0.0, 6.0) as usize {
             0 | 1 => pieces[at].1 += size,
             2 => pieces[at].0 += 0.5 * size,
-            3 => pieces[at].1 = level(scenario, dice),
+            3 => pieces[at].1 = random_level_mps2(scenario, dice),
             4 => {
-                let spread = scenario.spec().duration_s * HORIZONS[(dice.between(0.0, 4.0) as usize).min(3)];
-                pieces.push((spread * dice.between(0.0, 1.0), level(scenario, dice)));
+                let spread = scenario.spec().duration_s * HORIZON_SHARES[(dice.between(0.0, 4.0) as usize).min(3)];
+                pieces.push((spread * dice.between(0.0, 1.0), random_level_mps2(scenario, dice)));
             }
             _ if pieces.len() > 1 => drop(pieces.remove(at)),
             _ => pieces.iter_mut().for_each(|(_, held)| *held *= 1.0 + 0.1 * size),
         }
     }
-    in_order(scenario, pieces)
+    normalise_profile(scenario, pieces)
 }
 
 /// Knots on the scenario's steps, in order, from the start on, and levels within the limits.
@@ -112,11 +112,11 @@ fn normalise_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f
 fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec<TriedProfile> {
     let scripted = |pieces: &Vec<(f64, f64)>| {
         let (from_s, accel_mps2) = pieces.iter().copied().unzip();
-        let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+        let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
         scenario.edited(|spec| spec.vehicles[1].driver = script).expect("within the limits")
     };
     let scenarios: Vec<_> = profiles.iter().map(scripted).collect();
-    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, by_script()).expect("fits")).collect();
+    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, script_options()).expect("fits")).collect();
     let margins_m = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| match &simulated.outcome {
         Outcome::Collision(contact) => -0.1 * contact.impact_speed_mps.powi(2),
         _ => super::smallest_gap_m(&simulated),
@@ -150,7 +150,7 @@ fn compare(scenarios: std::ops::Range<u64>, tries: usize) -> SearchComparison {
     let mut comparison = SearchComparison::default();
     for index in scenarios {
         let scenario = space.draw(49, index).expect("a draw");
-        let avoidance = found(&scenario);
+        let avoidance = avoid_with_bound(&scenario);
         let random_m = random_search(&scenario, tries, index).margin_m;
         let kept_m = match &avoidance.verdict {
             AvoidanceVerdict::Avoidable(escape) => escape.min_gap_m,
@@ -189,21 +189,21 @@ fn a_long_random_search_finds_larger_gaps_in_few_scenarios() {
 /// Gaps that a random search has found where the programs, which do not know the follower's law, kept 0.045 and 3.750 m.
 #[test]
 fn behind_a_law_the_gap_is_the_one_that_it_leaves() {
-    let acc_aeb = read("acc-aeb-fires.toml");
-    let avoidance = found(&acc_aeb);
+    let acc_aeb = load_escape_scenario("acc-aeb-fires.toml");
+    let avoidance = avoid_with_bound(&acc_aeb);
     let escape = avoidance.verdict.escape().expect("avoidable");
     assert!(escape.min_gap_m >= 0.381, "{}", escape.min_gap_m);
     // The brake is read from the replay.
-    let trace = simulate(&Run::new(&escape.scenario, by_script()).unwrap(), RecordingLevel::Trace).trace.unwrap();
+    let trace = simulate(&Run::new(&escape.scenario, script_options()).unwrap(), RecordingLevel::Trace).trace.unwrap();
     let hardest_mps2 = trace.vehicles[2].acceleration_mps2.iter().copied().fold(0.0, f64::min);
     let fires = hardest_mps2 < -3.5;
     assert_eq!(fires, matches!(escape.emergency_brake, EmergencyBrake::Fires { vehicle: 2, .. }), "{hardest_mps2}");
 
-    let idm = read("idm-bound.toml");
-    let avoidance = found(&idm);
+    let idm = load_escape_scenario("idm-bound.toml");
+    let avoidance = avoid_with_bound(&idm);
     let escape = avoidance.verdict.escape().expect("avoidable");
     assert!(escape.min_gap_m >= 5.742, "{}", escape.min_gap_m);
     assert_eq!(avoidance.optimality, Optimality::Bound);
     assert!(avoidance.bound_certificate.is_some());
-    assert_eq!(escape.emergency_brake, EmergencyBrake::Silent);
+    assert_eq!(escape.emergency_brake, EmergencyBrake::NeverFires);
 }

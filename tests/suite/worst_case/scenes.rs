@@ -1,10 +1,10 @@
 //! Random scenes with an emergency in them.
 
-use crumple_verify::{Held, Scene};
+use crumple_verify::{ConstantPiece, Scene};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
     VehicleSpec,
 };
 
@@ -56,7 +56,7 @@ pub(crate) fn random_scenario(seed: u64) -> Scenario {
         vehicles.push(follower);
     }
     let friction = if dice.one_in(2.0) { 1.0 } else { dice.between(0.25, 1.0) };
-    scenario(format!("random-{seed}"), 0.01, 15.0, friction, vehicles)
+    scenario_from_gaps(format!("random-{seed}"), 0.01, 15.0, friction, vehicles)
 }
 
 /// A few seconds in steps of a tenth.
@@ -70,7 +70,7 @@ pub(crate) fn small_scenario(seed: u64) -> Scenario {
     let driver = Driver::Controller(ControllerSpec::Baseline(AebSettings::default()));
     let follower =
         VehicleSpec::new(VehicleClass::Heavy, dice.between(3.0, 12.0), ego_mps + dice.between(0.0, 4.0), driver);
-    scenario(format!("small-{seed}"), 0.1, 3.0, 1.0, vec![leader, ego, follower])
+    scenario_from_gaps(format!("small-{seed}"), 0.1, 3.0, 1.0, vec![leader, ego, follower])
 }
 
 /// Positions are still the gaps ahead.
@@ -97,13 +97,13 @@ fn scenario_from_gaps(name: String, step_s: f64, duration_s: f64, friction: f64,
 /// The scenario with accelerations, each held for a time, in place of vehicle 1.
 pub(crate) fn with_profile(scenario: &Scenario, accel_mps2: Vec<f64>, held_s: f64) -> Scenario {
     let from_s = (0..accel_mps2.len()).map(|piece| piece as f64 * held_s).collect();
-    let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
+    let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
     scenario.edited(|spec| spec.vehicles[1].driver = script).expect("within its limits")
 }
 
 /// The scenario that the scene of a certificate describes, with a profile for each ego if there are any; none if no
 /// scenario file may say so.
-pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<Held<f64>>]) -> Option<Scenario> {
+pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<ConstantPiece<f64>>]) -> Option<Scenario> {
     let pieces = |runs: Vec<(u32, f64)>| {
         let mut step = 0;
         let (mut from_s, mut accel_mps2) = (Vec::new(), Vec::new());
@@ -112,16 +112,16 @@ pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<Held<f64>>]) -> Op
             accel_mps2.push(value);
             step += steps;
         }
-        Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }))
+        Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }))
     };
-    let script = scene.leader.acceleration_mps2.iter().map(|Held(steps, value)| (*steps, value.low())).collect();
+    let script = scene.leader.acceleration_mps2.iter().map(|ConstantPiece(steps, value)| (*steps, value.low())).collect();
     let (position_m, speed_mps) = (scene.leader.position_m.low(), scene.leader.speed_mps.low());
     let mut leader = VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, pieces(script));
     (leader.length_m, leader.max_brake_mps2, leader.max_accel_mps2) =
         (Some(scene.leader.length_m), Some(30.0), Some(30.0));
     let mut vehicles = vec![leader];
     for (index, ego) in scene.egos.iter().enumerate() {
-        let runs = witness.get(index).map(|runs| runs.iter().map(|Held(steps, value)| (*steps, *value)).collect());
+        let runs = witness.get(index).map(|runs| runs.iter().map(|ConstantPiece(steps, value)| (*steps, *value)).collect());
         let driver = runs.map_or(Driver::UnderTest, pieces);
         let mut vehicle = VehicleSpec::new(VehicleClass::Light, ego.position_m.low(), ego.speed_mps.low(), driver);
         vehicle.length_m = Some(ego.length_m);

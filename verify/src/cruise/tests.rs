@@ -1,7 +1,7 @@
 //! Against closed forms, a simulation, and affine networks.
 
 use super::*;
-use crate::reach::{Format, Layer, Step};
+use crate::reach::{NetworkFileFormat, LinearLayer, NetworkLayer};
 use proptest::prelude::*;
 
 fn point(value: f64) -> Interval {
@@ -31,15 +31,15 @@ proptest! {
     /// Both ends of all that is said of a period follow from its formulas, and what the car does lies between them.
     #[test]
     fn a_period_is_as_its_closed_forms_say(v in 5.0..35.0_f64, gamma in -15.0..15.0_f64, a in -15.0..15.0_f64) {
-        let car = Car {
-            way: Form::default(),
-            speed: Form::constant(at(v)),
-            gamma: Form::constant(at(gamma)),
+        let car = CarState {
+            distance: AffineForm::default(),
+            speed: AffineForm::constant(point(v)),
+            gamma: AffineForm::constant(point(gamma)),
         };
-        let (after, meanwhile) = car.after(&Form::constant(at(a)), &PeriodCoefficients::new(), 0).unwrap();
+        let (after, meanwhile) = car.advance(&AffineForm::constant(point(a)), &PeriodCoefficients::new(), 0).unwrap();
         let drive = [2.0 * a - 1e-4 * (v + 2.0).powi(2), 2.0 * a - 1e-4 * (v - 2.0).powi(2)];
         let gammas = [gamma.min(drive[0] / 2.0), gamma.max(drive[1] / 2.0)];
-        prop_assert!(is_near(meanwhile.drive, drive, 1e-9) && is_near(meanwhile.gamma, gammas, 1e-9));
+        prop_assert!(is_near(meanwhile.forcing, drive, 1e-9) && is_near(meanwhile.gamma, gammas, 1e-9));
         // v² changes by the difference of speeds times their sum.
         let [slower, faster] = [(0.1 * gammas[0]).min(0.0), (0.1 * gammas[1]).max(0.0)];
         let sum = 2.0 * v + faster;
@@ -50,7 +50,7 @@ proptest! {
         let of_way = (0.005 - half_of_speed) / 2.0;
         let exact = simulate_period([0.0, v, gamma], a);
         for (form, base, of_w, exact) in [
-            (after.way, 0.1 * v + half_of_speed * gamma, of_way, exact[0]),
+            (after.distance, 0.1 * v + half_of_speed * gamma, of_way, exact[0]),
             (after.speed, v + of_speed * gamma, half_of_speed, exact[1]),
             (after.gamma, decay * gamma, of_speed, exact[2]),
         ] {
@@ -64,14 +64,14 @@ proptest! {
 /// 2 m/s in a tenth of a second, which is what is tried, to the last bit of either end: touching it shows nothing.
 #[test]
 fn a_speed_that_may_touch_what_is_tried_is_given_up() {
-    let (period, still) = (PeriodCoefficients::new(), Form::default());
+    let (period, still) = (PeriodCoefficients::new(), AffineForm::default());
     for sign in [1.0, -1.0] {
         let mut seen = [0; 3];
         // A form is a little wider than what it is made of.
         for ulps in (-20_000..=20_i64).step_by(2) {
             let gamma = f64::from_bits(20.0_f64.to_bits().wrapping_add_signed(ulps));
             let gamma = Interval::new(gamma.min(0.0), gamma).map(|up| if sign > 0.0 { up } else { -up }).unwrap();
-            let car = Car { way: Form::default(), speed: Form::constant(at(30.0)), gamma: Form::constant(gamma) };
+            let car = CarState { distance: AffineForm::default(), speed: AffineForm::constant(point(30.0)), gamma: AffineForm::constant(gamma) };
             let before = car.speed.range();
             let within = before + period.time.hull(Interval::ZERO) * car.gamma.range();
             let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);
@@ -81,35 +81,35 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
                 tried.low().partial_cmp(&within.low())
             };
             let is_inside = order == Some(std::cmp::Ordering::Less);
-            assert_eq!(car.after(&still, &period, 0).is_some(), is_inside, "{sign} {ulps}");
+            assert_eq!(car.advance(&still, &period, 0).is_some(), is_inside, "{sign} {ulps}");
             seen[(order.unwrap() as i8 + 1) as usize] += 1;
         }
         assert!(seen.iter().all(|&count| count > 0), "inside, touching and beyond: {seen:?}");
     }
-    let anywhere = Car { speed: Form::line(), ..Car::starting(Form::default()) };
-    assert!(anywhere.after(&still, &period, 0).is_none());
+    let anywhere = CarState { speed: AffineForm::entire(), ..CarState::from_speed(AffineForm::default()) };
+    assert!(anywhere.advance(&still, &period, 0).is_none());
 }
 
 /// A network of one product: a is affine in the own speed.
-fn affine_controller(of_speed: f64, a: f64) -> Actor {
-    let layer = Layer { inputs: 5, outputs: 1, weights: vec![0.0, 0.0, of_speed, 0.0, 0.0], biases: vec![a] };
-    Actor {
+fn affine_controller(of_speed: f64, a: f64) -> NeuralController {
+    let layer = LinearLayer { inputs: 5, outputs: 1, weights: vec![0.0, 0.0, of_speed, 0.0, 0.0], biases: vec![a] };
+    NeuralController {
         inputs: inputs().to_vec(),
-        steps: vec![Step::Linear(layer)],
-        answer: 0,
+        layers: vec![NetworkLayer::Linear(layer)],
+        output_index: 0,
         scale_mps2: 1.0,
         offset_mps2: 0.0,
-        action_mps2: [-FARTHEST, FARTHEST],
-        is_cut: true,
-        departs_from: None,
+        action_bounds_mps2: [-FARTHEST, FARTHEST],
+        is_clipped: true,
+        residual_over: None,
         empty_gap_m: 80.0,
         decision_interval_s: PERIOD_S,
-        source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),
+        source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),
     }
 }
 
-fn bound_point(actor: &Actor, distance_m: f64) -> Found {
-    driven(actor, at(distance_m), &Work::within(WorkLimit::NONE)).unwrap()
+fn bound_point(actor: &NeuralController, distance_m: f64) -> CruiseBounds {
+    driven(actor, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
 }
 
 /// The own car brakes harder than the lead car and falls behind: nearest at the start, but for what may be between decisions.
@@ -121,7 +121,7 @@ fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
         let least_of_ego = drive(a, 32.2);
         let bend = of_lead - least_of_ego / 2.0 - 1.4 * least_of_ego;
         let expected = 95.0 - 10.0 - 1.4 * 30.2 - bend * 0.01 / 8.0;
-        let margin_m = found(&affine(0.0, a), 95.0).margin_m;
+        let margin_m = bound_point(&affine_controller(0.0, a), 95.0).margin_m;
         assert!((margin_m - expected).abs() < 1e-6, "{a}: {margin_m} {expected}");
     }
 }
@@ -135,7 +135,7 @@ fn an_affine_network_is_bounded_as_it_drives() {
             (0..PERIODS).fold([x_ego, v_ego, 0.0], drive)[0]
         };
         let exact = [at_end(10.0, 30.0), at_end(11.0, 30.2)];
-        let Found { x_ego_m: [low, high], .. } = found(&affine(of_speed, a), 95.0);
+        let CruiseBounds { x_ego_m: [low, high], .. } = bound_point(&affine_controller(of_speed, a), 95.0);
         let wide = exact[1] - exact[0];
         assert!(low <= exact[0] && exact[1] <= high, "{low} {high} {exact:?}");
         assert!(high - low <= 1.05 * wide, "{low} {high} {exact:?}");
@@ -146,19 +146,19 @@ fn an_affine_network_is_bounded_as_it_drives() {
 #[test]
 fn the_time_at_which_bounds_are_too_wide_is_said() {
     for at_start in [12.0, 16.0] {
-        let actor = affine(1.0, at_start - 30.2);
+        let actor = affine_controller(1.0, at_start - 30.2);
         let (mut fastest, mut periods) = ([0.0, 30.2, 0.0_f64], 0);
         while fastest[2].max(fastest[1] - 30.2 + at_start - 0.5e-4 * fastest[1] * fastest[1]) < 20.0 {
             fastest = simulate_period(fastest, fastest[1] - 30.2 + at_start);
             periods += 1;
         }
         assert!(periods > 1, "{periods}");
-        let given_up = driven(&actor, at(95.0), &Work::within(WorkLimit::NONE));
-        assert_eq!(given_up, Err(Unshown::TooWide(f64::from(periods) * 0.1)));
+        let given_up = driven(&actor, point(95.0), &OpBudget::new(WorkLimit::UNLIMITED));
+        assert_eq!(given_up, Err(CruiseBoundsError::TooWide(f64::from(periods) * 0.1)));
     }
 }
 
 #[test]
 fn the_width_of_where_it_ends_is_rounded_up() {
-    assert_eq!(Found { margin_m: 0.0, x_ego_m: [10.0, 12.5] }.x_ego_width_m(), 2.5_f64.next_up());
+    assert_eq!(CruiseBounds { margin_m: 0.0, x_ego_m: [10.0, 12.5] }.x_ego_width_m(), 2.5_f64.next_up());
 }

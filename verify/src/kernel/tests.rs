@@ -10,17 +10,17 @@ fn rational(text: &str) -> BigRational {
 /// What is covered up to `t` while braking at `rate` with `stop` to go, to standstill if it comes to that.
 fn distance_covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> BigRational {
     let moving = t.min(stop);
-    rate * (stop * moving - moving * moving / number("2"))
+    rate * (stop * moving - moving * moving / rational("2"))
 }
 
 /// The polynomials of a pair, with the closed form's p and q as given and r, beside what they have to be worth at a point: from
 /// the motion itself, and from the claims.
-fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(Case, BigRational)> {
-    let [b, c, p, q, r] = [b, c, p, q, r].map(number);
+fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(ProofCase, BigRational)> {
+    let [b, c, p, q, r] = [b, c, p, q, r].map(rational);
     let [x, y, z] = at;
     let (xy, xyz) = (x + y, x + y + z);
     let closing =
-        |a: &BigRational, stop_ahead: &BigRational, t: &BigRational| covered(&b, a, t) - covered(&c, stop_ahead, t);
+        |a: &BigRational, stop_ahead: &BigRational, t: &BigRational| distance_covered(&b, a, t) - distance_covered(&c, stop_ahead, t);
     let s_of = |a: &BigRational, stop_ahead: &BigRational| {
         let (v, w) = (&b * a, &c * stop_ahead);
         &p * &v * &v + &q * &w * &w
@@ -34,7 +34,7 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
         all.extend(pair.catching_up_cases(&r));
         let harder = &b - &c;
         // t = x, A = y, B = z, whoever might stand by then: an identity.
-        let two = number("2");
+        let two = rational("2");
         let moving = |rate: &BigRational, stop: &BigRational, t: &BigRational| rate * (stop * t - t * t / &two);
         let (v, w) = (&b * y, &c * z);
         let from_turn = x - (&v - &w) / &harder;
@@ -57,16 +57,16 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
 
 #[test]
 fn each_case_speaks_of_the_motion() {
-    let values = ["0", "1/3", "1", "7/4", "5"].map(number);
+    let values = ["0", "1/3", "1", "7/4", "5"].map(rational);
     for (b, c) in [("15/2", "6"), ("8", "5"), ("6", "15/2"), ("6", "6"), ("1/2", "9")] {
         for x in &values {
             for y in &values {
                 for z in &values {
                     // Whatever is claimed: the case says by how much it is short.
                     for claimed in [["1/15", "-1/12", "1/3"], ["2/7", "-3/11", "5/13"]] {
-                        for (case, worth) in cases(b, c, [x, y, z], claimed) {
-                            let value = case.polynomial.at([x, y, z]);
-                            assert_eq!(value, worth, "{}: {b} {c}, x = {x}, y = {y}, z = {z}", case.fails_where);
+                        for (case, worth) in cases_with_values(b, c, [x, y, z], claimed) {
+                            let value = case.polynomial.evaluate([x, y, z]);
+                            assert_eq!(value, worth, "{}: {b} {c}, x = {x}, y = {y}, z = {z}", case.failure_message);
                         }
                     }
                 }
@@ -77,9 +77,9 @@ fn each_case_speaks_of_the_motion() {
 
 #[test]
 fn what_has_to_vanish_is_not_asked_to_be_positive_only() {
-    let one = Polynomial::constant(&number("1"));
+    let one = Polynomial::constant(&rational("1"));
     let nothing = &one - &one;
-    assert!(!Case::zero("", one.clone()).holds() && Case::zero("", nothing.clone()).holds());
-    assert!(Case::nonnegative("", one.clone()).holds() && Case::nonnegative("", nothing).holds());
-    assert!(!Case::nonnegative("", -&one).holds());
+    assert!(!ProofCase::zero("", one.clone()).holds() && ProofCase::zero("", nothing.clone()).holds());
+    assert!(ProofCase::nonnegative("", one.clone()).holds() && ProofCase::nonnegative("", nothing).holds());
+    assert!(!ProofCase::nonnegative("", -&one).holds());
 }

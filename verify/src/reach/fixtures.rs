@@ -1,7 +1,7 @@
 //! What tests of several modules start from.
 
-use super::form::Form;
-use super::{Actor, Input, OBSERVED, Ranges, Scene};
+use super::form::AffineForm;
+use super::{NeuralController, ControllerInput, OBSERVATION_SIZE, InitialRanges, ReachProblem};
 use crate::interval::Interval;
 
 /// The numbers from one to another.
@@ -10,13 +10,13 @@ pub(super) fn interval(low: f64, high: f64) -> Interval {
 }
 
 /// One number, as exactly as it is.
-pub(super) fn point_form(number: f64) -> Form {
-    Form::constant(Interval::point(number))
+pub(super) fn point_form(number: f64) -> AffineForm {
+    AffineForm::constant(Interval::point(number))
 }
 
 /// The numbers from one to another, of which `symbol` says which.
-pub(super) fn symbol_form(symbol: usize, low: f64, high: f64) -> Form {
-    Form::symbol(symbol, from(low, high))
+pub(super) fn symbol_form(symbol: usize, low: f64, high: f64) -> AffineForm {
+    AffineForm::symbol(symbol, interval(low, high))
 }
 
 /// Bounds are those that are expected: never inside them, and never farther outside than `slack`.
@@ -29,21 +29,21 @@ pub(super) fn assert_bounds(found: Interval, [low, high]: [f64; 2], slack: f64) 
 }
 
 /// An affine function of what is observed.
-pub(super) fn affine_input(of: [f64; OBSERVED], constant: f64) -> Input {
-    Input { of, constant, absent: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
+pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
+    ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
 }
 
 /// An actor that asks for an affine function of what it observes, and has no network.
-pub(super) fn affine_controller(of: [f64; OBSERVED], constant: f64) -> Actor {
-    Actor {
-        inputs: vec![input(of, constant)],
-        steps: Vec::new(),
-        answer: 0,
+pub(super) fn affine_controller(of: [f64; OBSERVATION_SIZE], constant: f64) -> NeuralController {
+    NeuralController {
+        inputs: vec![affine_input(of, constant)],
+        layers: Vec::new(),
+        output_index: 0,
         scale_mps2: 1.0,
         offset_mps2: 0.0,
-        action_mps2: [-8.0, 3.0],
-        is_cut: false,
-        departs_from: None,
+        action_bounds_mps2: [-8.0, 3.0],
+        is_clipped: false,
+        residual_over: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: None,
@@ -51,14 +51,14 @@ pub(super) fn affine_controller(of: [f64; OBSERVED], constant: f64) -> Actor {
 }
 
 /// An actor that asks for the same whatever it observes.
-pub(super) fn constant_controller(mps2: f64) -> Actor {
-    affine([0.0; OBSERVED], mps2)
+pub(super) fn constant_controller(mps2: f64) -> NeuralController {
+    affine_controller([0.0; OBSERVATION_SIZE], mps2)
 }
 
 /// One start, in the order of the ranges.
-pub(super) fn point_box(point: [f64; 8]) -> Ranges {
+pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
     let [ahead, behind, leader, ego, follower, leader_brake, follower_brake, onset] = point.map(Interval::point);
-    Ranges {
+    InitialRanges {
         gap_ahead_m: ahead,
         gap_behind_m: behind,
         leader_speed_mps: leader,
@@ -71,16 +71,16 @@ pub(super) fn point_box(point: [f64; 8]) -> Ranges {
 }
 
 /// A second in steps of 0.1 s, with a decision at each, nobody behind, and exact observations.
-pub(super) fn default_problem(actor: &Actor, ranges: Ranges) -> Scene<'_> {
-    Scene {
-        actor,
+pub(super) fn default_problem(actor: &NeuralController, ranges: InitialRanges) -> ReachProblem<'_> {
+    ReachProblem {
+        controller: actor,
         ranges,
         follower: None,
         leader_brakes_at_most_mps2: None,
-        observation_error: [0.0; OBSERVED],
+        observation_error: [0.0; OBSERVATION_SIZE],
         step_s: 0.1,
         steps: 10,
         decision_steps: 1,
-        stop_at_doubt: false,
+        stop_when_undecided: false,
     }
 }

@@ -176,14 +176,14 @@ mod tests {
     fn header_json() -> serde_json::Value {
         serde_json::json!({
             "version": 1, "crumple": "0.1.0", "hidden": [64, 64],
-            "observation": {"offset": vec![0; OBSERVED], "scale": vec![1; OBSERVED], "limit": 1.5, "empty_gap_m": 80},
+            "observation": {"offset": vec![0; OBSERVATION_SIZE], "scale": vec![1; OBSERVATION_SIZE], "limit": 1.5, "empty_gap_m": 80},
             "action": {"low_mps2": -7.5, "high_mps2": 3}, "decision_interval_s": 0.1, "estimator": "truth", "seed": 1,
             "episode": 2, "training": {}
         })
     }
 
     fn header() -> PolicyFileHeader {
-        serde_json::from_value(stated()).unwrap()
+        serde_json::from_value(header_json()).unwrap()
     }
 
     /// As the simulator reads it: what is left out is one, and null is no number.
@@ -191,12 +191,12 @@ mod tests {
     fn a_history_is_a_number_or_left_out() {
         for field in ["history", "history_every"] {
             for (value, is_read) in [(serde_json::json!(1), true), (serde_json::Value::Null, false)] {
-                let mut stated = stated();
+                let mut stated = header_json();
                 stated["observation"][field] = value;
                 assert_eq!(serde_json::from_value::<PolicyFileHeader>(stated).is_ok(), is_read, "{field}");
             }
-            assert!(checked(|header| header.observation.history = 2).is_err());
-            assert!(checked(|header| header.observation.history_every = 5).is_err());
+            assert!(check_modified(|header| header.observation.history = 2).is_err());
+            assert!(check_modified(|header| header.observation.history_every = 5).is_err());
         }
     }
 
@@ -208,20 +208,20 @@ mod tests {
 
     #[test]
     fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
-        for hidden in [vec![], vec![1; MOST_LAYERS], vec![WIDEST_LAYER, WIDEST_LAYER], vec![1, MAX_NUMBERS / 2]] {
-            assert_eq!(checked(|header| header.hidden.clone_from(&hidden)), Ok(()), "{hidden:?}");
+        for hidden in [vec![], vec![1; MAX_LAYERS], vec![MAX_LAYER_WIDTH, MAX_LAYER_WIDTH], vec![1, MAX_NUMBERS / 2]] {
+            assert_eq!(check_modified(|header| header.hidden.clone_from(&hidden)), Ok(()), "{hidden:?}");
         }
         for hidden in [
-            vec![1; MOST_LAYERS + 1],
-            vec![1; MOST_LAYERS + 2],
-            vec![WIDEST_LAYER, WIDEST_LAYER, 1],
-            vec![WIDEST_LAYER, WIDEST_LAYER, 2],
-            vec![WIDEST_LAYER + 1],
+            vec![1; MAX_LAYERS + 1],
+            vec![1; MAX_LAYERS + 2],
+            vec![MAX_LAYER_WIDTH, MAX_LAYER_WIDTH, 1],
+            vec![MAX_LAYER_WIDTH, MAX_LAYER_WIDTH, 2],
+            vec![MAX_LAYER_WIDTH + 1],
             vec![64, 0],
             vec![usize::MAX, usize::MAX],
         ] {
             let refused = Err("describes too large a network".to_owned());
-            assert_eq!(checked(|header| header.hidden.clone_from(&hidden)), refused, "{hidden:?}");
+            assert_eq!(check_modified(|header| header.hidden.clone_from(&hidden)), refused, "{hidden:?}");
         }
     }
 
@@ -229,23 +229,23 @@ mod tests {
     fn scales_are_positive_and_all_numbers_finite() {
         let refused = Err("has a scaling that makes no sense".to_owned());
         for wrong in [0.0, -1.0, f64::INFINITY, f64::NAN] {
-            assert_eq!(checked(|header| header.observation.scale[7] = wrong), refused, "scale {wrong}");
-            assert_eq!(checked(|header| header.observation.limit = wrong), refused, "limit {wrong}");
-            assert_eq!(checked(|header| header.observation.empty_gap_m = wrong), refused, "empty gap {wrong}");
-            assert_eq!(checked(|header| header.decision_interval_s = wrong), refused, "interval {wrong}");
+            assert_eq!(check_modified(|header| header.observation.scale[7] = wrong), refused, "scale {wrong}");
+            assert_eq!(check_modified(|header| header.observation.limit = wrong), refused, "limit {wrong}");
+            assert_eq!(check_modified(|header| header.observation.empty_gap_m = wrong), refused, "empty gap {wrong}");
+            assert_eq!(check_modified(|header| header.decision_interval_s = wrong), refused, "interval {wrong}");
         }
         for wrong in [f64::NEG_INFINITY, f64::NAN] {
-            assert_eq!(checked(|header| header.observation.offset[0] = wrong), refused, "offset {wrong}");
+            assert_eq!(check_modified(|header| header.observation.offset[0] = wrong), refused, "offset {wrong}");
         }
-        assert_eq!(checked(|header| header.observation.offset = [-1e300; OBSERVED]), Ok(()));
-        assert_eq!(checked(|header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVED]), Ok(()));
+        assert_eq!(check_modified(|header| header.observation.offset = [-1e300; OBSERVATION_SIZE]), Ok(()));
+        assert_eq!(check_modified(|header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVATION_SIZE]), Ok(()));
     }
 
     /// Half of their difference and half of their sum are what the answer is stretched with.
     #[test]
     fn bounds_of_an_action_have_a_difference_and_a_sum() {
         let with = |low, high| {
-            let judged = checked(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
+            let judged = check_modified(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
             judged
                 .inspect_err(|error| assert_eq!(error, "has bounds of its action that are not finite and in order"))
                 .is_ok()

@@ -176,40 +176,40 @@ impl NeuralController {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reach::{Each, Input, Layer, OBSERVED};
+    use crate::reach::{Activation, ControllerInput, LinearLayer, OBSERVATION_SIZE};
 
     /// A network of two numbers, of a size up to 2 and 3.
-    fn two_input_controller(steps: Vec<Step>, answer: usize) -> Actor {
+    fn two_input_controller(steps: Vec<NetworkLayer>, answer: usize) -> NeuralController {
         let input =
-            |low, high| Input { of: [0.0; OBSERVED], constant: 0.0, absent: None, offset: 0.0, scale: 1.0, low, high };
-        Actor {
+            |low, high| ControllerInput { coefficients: [0.0; OBSERVATION_SIZE], constant: 0.0, absent_value: None, offset: 0.0, scale: 1.0, low, high };
+        NeuralController {
             inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
-            steps,
-            answer,
+            layers: steps,
+            output_index: answer,
             scale_mps2: 1.0,
             offset_mps2: 0.0,
-            action_mps2: [-1.0, 1.0],
-            is_cut: true,
-            departs_from: None,
+            action_bounds_mps2: [-1.0, 1.0],
+            is_clipped: true,
+            residual_over: None,
             empty_gap_m: 80.0,
             decision_interval_s: 0.1,
             source: None,
         }
     }
 
-    fn layer(weights: [f64; 4], biases: [f64; 2]) -> Step {
-        Step::Linear(Layer { inputs: 2, outputs: 2, weights: weights.to_vec(), biases: biases.to_vec() })
+    fn layer(weights: [f64; 4], biases: [f64; 2]) -> NetworkLayer {
+        NetworkLayer::Linear(LinearLayer { inputs: 2, outputs: 2, weights: weights.to_vec(), biases: biases.to_vec() })
     }
 
     #[test]
     fn the_largest_answer_is_a_sum_of_sizes() {
         let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
         for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
-            assert_eq!(of_two(vec![plain.clone()], answer).max_output_magnitude(), Ok(expected));
-            assert_eq!(of_two(vec![plain.clone(), Step::Each(Each::Tanh)], answer).max_output_magnitude(), Ok(1.0));
+            assert_eq!(two_input_controller(vec![plain.clone()], answer).max_output_magnitude(), Ok(expected));
+            assert_eq!(two_input_controller(vec![plain.clone(), NetworkLayer::Activation(Activation::Tanh)], answer).max_output_magnitude(), Ok(1.0));
         }
-        assert_eq!([0, 1].map(|answer| of_two(vec![], answer).max_output_magnitude()), [Ok(2.0), Ok(3.0)]);
-        assert_eq!(of_two(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
+        assert_eq!([0, 1].map(|answer| two_input_controller(vec![], answer).max_output_magnitude()), [Ok(2.0), Ok(3.0)]);
+        assert_eq!(two_input_controller(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
     }
 
     /// Half of the range of single precision, and no more; the layer that may leave it is named from 0.
@@ -218,14 +218,14 @@ mod tests {
         let half = 0.5 * f64::from(f32::MAX);
         let calm = layer([1.0, 0.0, 0.0, 1.0], [0.0, 0.0]);
         let wild = |number: f64| layer([0.25 * number, 0.0, 0.0, 0.0], [0.5 * number, 0.0]);
-        assert_eq!(of_two(vec![wild(half)], 0).max_output_magnitude(), Ok(half));
-        assert_eq!(of_two(vec![wild(half.next_up())], 0).max_output_magnitude(), Err(0));
-        assert_eq!(of_two(vec![calm.clone(), wild(half)], 0).max_output_magnitude(), Ok(half));
-        assert_eq!(of_two(vec![calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(1));
-        assert_eq!(of_two(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(2));
-        let multiplied = Step::Each(Each::Multiply(vec![half, 0.0]));
-        assert_eq!(of_two(vec![calm.clone(), calm, multiplied], 0).max_output_magnitude(), Err(1), "behind it");
-        let mut far = of_two(vec![], 0);
+        assert_eq!(two_input_controller(vec![wild(half)], 0).max_output_magnitude(), Ok(half));
+        assert_eq!(two_input_controller(vec![wild(half.next_up())], 0).max_output_magnitude(), Err(0));
+        assert_eq!(two_input_controller(vec![calm.clone(), wild(half)], 0).max_output_magnitude(), Ok(half));
+        assert_eq!(two_input_controller(vec![calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(1));
+        assert_eq!(two_input_controller(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(2));
+        let multiplied = NetworkLayer::Activation(Activation::Multiply(vec![half, 0.0]));
+        assert_eq!(two_input_controller(vec![calm.clone(), calm, multiplied], 0).max_output_magnitude(), Err(1), "behind it");
+        let mut far = two_input_controller(vec![], 0);
         far.inputs[1].low = -half;
         assert_eq!(far.max_output_magnitude(), Ok(2.0));
         far.inputs[1].low = -half.next_up();
@@ -239,8 +239,8 @@ mod tests {
             let data: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
             let entry = TensorInfo { dtype: dtype.to_owned(), shape: shape.to_vec(), data_offsets: place };
             let mut file = SafetensorsFile { tensors: [("w".to_owned(), entry)].into(), data: &data };
-            let read = file.tensor("w", &[2, 3]);
-            assert_eq!(file.tensor("w", &[2, 3]), Err("has no tensor w".to_owned()), "a second time");
+            let read = file.take_tensor("w", &[2, 3]);
+            assert_eq!(file.take_tensor("w", &[2, 3]), Err("has no tensor w".to_owned()), "a second time");
             read
         };
         let (numbers, all) = ([1.0, -2.0, 0.5, 3.0, 0.25, f32::MAX], [0, 24]);
@@ -266,7 +266,7 @@ mod tests {
     #[test]
     fn what_lists_no_tensors_is_told_what_was_expected() {
         let file = [&2_u64.to_le_bytes()[..], b"[]"].concat();
-        let error = Actor::from_bytes(&file).unwrap_err();
+        let error = NeuralController::from_bytes(&file).unwrap_err();
         let expected = "header: invalid type: sequence, expected tensors by name, and `__metadata__`";
         assert!(error.starts_with(expected), "{error}");
     }

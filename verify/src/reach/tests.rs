@@ -1,14 +1,14 @@
-use super::fixtures::{constant, from, scene, start};
+use super::fixtures::{constant_controller, interval, default_problem, point_box};
 use super::*;
 use crate::work::WorkLimit;
 
 const DEFAULT_POINT: [f64; 8] = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
 
-fn claim(partition: Vec<Cell>) -> Reach {
-    let mut ranges = start(DEFAULT_POINT);
-    ranges.gap_ahead_m = from(0.0, 1.0);
-    Reach {
-        policy_file: file_name("0123456789abcdef", false),
+fn claim(partition: Vec<PartitionCell>) -> ReachClaim {
+    let mut ranges = point_box(DEFAULT_POINT);
+    ranges.gap_ahead_m = interval(0.0, 1.0);
+    ReachClaim {
+        policy_file: controller_file_name("0123456789abcdef", false),
         policy_sha256: String::new(),
         source: None,
         step_s: 0.05,
@@ -16,7 +16,7 @@ fn claim(partition: Vec<Cell>) -> Reach {
         follower_ttc_s: None,
         follower_law: None,
         leader_brakes_at_most_mps2: None,
-        observation_error: [0.0; OBSERVED],
+        observation_error: [0.0; OBSERVATION_SIZE],
         ranges,
         partition,
         verified_share_at_least: 0.0,
@@ -31,8 +31,8 @@ fn problem<T>(result: Result<T, Rejection>) -> String {
 
 #[test]
 fn the_name_of_a_file_begins_with_what_it_is_and_its_digest() {
-    assert_eq!(file_name("0123456789abcdef", false), "policy-0123456789ab.safetensors");
-    assert_eq!(file_name("0123456789abcdef", true), "network-0123456789ab.safetensors");
+    assert_eq!(controller_file_name("0123456789abcdef", false), "policy-0123456789ab.safetensors");
+    assert_eq!(controller_file_name("0123456789abcdef", true), "network-0123456789ab.safetensors");
 }
 
 #[test]
@@ -43,8 +43,8 @@ fn a_claim_is_about_as_many_steps_as_it_has() {
 /// Steps that are no time, or no finite one, are refused for that, and those that do not make up a decision for this.
 #[test]
 fn steps_are_positive_and_divide_the_time_between_decisions() {
-    let actor = constant(0.0);
-    let of = |step_s: f64| problem(Reach { step_s, ..claim(vec![Cell::Undecided]) }.scene(&actor));
+    let actor = constant_controller(0.0);
+    let of = |step_s: f64| problem(ReachClaim { step_s, ..claim(vec![PartitionCell::Undecided]) }.problem(&actor));
     for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
         assert!(of(step_s).ends_with("must be positive"), "{step_s}");
     }
@@ -54,10 +54,10 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
 /// A cell is cut at most so often, be it always the lower half or always the upper one.
 #[test]
 fn a_cell_is_cut_no_more_often_than_may_be() {
-    let cut = Cell::Cut(Dimension::GapAheadM);
+    let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
     for (cuts, expected) in [(MAX_CUTS, ""), (MAX_CUTS + 1, "cuts too often")] {
-        let lower: Vec<Cell> = [vec![cut; cuts], vec![Cell::Undecided; cuts + 1]].concat();
-        let upper: Vec<Cell> = [[cut, Cell::Undecided].repeat(cuts), vec![Cell::Undecided]].concat();
+        let lower: Vec<PartitionCell> = [vec![cut; cuts], vec![PartitionCell::Undecided; cuts + 1]].concat();
+        let upper: Vec<PartitionCell> = [[cut, PartitionCell::Undecided].repeat(cuts), vec![PartitionCell::Undecided]].concat();
         for partition in [lower, upper] {
             let leaves = claim(partition).leaves();
             assert!(leaves.as_ref().map_or(true, |leaves| leaves.len() == cuts + 1));
@@ -68,21 +68,21 @@ fn a_cell_is_cut_no_more_often_than_may_be() {
 
 #[test]
 fn a_partition_of_too_many_cells_is_refused_as_such() {
-    assert!(problem(claim(vec![Cell::Undecided; MOST_CELLS + 1]).leaves()).ends_with("has too many cells"));
-    assert!(problem(claim(vec![Cell::Undecided; 2]).leaves()).ends_with("is one cell too many"));
+    assert!(problem(claim(vec![PartitionCell::Undecided; MAX_CELLS + 1]).leaves()).ends_with("has too many cells"));
+    assert!(problem(claim(vec![PartitionCell::Undecided; 2]).leaves()).ends_with("is one cell too many"));
 }
 
 /// A point that touches shows something of the cell that it is in, and of no other.
 #[test]
 fn a_point_is_one_of_its_cell() {
-    let actor = constant(0.0);
-    let mut ranges = start([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
-    ranges.gap_ahead_m = from(1.0, 2.0);
-    let (scene, work) = (scene(&actor, ranges), Work::within(WorkLimit::NONE));
-    let point = |gap_m: f64| Cell::Falsified([gap_m, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
+    let actor = constant_controller(0.0);
+    let mut ranges = point_box([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
+    ranges.gap_ahead_m = interval(1.0, 2.0);
+    let (scene, work) = (default_problem(&actor, ranges), OpBudget::new(WorkLimit::UNLIMITED));
+    let point = |gap_m: f64| PartitionCell::Falsified([gap_m, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     let mut cell = ranges;
-    cell.gap_ahead_m = from(1.0, 1.5);
-    assert_eq!(judge(&scene, &point(1.25), &cell, &work), Ok(f64::INFINITY));
-    assert_eq!(judge(&scene, &point(1.75), &cell, &work), Err("the point is not in it".to_owned()));
-    assert_eq!(judge(&scene, &point(1.75), &ranges, &work), Ok(f64::INFINITY));
+    cell.gap_ahead_m = interval(1.0, 1.5);
+    assert_eq!(check_leaf(&scene, &point(1.25), &cell, &work), Ok(f64::INFINITY));
+    assert_eq!(check_leaf(&scene, &point(1.75), &cell, &work), Err("the point is not in it".to_owned()));
+    assert_eq!(check_leaf(&scene, &point(1.75), &ranges, &work), Ok(f64::INFINITY));
 }

@@ -7,16 +7,16 @@
 //! The benchmark's network is not ours to ship: one is fitted here, by least squares on its last layer, to
 //! a = 0.05 (D_rel - 30 - 1.4 v_ego) + 0.7 v_rel between -3 and 1, a calm driver with 20 m to spare.
 
-use crumple_verify::cruise::{Unshown, bounds};
-use crumple_verify::reach::actor::rectified_between;
-use crumple_verify::reach::{Actor, Each, Format, Input, Layer, Source, Step};
+use crumple_verify::cruise::{CruiseBoundsError, compute_bounds};
+use crumple_verify::reach::controller::interleave_relu;
+use crumple_verify::reach::{NeuralController, Activation, NetworkFileFormat, ControllerInput, LinearLayer, NetworkFileSource, NetworkLayer};
 
-use crumple_verify::{Accepted, Certificate, Cruise, Provenance, Rejection, Statement, WorkLimit, check_with};
+use crumple_verify::{ProvedClaim, Certificate, CruiseClaim, CertificateProvenance, Rejection, Statement, WorkLimit, check_with};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::support::closed_loop::{Numbers, answers};
-use crate::support::networks::{any_steps, file_of};
+use crate::support::closed_loop::{XorShiftRng, network_outputs};
+use crate::support::networks::{any_layers, encode_file};
 
 const DRAG: f64 = 1e-4;
 
@@ -34,10 +34,10 @@ fn observation(v_ego: f64, d_rel: f64, v_rel: f64) -> Vec<f64> {
 }
 
 /// Random hidden layers in single precision, and the last layer that fits the law best.
-fn fit_network() -> Vec<Step> {
+fn fit_network() -> Vec<NetworkLayer> {
     let mut state = 7;
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0];
-    let mut layers: Vec<Layer> = (0..5)
+    let mut layers: Vec<LinearLayer> = (0..5)
         .map(|index| {
             let inputs = if index == 0 { 5 } else { 20 };
             let weight = |i: usize, state: &mut u64| {
@@ -45,7 +45,7 @@ fn fit_network() -> Vec<Step> {
                 f64::from((random(state) / scale) as f32)
             };
             let weights = (0..inputs * 20).map(|k| weight(k / 20, &mut state)).collect();
-            Layer {
+            LinearLayer {
                 inputs,
                 outputs: 20,
                 weights,
@@ -53,14 +53,14 @@ fn fit_network() -> Vec<Step> {
             }
         })
         .collect();
-    let hidden: Vec<Step> = rectified_between(layers.clone()).chain([Step::Each(Each::Relu)]).collect();
+    let hidden: Vec<NetworkLayer> = interleave_relu(layers.clone()).chain([NetworkLayer::Activation(Activation::Relu)]).collect();
     // Normal equations with a little damping, by Gauss and Jordan.
     let mut rows = vec![[0.0; 22]; 21];
     for _ in 0..4000 {
         let (v_ego, d_rel, v_rel) =
             (25.0 + 8.0 * random(&mut state), 65.0 + 45.0 * random(&mut state), -4.0 + 8.0 * random(&mut state));
-        let h = [answers(&hidden, seen(v_ego, d_rel, v_rel)), vec![1.0]].concat();
-        let target = law(v_ego, d_rel, v_rel);
+        let h = [network_outputs(&hidden, observation(v_ego, d_rel, v_rel)), vec![1.0]].concat();
+        let target = target_acceleration(v_ego, d_rel, v_rel);
         for (row, own) in rows.iter_mut().zip(&h) {
             row.iter_mut().zip(&h).for_each(|(to, other)| *to += own * other);
             row[21] += own * target;
@@ -75,13 +75,13 @@ fn fit_network() -> Vec<Step> {
         }
     }
     let solved: Vec<f64> = rows.iter().map(|row| f64::from(row[21] as f32)).collect();
-    layers.push(Layer { inputs: 20, outputs: 1, weights: solved[..20].to_vec(), biases: vec![solved[20]] });
-    rectified_between(layers).collect()
+    layers.push(LinearLayer { inputs: 20, outputs: 1, weights: solved[..20].to_vec(), biases: vec![solved[20]] });
+    interleave_relu(layers).collect()
 }
 
-fn controller(steps: Vec<Step>) -> Actor {
-    let input = |of, constant| Input { of, constant, absent: None, offset: 0.0, scale: 1.0, low: -1e6, high: 1e6 };
-    Actor {
+fn controller(steps: Vec<NetworkLayer>) -> NeuralController {
+    let input = |of, constant| ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e6, high: 1e6 };
+    NeuralController {
         inputs: vec![
             input([0.0; 8], 30.0),
             input([0.0; 8], 1.4),
@@ -89,27 +89,27 @@ fn controller(steps: Vec<Step>) -> Actor {
             input([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0),
             input([0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0], 0.0),
         ],
-        steps,
-        answer: 0,
+        layers: steps,
+        output_index: 0,
         scale_mps2: 1.0,
         offset_mps2: 0.0,
-        action_mps2: [-1e6, 1e6],
-        is_cut: true,
-        departs_from: None,
+        action_bounds_mps2: [-1e6, 1e6],
+        is_clipped: true,
+        residual_over: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
-        source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),
+        source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),
     }
 }
 
 /// A plain simulation with a fine step: the least margin, and x_ego at the end.
-fn simulate(steps: &[Step], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f64) {
+fn simulate(steps: &[NetworkLayer], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f64) {
     let (mut lead, mut ego) = ([x_lead, v_lead, 0.0], [x_ego, v_ego, 0.0]);
     let margin = |lead: [f64; 3], ego: [f64; 3]| lead[0] - ego[0] - 10.0 - 1.4 * ego[1];
     let (mut least, mut a) = (margin(lead, ego), 0.0);
     for step in 0..5000 {
         if step % 100 == 0 {
-            a = answers(steps, seen(ego[1], lead[0] - ego[0], lead[1] - ego[1]))[0];
+            a = network_outputs(steps, observation(ego[1], lead[0] - ego[0], lead[1] - ego[1]))[0];
         }
         for (car, a) in [(&mut lead, -2.0), (&mut ego, a)] {
             // The midpoint rule.
@@ -125,20 +125,20 @@ fn simulate(steps: &[Step], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f
 }
 
 /// Corners of the box and members of it.
-fn initial_states(numbers: &mut Numbers) -> Vec<[f64; 4]> {
+fn initial_states(numbers: &mut XorShiftRng) -> Vec<[f64; 4]> {
     let ends = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
     let corners = (0..16_usize).map(|corner| std::array::from_fn(|i| ends[i][corner >> i & 1]));
-    let inside = (0..4).map(|_| ends.map(|[low, high]| low + (high - low) * numbers.unit()));
+    let inside = (0..4).map(|_| ends.map(|[low, high]| low + (high - low) * numbers.next_unit()));
     corners.chain(inside.collect::<Vec<_>>()).collect()
 }
 
 #[test]
 fn the_whole_box_is_safe() {
-    let steps = fitted();
+    let steps = fit_network();
     let begin = std::time::Instant::now();
-    let found = bounds(&actor(steps.clone()), 16).unwrap();
+    let found = compute_bounds(&controller(steps.clone()), 16).unwrap();
     let took = begin.elapsed();
-    let driven = starts(&mut Numbers(3)).into_iter().map(|start| simulated(&steps, start).0);
+    let driven = initial_states(&mut XorShiftRng(3)).into_iter().map(|start| simulate(&steps, start).0);
     let least = driven.fold(f64::INFINITY, f64::min);
     println!("margin at least {:.2} m, {least:.2} m found, in {took:?}", found.margin_m);
     assert!(found.margin_m > 0.0 && found.margin_m <= least && least - found.margin_m < 4.0, "{found:?} {least}");
@@ -149,12 +149,12 @@ fn the_whole_box_is_safe() {
 fn bounds_hold_for_any_network() {
     let mut bounded = 0;
     for seed in 0..60 {
-        let steps = any_steps(5, seed);
+        let steps = any_layers(5, seed);
         // It may be driven out of all bounds.
-        let Ok(found) = bounds(&actor(steps.clone()), 3) else { continue };
+        let Ok(found) = compute_bounds(&controller(steps.clone()), 3) else { continue };
         bounded += 1;
-        for start in starts(&mut Numbers(seed | 1)) {
-            let (margin_m, x_ego_m) = simulated(&steps, start);
+        for start in initial_states(&mut XorShiftRng(seed | 1)) {
+            let (margin_m, x_ego_m) = simulate(&steps, start);
             assert!(margin_m >= found.margin_m - 1e-5, "{seed}: {start:?} {margin_m} {found:?}");
             let [low, high] = found.x_ego_m;
             assert!(low - 1e-5 <= x_ego_m && x_ego_m <= high + 1e-5, "{seed}: {start:?} {x_ego_m} {found:?}");
@@ -165,21 +165,21 @@ fn bounds_hold_for_any_network() {
 
 #[test]
 fn other_problems_are_refused() {
-    let steps = fitted();
-    let changed = |change: fn(&mut Actor)| {
-        let mut actor = actor(steps.clone());
+    let steps = fit_network();
+    let changed = |change: fn(&mut NeuralController)| {
+        let mut actor = controller(steps.clone());
         change(&mut actor);
-        bounds(&actor, 1)
+        compute_bounds(&actor, 1)
     };
     for change in [
-        (|actor| actor.inputs[0].constant = 31.0) as fn(&mut Actor),
+        (|actor| actor.inputs[0].constant = 31.0) as fn(&mut NeuralController),
         |actor| actor.inputs[3].high = 95.0,
         |actor| actor.inputs.swap(2, 3),
         |actor| actor.scale_mps2 = 0.5,
-        |actor| actor.action_mps2 = [-3.0, 2.0],
+        |actor| actor.action_bounds_mps2 = [-3.0, 2.0],
         |actor| actor.decision_interval_s = 0.05,
     ] {
-        assert_eq!(changed(change), Err(Unshown::OtherInputs));
+        assert_eq!(changed(change), Err(CruiseBoundsError::ProblemMismatch));
     }
     assert!(changed(|_| ()).is_ok());
 }
@@ -198,36 +198,36 @@ fn braking_network_file() -> Vec<u8> {
         "empty_gap_m": 80.0, "decision_interval_s": 0.1,
     });
     let weight = ("steps.0.weight".to_owned(), vec![5, 1], &[0.0; 5][..]);
-    file_of(&text, &[weight, ("steps.0.bias".to_owned(), vec![1], &[-3.0])])
+    encode_file(&text, &[weight, ("steps.0.bias".to_owned(), vec![1], &[-3.0])])
 }
 
-fn certificate_for(file: &[u8], change: impl FnOnce(&mut Cruise)) -> Certificate {
+fn certificate_for(file: &[u8], change: impl FnOnce(&mut CruiseClaim)) -> Certificate {
     let digest: String = Sha256::digest(file).iter().map(|byte| format!("{byte:02x}")).collect();
-    let found = bounds(&Actor::from_bytes(file).unwrap(), 3).unwrap();
-    let mut claim = Cruise {
+    let found = compute_bounds(&NeuralController::from_bytes(file).unwrap(), 3).unwrap();
+    let mut claim = CruiseClaim {
         policy_file: format!("network-{}.safetensors", &digest[..12]),
         policy_sha256: digest,
-        source: Source { format: Format::Onnx, sha256: "0".repeat(64) },
+        source: NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) },
         cells: 3,
         margin_m_at_least: found.margin_m,
         x_ego_width_m_at_most: found.x_ego_width_m(),
     };
     change(&mut claim);
     let statement = Statement::AdaptiveCruise(claim);
-    Certificate { version: 2, provenance: Provenance::default(), assumptions: statement.assumptions(), statement }
+    Certificate { version: 2, provenance: CertificateProvenance::default(), assumptions: statement.assumptions(), statement }
 }
 
 #[test]
 fn a_certificate_states_what_is_bounded_and_no_more() {
-    let file = braking();
-    let found = bounds(&Actor::from_bytes(&file).unwrap(), 3).unwrap();
+    let file = braking_network_file();
+    let found = compute_bounds(&NeuralController::from_bytes(&file).unwrap(), 3).unwrap();
     let (margin_m, x_ego_width_m) = (found.margin_m, found.x_ego_width_m());
-    let accepted = Ok(Accepted::Cruise { margin_m, x_ego_width_m });
-    let checked = |change: fn(&mut Cruise)| check_with(&certified(&file, change), Some(&file), WorkLimit::default());
+    let accepted = Ok(ProvedClaim::Cruise { margin_m, x_ego_width_m });
+    let checked = |change: fn(&mut CruiseClaim)| check_with(&certificate_for(&file, change), Some(&file), WorkLimit::default());
     assert_eq!(checked(|_| ()), accepted);
     assert_eq!(checked(|claim| claim.margin_m_at_least = f64::NEG_INFINITY), accepted);
     assert_eq!(checked(|claim| claim.x_ego_width_m_at_most = 1e9), accepted);
-    type CruiseClaimMutation = fn(&mut Cruise);
+    type CruiseClaimMutation = fn(&mut CruiseClaim);
     let more: [(CruiseClaimMutation, &str); 7] = [
         (
             |claim| claim.margin_m_at_least = claim.margin_m_at_least.next_up(),
@@ -247,18 +247,18 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
         assert_eq!(checked(change).unwrap_err().to_string(), said);
     }
     // As many cells as there may be: too much work for this limit, and nothing wrong with them.
-    let limit = WorkLimit::operations(1_000_000);
-    let most = certified(&file, |claim| claim.cells = 10_000);
-    assert_eq!(check_with(&most, Some(&file), limit), Err(Rejection::TooMuchWork { limit }));
+    let limit = WorkLimit::from_operations(1_000_000);
+    let most = certificate_for(&file, |claim| claim.cells = 10_000);
+    assert_eq!(check_with(&most, Some(&file), limit), Err(Rejection::BudgetExceeded { limit }));
 }
 
 #[test]
 fn the_program_takes_the_network_and_the_limit_it_is_told() {
-    let (file, folder) = (braking(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
+    let (file, folder) = (braking_network_file(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
     std::fs::create_dir_all(&folder).unwrap();
-    let certificate = certified(&file, |_| ());
+    let certificate = certificate_for(&file, |_| ());
     let (path, network) = (folder.join("certificate.json"), folder.join("elsewhere"));
-    std::fs::write(&path, certificate.canonical()).unwrap();
+    std::fs::write(&path, certificate.to_canonical_json()).unwrap();
     std::fs::write(&network, &file).unwrap();
     let run = |options: &[&str]| {
         let program =
@@ -283,7 +283,7 @@ fn the_program_takes_the_network_and_the_limit_it_is_told() {
         let (code, text) = run(&["--work-limit", value]);
         assert!(code == 2 && text.starts_with("usage: crumple-verify"), "{text}");
     }
-    std::fs::write(folder.join(certificate.policy().unwrap().0), &file).unwrap();
+    std::fs::write(folder.join(certificate.policy_reference().unwrap().0), &file).unwrap();
     assert_eq!(run(&[]).0, 0, "beside it");
     std::fs::remove_dir_all(folder).unwrap();
 }

@@ -1,18 +1,18 @@
 //! What is accepted as avoidable was avoided, in every member.
 
 use crate::support;
-use crate::support::{SUBSTEPS, drive, member, scenes};
+use crate::support::{SUBSTEPS, simulate_scene, pick_member, scenes};
 use crumple_verify::*;
 use proptest::prelude::*;
 
-fn certificate(scene: &Scene, witness: Vec<Vec<Held<f64>>>) -> Certificate {
-    support::certificate(Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least: None }))
+fn certificate(scene: &Scene, witness: Vec<Vec<ConstantPiece<f64>>>) -> Certificate {
+    support::certificate(Statement::Avoidable(AvoidableClaim { scene: scene.clone(), witness, min_gap_m_at_least: None }))
 }
 
 /// Two cars of which the second is followed by a truck; everybody at 20 m/s and the leader brakes after 1 s.
-fn calm_scene() -> (Scene, Vec<Vec<Held<f64>>>) {
+fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
     let point = Interval::point;
-    let ego = |x: f64| Ego {
+    let ego = |x: f64| SceneEgo {
         position_m: Interval::new(x - 0.5, x + 0.5).unwrap(),
         length_m: 2.0,
         speed_mps: Interval::new(19.9, 20.1).unwrap(),
@@ -26,7 +26,7 @@ fn calm_scene() -> (Scene, Vec<Vec<Held<f64>>>) {
             position_m: point(100.0),
             length_m: 2.0,
             speed_mps: point(20.0),
-            acceleration_mps2: vec![Held(10, point(0.0)), Held(90, Interval::new(-4.1, -3.9).unwrap())],
+            acceleration_mps2: vec![ConstantPiece(10, point(0.0)), ConstantPiece(90, Interval::new(-4.1, -3.9).unwrap())],
         },
         egos: vec![ego(60.0), ego(40.0)],
         follower: Some(Follower {
@@ -37,19 +37,19 @@ fn calm_scene() -> (Scene, Vec<Vec<Held<f64>>>) {
             reaction_steps: 2,
         }),
     };
-    (scene, vec![vec![Held(15, 0.0), Held(85, -4.0)], vec![Held(10, 0.0), Held(20, -2.0), Held(70, -4.0)]])
+    (scene, vec![vec![ConstantPiece(15, 0.0), ConstantPiece(85, -4.0)], vec![ConstantPiece(10, 0.0), ConstantPiece(20, -2.0), ConstantPiece(70, -4.0)]])
 }
 
 #[test]
 fn a_calm_stop_is_accepted_and_each_fault_is_named() {
-    let (scene, witness) = calm();
-    let Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) = check(&certificate(&scene, witness.clone()))
+    let (scene, witness) = calm_scene();
+    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) = check(&certificate(&scene, witness.clone()))
     else {
         panic!("{:?}", check(&certificate(&scene, witness)));
     };
     assert!(smallest_gap_m > 0.1, "{smallest_gap_m}");
-    assert_eq!(afterwards, Afterwards::WhateverTheLeaderDoes, "everybody stands");
-    let faulty = |change: &dyn Fn(&mut Avoidable)| {
+    assert_eq!(afterwards, SafetyAfterHorizon::ForAnyLeader, "everybody stands");
+    let faulty = |change: &dyn Fn(&mut AvoidableClaim)| {
         let mut certificate = certificate(&scene, witness.clone());
         if let Statement::Avoidable(claim) = &mut certificate.statement {
             change(claim);
@@ -57,14 +57,14 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
         check(&certificate).unwrap_err()
     };
     let stated = faulty(&|claim| claim.min_gap_m_at_least = Some(smallest_gap_m.next_up()));
-    assert_eq!(stated, Rejection::SmallestGap { stated_m: smallest_gap_m.next_up(), smallest_gap_m });
+    assert_eq!(stated, Rejection::GapTooSmall { stated_m: smallest_gap_m.next_up(), min_gap_m: smallest_gap_m });
     for stated_m in [f64::NAN, f64::INFINITY] {
-        assert!(matches!(faulty(&|claim| claim.min_gap_m_at_least = Some(stated_m)), Rejection::SmallestGap { .. }));
+        assert!(matches!(faulty(&|claim| claim.min_gap_m_at_least = Some(stated_m)), Rejection::GapTooSmall { .. }));
     }
-    let front = faulty(&|claim| claim.witness[0] = vec![Held(100, 0.0)]);
-    assert!(matches!(front, Rejection::MayTouch { front_vehicle: 0, .. }), "{front}");
-    let rear = faulty(&|claim| claim.witness[1] = vec![Held(100, -7.5)]);
-    assert!(matches!(rear, Rejection::MayTouch { front_vehicle: 2, .. }), "{rear}");
+    let front = faulty(&|claim| claim.witness[0] = vec![ConstantPiece(100, 0.0)]);
+    assert!(matches!(front, Rejection::MayCollide { front_vehicle: 0, .. }), "{front}");
+    let rear = faulty(&|claim| claim.witness[1] = vec![ConstantPiece(100, -7.5)]);
+    assert!(matches!(rear, Rejection::MayCollide { front_vehicle: 2, .. }), "{rear}");
     for a in [-7.6, 3.1, f64::NAN] {
         let beyond = faulty(&|claim| claim.witness[1][2].1 = a);
         assert!(beyond.to_string().contains("`witness[1][2]`"), "{beyond}");
@@ -72,7 +72,7 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     assert!(faulty(&|claim| claim.witness[0][0].0 = 14).to_string().contains("`witness[0]`"));
     assert!(faulty(&|claim| drop(claim.witness.pop())).to_string().contains("`witness`"));
     let touching = faulty(&|claim| claim.scene.egos[0].position_m = Interval::new(60.0, 98.0).unwrap());
-    assert!(matches!(touching, Rejection::MayTouch { front_vehicle: 0, step: 0, .. }), "{touching}");
+    assert!(matches!(touching, Rejection::MayCollide { front_vehicle: 0, step: 0, .. }), "{touching}");
 }
 
 /// Without a follower that reacts the smallest gap is a closed form: here the parabola's vertex, inside a step.
@@ -85,9 +85,9 @@ fn a_near_miss_inside_a_step_is_seen() {
             position_m: Interval::point(gap + 2.0),
             length_m: 2.0,
             speed_mps: Interval::point(10.0),
-            acceleration_mps2: vec![Held(1, Interval::ZERO)],
+            acceleration_mps2: vec![ConstantPiece(1, Interval::ZERO)],
         },
-        egos: vec![Ego {
+        egos: vec![SceneEgo {
             position_m: Interval::ZERO,
             length_m: 2.0,
             speed_mps: Interval::point(12.0),
@@ -97,8 +97,8 @@ fn a_near_miss_inside_a_step_is_seen() {
         follower: None,
     };
     // The gap is gap - 2 t + 2 t², at least gap - 0.5.
-    let witness = vec![vec![Held(1, -4.0)]];
-    let Ok(Accepted::Avoidable { smallest_gap_m, .. }) = check(&certificate(&scene(0.51), witness.clone())) else {
+    let witness = vec![vec![ConstantPiece(1, -4.0)]];
+    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) = check(&certificate(&scene(0.51), witness.clone())) else {
         panic!("not accepted");
     };
     assert!((smallest_gap_m - 0.01).abs() < 1e-12);
@@ -116,9 +116,9 @@ fn afterwards_is_as_a_closed_form_says() {
                 position_m: Interval::point(gap_m + 2.0),
                 length_m: 2.0,
                 speed_mps: Interval::point(leader_mps),
-                acceleration_mps2: vec![Held(2, Interval::ZERO)],
+                acceleration_mps2: vec![ConstantPiece(2, Interval::ZERO)],
             },
-            egos: vec![Ego {
+            egos: vec![SceneEgo {
                 position_m: Interval::ZERO,
                 length_m: 2.0,
                 speed_mps: Interval::point(ego_mps),
@@ -127,50 +127,50 @@ fn afterwards_is_as_a_closed_form_says() {
             }],
             follower: None,
         };
-        match check(&certificate(&scene, vec![vec![Held(2, 0.0)]])) {
-            Ok(Accepted::Avoidable { afterwards, .. }) => afterwards,
+        match check(&certificate(&scene, vec![vec![ConstantPiece(2, 0.0)]])) {
+            Ok(ProvedClaim::Avoidable { after_horizon: afterwards, .. }) => afterwards,
             other => panic!("{other:?}"),
         }
     };
     // After a second of the same speed the gap is what it was: v²/10 has to be less.
-    assert_eq!(afterwards(10.01, 10.0, 10.0), Afterwards::WhateverTheLeaderDoes);
-    assert_eq!(afterwards(9.99, 10.0, 10.0), Afterwards::IfTheLeaderDoesNotBrake);
+    assert_eq!(afterwards(10.01, 10.0, 10.0), SafetyAfterHorizon::ForAnyLeader);
+    assert_eq!(afterwards(9.99, 10.0, 10.0), SafetyAfterHorizon::UnlessLeaderBrakes);
     // 1 m/s faster, and 1 m further: v - u is 4 m/s, and 1.6 m are covered.
-    assert_eq!(afterwards(1.61 + 4.0, 6.0, 10.0), Afterwards::IfTheLeaderDoesNotBrake);
-    assert_eq!(afterwards(1.59 + 4.0, 6.0, 10.0), Afterwards::NotShown);
+    assert_eq!(afterwards(1.61 + 4.0, 6.0, 10.0), SafetyAfterHorizon::UnlessLeaderBrakes);
+    assert_eq!(afterwards(1.59 + 4.0, 6.0, 10.0), SafetyAfterHorizon::Unproved);
 }
 
 /// A scene and a witness of two pieces.
-fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)> {
+fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<ConstantPiece<f64>>>)> {
     (scenes(egos), prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos)).prop_map(|(scene, levels)| {
-        let of = |(ego, (first, then)): (&Ego, (f64, f64))| {
+        let of = |(ego, (first, then)): (&SceneEgo, (f64, f64))| {
             let a = |level: f64| {
                 let a = level * (ego.max_accel_mps2 + ego.max_brake_mps2) - ego.max_brake_mps2;
                 a.clamp(-ego.max_brake_mps2, ego.max_accel_mps2)
             };
-            vec![Held(1, a(first)), Held(scene.steps - 1, a(then))]
+            vec![ConstantPiece(1, a(first)), ConstantPiece(scene.steps - 1, a(then))]
         };
         let witness = scene.egos.iter().zip(levels).map(of).collect();
         (scene, witness)
     })
 }
 
-fn expand_to_substeps(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
+fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
     let of =
-        |profile: &Vec<Held<f64>>| profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect();
+        |profile: &Vec<ConstantPiece<f64>>| profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect();
     witness.iter().map(of).collect()
 }
 
 /// The smallest gap of a member if the scene goes on: the leader stops at once or holds its speed, and the others brake to a stop or to
 /// the slowest of all.
-fn min_gap_after_horizon_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &mut dyn FnMut() -> f64) -> f64 {
+fn min_gap_after_horizon_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: SafetyAfterHorizon, picks: &mut dyn FnMut() -> f64) -> f64 {
     const EXTRA_STEPS: u32 = 200;
-    let stops = afterwards == Afterwards::WhateverTheLeaderDoes;
+    let stops = afterwards == SafetyAfterHorizon::ForAnyLeader;
     let mut longer = scene.clone();
     longer.steps += EXTRA_STEPS;
-    longer.leader.acceleration_mps2.push(Held(EXTRA_STEPS, Interval::point(if stops { -1000.0 } else { 0.0 })));
-    let member = member(&longer, picks);
-    let ends = drive(scene, &member, profiles);
+    longer.leader.acceleration_mps2.push(ConstantPiece(EXTRA_STEPS, Interval::point(if stops { -1000.0 } else { 0.0 })));
+    let member = pick_member(&longer, picks);
+    let ends = simulate_scene(scene, &member, profiles);
     let leader_mps = member.leader_mps2.iter().take(scene.steps as usize);
     let leader_mps = leader_mps.fold(member.leader[1], |v, a| (v + a * scene.step_s).max(0.0));
     let speeds: Vec<f64> = ends.egos.iter().map(|path| path.last().unwrap()[1]).collect();
@@ -184,36 +184,36 @@ fn min_gap_after_horizon_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Aft
             v += a * dt;
         }
     }
-    drive(&longer, &member, &longer_profiles).min_gap_m
+    simulate_scene(&longer, &member, &longer_profiles).min_gap_m
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::cases(4000) })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::with_cases(4000) })]
 
     #[test]
     fn every_member_keeps_the_gap_that_was_proved(
-        (scene, witness) in (1..3_usize).prop_flat_map(witnessed), picks in prop::collection::vec(0.0..=1.0_f64, 64),
+        (scene, witness) in (1..3_usize).prop_flat_map(scene_with_witness), picks in prop::collection::vec(0.0..=1.0_f64, 64),
     ) {
         let accepted = check(&certificate(&scene, witness.clone()));
-        let profiles = expanded(&witness);
+        let profiles = expand_to_substeps(&witness);
         let mut picks = picks.into_iter().cycle();
         let mut least_m = f64::INFINITY;
         for corner in 0..8 {
-            let member = member(&scene, || { let p = picks.next().unwrap(); if corner < 4 { p.round() } else { p } });
-            least_m = least_m.min(drive(&scene, &member, &profiles).min_gap_m);
+            let member = pick_member(&scene, || { let p = picks.next().unwrap(); if corner < 4 { p.round() } else { p } });
+            least_m = least_m.min(simulate_scene(&scene, &member, &profiles).min_gap_m);
         }
         match accepted {
-            Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) => {
+            Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => {
                 prop_assert!(smallest_gap_m <= least_m + 1e-9);
-                if afterwards != Afterwards::NotShown {
-                    let kept_m = kept_m(&scene, &profiles, afterwards, &mut || picks.next().unwrap().round());
+                if afterwards != SafetyAfterHorizon::Unproved {
+                    let kept_m = min_gap_after_horizon_m(&scene, &profiles, afterwards, &mut || picks.next().unwrap().round());
                     // Braking ends with a substep, not when the speed is reached.
                     let late_m = 9.0 * (scene.step_s / SUBSTEPS as f64).powi(2);
                     prop_assert!(kept_m > -late_m, "{afterwards}: {kept_m}");
                 }
             }
             Ok(other) => prop_assert!(false, "{other}"),
-            Err(Rejection::MayTouch { gap_m, .. }) => {
+            Err(Rejection::MayCollide { gap_m, .. }) => {
                 // For a point nothing is lost but the bow inside a step: at most the larger acceleration over h² / 8.
                 let is_point = scene.leader.position_m.low() == scene.leader.position_m.high();
                 prop_assume!(is_point);
@@ -226,7 +226,7 @@ proptest! {
 }
 
 /// Ten steps at the same speeds, nobody on the egos' side in a hurry: what holds afterwards is for the follower to spoil.
-fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, Afterwards) {
+fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, SafetyAfterHorizon) {
     let point = Interval::point;
     let scene = Scene {
         step_s: 0.25,
@@ -235,9 +235,9 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
             position_m: point(102.0),
             length_m: 2.0,
             speed_mps: point(10.0),
-            acceleration_mps2: vec![Held(8, point(0.0))],
+            acceleration_mps2: vec![ConstantPiece(8, point(0.0))],
         },
-        egos: vec![Ego {
+        egos: vec![SceneEgo {
             position_m: point(0.0),
             length_m: 2.0,
             speed_mps: point(10.0),
@@ -252,8 +252,8 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
             reaction_steps,
         }),
     };
-    match check(&certificate(&scene, vec![vec![Held(8, 0.0)]])) {
-        Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) => (smallest_gap_m, afterwards),
+    match check(&certificate(&scene, vec![vec![ConstantPiece(8, 0.0)]])) {
+        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => (smallest_gap_m, afterwards),
         other => panic!("{other:?}"),
     }
 }
@@ -261,8 +261,8 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
 /// A brake that has fired and whose reaction is over will stop it; any other brake may not come.
 #[test]
 fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
-    use Afterwards::{IfTheLeaderDoesNotBrake, NotShown, WhateverTheLeaderDoes};
-    let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| followed(gap_m, mps, ttc_s, reaction_steps).1;
+    use SafetyAfterHorizon::{IfTheLeaderDoesNotBrake, NotShown, WhateverTheLeaderDoes};
+    let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| check_with_follower(gap_m, mps, ttc_s, reaction_steps).1;
     // It never fires: slower than all it stays behind as long as nobody brakes, and faster, or as fast but for rounding, it may not.
     for (mps, expected) in [(9.0, IfTheLeaderDoesNotBrake), (10.0, NotShown), (11.0, NotShown)] {
         for reaction_steps in [0, 3, u32::MAX] {
@@ -283,7 +283,7 @@ fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
 #[test]
 fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
     for (gap_m, mps) in [(5.0, 9.0), (5.0, 10.0), (1.0, 9.5)] {
-        let (smallest_gap_m, _) = followed(gap_m, mps, 0.0, 0);
+        let (smallest_gap_m, _) = check_with_follower(gap_m, mps, 0.0, 0);
         let expected = gap_m - 6.0 * 0.0625 / 8.0;
         assert!(smallest_gap_m <= expected && expected - smallest_gap_m < 1e-12, "{mps}: {smallest_gap_m} {expected}");
     }
@@ -294,19 +294,19 @@ fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
 fn a_gap_that_is_proved_is_more_than_nothing() {
     let (mut touching, mut clear) = (0, 0);
     for ulps in 0..60 {
-        let (mut scene, _) = calm();
+        let (mut scene, _) = calm_scene();
         (scene.steps, scene.follower) = (1, None);
         scene.leader.position_m = Interval::point(f64::from_bits(ulps));
         (scene.leader.length_m, scene.leader.speed_mps) = (0.0, Interval::ZERO);
-        scene.leader.acceleration_mps2 = vec![Held(1, Interval::ZERO)];
+        scene.leader.acceleration_mps2 = vec![ConstantPiece(1, Interval::ZERO)];
         scene.egos.truncate(1);
         (scene.egos[0].position_m, scene.egos[0].speed_mps) = (Interval::ZERO, Interval::ZERO);
-        match check(&certificate(&scene, vec![vec![Held(1, 0.0)]])) {
-            Ok(Accepted::Avoidable { smallest_gap_m, .. }) => {
+        match check(&certificate(&scene, vec![vec![ConstantPiece(1, 0.0)]])) {
+            Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) => {
                 clear += 1;
                 assert!(smallest_gap_m > 0.0 && smallest_gap_m <= f64::from_bits(ulps), "{ulps}: {smallest_gap_m}");
             }
-            Err(Rejection::MayTouch { front_vehicle: 0, step: 0, gap_m }) => {
+            Err(Rejection::MayCollide { front_vehicle: 0, step: 0, gap_m }) => {
                 touching += 1;
                 assert!(gap_m <= 0.0, "{ulps}: {gap_m}");
             }

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::support;
 use crate::support::mutants::mutants;
-use crate::support::{SUBSTEPS, certificate, drive, member, proofs, some_escape};
+use crate::support::{SUBSTEPS, certificate, simulate_scene, pick_member, proofs, has_escape};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -26,7 +26,7 @@ fn unavoidable_file() -> Value {
     loop {
         let (scene, branches) = proofs(1).new_tree(&mut runner).unwrap().current();
         if is_rich(&scene, &branches) {
-            let certificate = certificate(Statement::Unavoidable(Unavoidable { scene, branches }));
+            let certificate = certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }));
             if check(&certificate).is_ok() {
                 return serde_json::to_value(certificate).unwrap();
             }
@@ -61,15 +61,15 @@ fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
     let corners = [0.0, 0.5, 1.0];
     match &certificate.statement {
         Statement::Avoidable(claim) => corners.iter().all(|&corner| {
-            let expand = |profile: &Vec<Held<f64>>| {
+            let expand = |profile: &Vec<ConstantPiece<f64>>| {
                 profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
             };
             let profiles: Vec<Vec<f64>> = claim.witness.iter().map(expand).collect();
-            let min_gap_m = drive(&claim.scene, &member(&claim.scene, || corner), &profiles).min_gap_m;
+            let min_gap_m = simulate_scene(&claim.scene, &pick_member(&claim.scene, || corner), &profiles).min_gap_m;
             min_gap_m > 0.0 && min_gap_m >= claim.min_gap_m_at_least.unwrap_or(0.0) - 1e-9
         }),
         Statement::Unavoidable(claim) => {
-            corners.iter().all(|&corner| !some_escape(&claim.scene, &member(&claim.scene, || corner), 5))
+            corners.iter().all(|&corner| !has_escape(&claim.scene, &pick_member(&claim.scene, || corner), 5))
         }
         _ => panic!("a statement about no scene"),
     }
@@ -147,8 +147,8 @@ fn files_that_are_no_certificates_say_where() {
         assert!(message.contains(expected), "{to}: {message}");
     }
     assert!(Certificate::from_json(&format!("{text} 1")).is_err(), "something follows");
-    assert!(matches!(Certificate::from_reader(&b"\xff"[..]), Err(ParseError::Read(_))));
-    assert!(matches!(Certificate::from_reader(std::io::repeat(b' ')), Err(ParseError::TooLong)));
+    assert!(matches!(Certificate::from_reader(&b"\xff"[..]), Err(CertificateParseError::Read(_))));
+    assert!(matches!(Certificate::from_reader(std::io::repeat(b' ')), Err(CertificateParseError::TooLong)));
 }
 
 #[test]
@@ -194,7 +194,7 @@ fn any_json() -> impl Strategy<Value = Value> {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(3000))]
+    #![proptest_config(crumple_cases::with_cases(3000))]
 
     /// Anything anywhere in a file: an answer, never a panic.
     #[test]
@@ -204,7 +204,7 @@ proptest! {
         thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
         let mut file = FILES.with(|files| files[usize::from(which)].clone());
         for (place, value) in changes {
-            let places = support::mutants::places(&file);
+            let places = support::mutants::json_pointers(&file);
             let place = place.get(&places).clone();
             *file.pointer_mut(&place).unwrap() = value;
         }
@@ -221,7 +221,7 @@ proptest! {
         thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
         let mut file = FILES.with(|files| files[usize::from(which)].clone());
         let places: Vec<String> =
-            support::mutants::places(&file).into_iter().filter(|place| file.pointer(place).unwrap().is_f64()).collect();
+            support::mutants::json_pointers(&file).into_iter().filter(|place| file.pointer(place).unwrap().is_f64()).collect();
         for (place, value) in changes {
             *file.pointer_mut(place.get(&places).as_str()).unwrap() = json!(value);
         }
@@ -240,7 +240,7 @@ proptest! {
 
     #[test]
     fn written_and_read_again_it_is_the_same((scene, branches) in proofs(2)) {
-        let certificate = certificate(Statement::Unavoidable(Unavoidable { scene, branches }));
+        let certificate = certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }));
         let text = serde_json::to_string(&certificate).unwrap();
         prop_assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
     }
@@ -263,9 +263,9 @@ fn a_long_certificate_is_quick_to_check() {
             position_m: Interval::point(3.0),
             length_m: 2.0,
             speed_mps: Interval::point(10.0),
-            acceleration_mps2: vec![Held(1500, Interval::point(-7.0))],
+            acceleration_mps2: vec![ConstantPiece(1500, Interval::point(-7.0))],
         },
-        egos: vec![Ego {
+        egos: vec![SceneEgo {
             position_m: Interval::ZERO,
             length_m: 2.0,
             speed_mps: Interval::point(40.0),
@@ -274,7 +274,7 @@ fn a_long_certificate_is_quick_to_check() {
         }],
         follower: Some(follower),
     };
-    let rows = |end: u32| -> Rows { (0..end).map(|k| (k, 1e-6)).collect() };
+    let rows = |end: u32| -> MultiplierRows { (0..end).map(|k| (k, 1e-6)).collect() };
     let branch = |i: u32| Branch {
         first: 50 * i,
         last: if i == 29 { 1500 } else { 50 * i + 49 },
@@ -285,7 +285,7 @@ fn a_long_certificate_is_quick_to_check() {
         ..Branch::default()
     };
     let branches = (0..30).map(branch).collect();
-    let text = serde_json::to_string(&certificate(Statement::Unavoidable(Unavoidable { scene, branches }))).unwrap();
+    let text = serde_json::to_string(&certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }))).unwrap();
     let certificate = Certificate::from_json(&text).unwrap();
     let timed = |_| {
         let begin = std::time::Instant::now();
@@ -299,11 +299,11 @@ fn a_long_certificate_is_quick_to_check() {
 
 #[test]
 fn a_file_is_as_long_as_is_allowed_and_no_longer() {
-    let most = crumple_verify::certificate::MOST_BYTES;
+    let most = crumple_verify::certificate::MAX_BYTES;
     let (file, mut text) = (avoidable_file().to_string(), " ".repeat(most + 1));
     text.replace_range(..file.len(), &file);
     assert!(Certificate::from_json(&text[..most]).is_ok());
-    assert!(matches!(Certificate::from_json(&text), Err(ParseError::TooLong)));
+    assert!(matches!(Certificate::from_json(&text), Err(CertificateParseError::TooLong)));
 }
 
 #[test]
@@ -334,14 +334,14 @@ fn what_is_taken_for_granted_is_said_in_words() {
 fn results_are_said_in_words() {
     let reach = |verified_share, has_follower, leader_brakes_at_most_mps2| {
         let (falsified_share, smallest_gap_m, horizon_s) = (0.001_99, 0.5, 4.0);
-        Accepted::Reach {
+        ProvedClaim::Reach {
             verified_share,
             falsified_share,
-            smallest_gap_m,
+            min_gap_m: smallest_gap_m,
             horizon_s,
             has_follower,
             leader_brakes_at_most_mps2,
-            departs_from: None,
+            residual_over: None,
         }
         .to_string()
     };
@@ -357,27 +357,27 @@ fn results_are_said_in_words() {
         "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at up to 7.5 m/s², \
          with nobody behind; 0.19 % of it is in cells with a start that ends in contact"
     );
-    let avoidable = |afterwards| Accepted::Avoidable { smallest_gap_m: 0.25, horizon_s: 2.0, afterwards }.to_string();
+    let avoidable = |afterwards| ProvedClaim::Avoidable { min_gap_m: 0.25, horizon_s: 2.0, after_horizon: afterwards }.to_string();
     for (afterwards, name, said) in [
         (
-            Afterwards::WhateverTheLeaderDoes,
+            SafetyAfterHorizon::ForAnyLeader,
             "whatever-the-leader-does",
             "and nobody need touch afterwards, whatever the leader does",
         ),
         (
-            Afterwards::IfTheLeaderDoesNotBrake,
+            SafetyAfterHorizon::UnlessLeaderBrakes,
             "if-the-leader-does-not-brake",
             "and nobody need touch afterwards, if the leader does not brake any more",
         ),
-        (Afterwards::NotShown, "not-shown", "nothing is shown of what comes afterwards"),
+        (SafetyAfterHorizon::Unproved, "not-shown", "nothing is shown of what comes afterwards"),
     ] {
         assert_eq!(afterwards.name(), name);
         let all = format!("avoidable: on the stated profile no gap is ever smaller than 0.25 m for 2 s; {said}");
         assert_eq!(avoidable(afterwards), all);
     }
-    let gap_bound = Accepted::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
+    let gap_bound = ProvedClaim::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
     assert_eq!(gap_bound, "gap bound: whatever is done, some gap gets as small as 1.5 m within 3 s");
-    let cruise = Accepted::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
+    let cruise = ProvedClaim::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
     assert_eq!(
         cruise,
         "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than 0.75 m for 5 s; all x_ego at the end lie within 3.5 m"

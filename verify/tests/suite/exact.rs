@@ -1,23 +1,23 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{Actor, Cell, Follower, Scene, ReachTube, reach_with_tube};
+use crumple_verify::reach::{NeuralController, PartitionCell, Follower, ReachProblem, ReachTube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
 use crate::residual::any_departure;
 use crate::law_follower::any_law;
 use crate::leader::unscripted;
-use crate::reach::{LATCHED, any_ranges, any_unit, member, paper, reference, scene};
-use crate::support::closed_loop::{Numbers, Start, simulate};
-use crate::support::exact::{Exact, TooClose, drive};
-use crate::support::networks::{any_network, departing};
+use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, reference_policy_bytes, paper_problem};
+use crate::support::closed_loop::{XorShiftRng, InitialState, simulate};
+use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
+use crate::support::networks::{any_network, residual_network};
 
 /// Errors of what is observed: each the largest there is, to one side or the other, or none.
-fn random_errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
+fn random_errors(scene: &ReachProblem<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
     let largest = scene.observation_error;
     move |decision| {
-        let mut numbers = Numbers::at(seed, decision as u32);
-        largest.map(|error| error * (numbers.signed() * 1.5).round().clamp(-1.0, 1.0))
+        let mut numbers = XorShiftRng::for_index(seed, decision as u32);
+        largest.map(|error| error * (numbers.next_signed() * 1.5).round().clamp(-1.0, 1.0))
     }
 }
 
@@ -25,22 +25,22 @@ fn random_errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
 fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     move |k| {
         let held = if seed.is_multiple_of(2) { 1 } else { 37 };
-        let mut numbers = Numbers::at(seed, k / held);
-        limit_mps2 * if held == 1 { numbers.unit() } else { numbers.unit().round() }
+        let mut numbers = XorShiftRng::for_index(seed, k / held);
+        limit_mps2 * if held == 1 { numbers.next_unit() } else { numbers.next_unit().round() }
     }
 }
 
 /// A member of a scene, driven to the end.
-fn simulate_member(scene: &Scene<'_>, start: Start, seed: u64) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
-    let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| brakes(limit_mps2, seed));
-    drive(scene, start, errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
+fn simulate_member(scene: &ReachProblem<'_>, start: InitialState, seed: u64) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
+    let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| random_braking(limit_mps2, seed));
+    simulate_exactly(scene, start, random_errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
 }
 
 /// Whether a run is where the bounds have it, with nothing to spare.
 fn is_bounded(
     tube: Option<&ReachTube>,
     gaps_m: Option<[f64; 2]>,
-    (trace, least): &(Vec<[Exact; 8]>, [Exact; 2]),
+    (trace, least): &(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]),
 ) -> Result<(), String> {
     if let Some(gaps_m) = gaps_m {
         let (found, [ahead, behind]) = (least.each_ref(), gaps_m);
@@ -66,7 +66,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(96))]
+    #![proptest_config(crumple_cases::with_cases(96))]
 
     /// Whatever a network does, whatever it is told within the errors, however the leader brakes: everything is inside the bounds at every
     /// decision, and no gap is below its bound at any half step. Boxes, and single starts, of which bounds are tightest.
@@ -79,17 +79,17 @@ proptest! {
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
         departs_from in prop::option::of(any_departure()),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| departing(&[12, 9], gain, seed, departs_from));
+        let actor = gain.map_or_else(|| any_network(seed), |gain| residual_network(&[12, 9], gain, seed, departs_from));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
-        let whole = Scene {
+        let whole = ReachProblem {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,
-            stop_at_doubt: false, step_s, steps, decision_steps: every, ..scene(&actor, ranges)
+            stop_when_undecided: false, step_s, steps, decision_steps: every, ..paper_problem(&actor, ranges)
         };
         let bounds = (!is_point).then(|| reach_with_tube(&whole));
         for (place, seed) in places {
-            let start = member(&ranges, place);
-            let Ok(run) = driven(&whole, start, seed) else { continue };
-            let point = || Scene { ranges: ranges.at(&start).unwrap(), ..whole.clone() };
+            let start = box_member(&ranges, place);
+            let Ok(run) = simulate_member(&whole, start, seed) else { continue };
+            let point = || ReachProblem { ranges: ranges.at(&start).unwrap(), ..whole.clone() };
             let of_point = bounds.is_none().then(|| reach_with_tube(&point()));
             let Some((reached, tube)) = bounds.as_ref().or(of_point.as_ref()) else { continue };
             let is_clear = run.1[0].is_at_least(0.0) && (follower.is_none() || run.1[1].is_at_least(0.0));
@@ -105,18 +105,18 @@ proptest! {
 /// What is claimed of paper-1 and paper-2: no gap of a member is below the one that is stated, at any half step.
 #[test]
 fn committed_claims_are_true_of_their_members() {
-    let mut numbers = Numbers(77);
-    let actor = Actor::from_bytes(&reference()).unwrap();
+    let mut numbers = XorShiftRng(77);
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     for name in ["reach-paper-1", "reach-paper-2"] {
         let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
         let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
         let Statement::Reach(claim) = certificate.statement else { panic!("{name}") };
-        let leaves: Vec<_> = claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == Cell::Verified).collect();
+        let leaves: Vec<_> = claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == PartitionCell::Verified).collect();
         for _ in 0..12 {
-            let (_, ranges, _) = leaves[(numbers.unit() * leaves.len() as f64) as usize];
-            let scene = Scene { ranges, ..claim.scene(&actor).unwrap() };
-            let start = member(&ranges, std::array::from_fn(|_| numbers.unit()));
-            let run = driven(&scene, start, numbers.0).unwrap();
+            let (_, ranges, _) = leaves[(numbers.next_unit() * leaves.len() as f64) as usize];
+            let scene = ReachProblem { ranges, ..claim.problem(&actor).unwrap() };
+            let start = box_member(&ranges, std::array::from_fn(|_| numbers.next_unit()));
+            let run = simulate_member(&scene, start, numbers.0).unwrap();
             is_bounded(None, Some([claim.min_gap_m_at_least; 2]), &run).unwrap();
             // Not idle: another policy would not do.
             assert!(!run.1[0].min(&run.1[1]).is_at_least(claim.min_gap_m_at_least + 10.0));
@@ -127,13 +127,13 @@ fn committed_claims_are_true_of_their_members() {
 /// Both simulations of the tests say the same, but for single precision.
 #[test]
 fn two_derivations_agree() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    let scene = Scene { observation_error: [0.0; 8], ..scene(&actor, paper(0.5, 0.1)) };
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let scene = ReachProblem { observation_error: [0.0; 8], ..paper_problem(&actor, paper_box(0.5, 0.1)) };
     for place in [0.0, 0.3, 1.0] {
-        let start = member(&scene.ranges, [place; 8]);
-        let ((exact, _), (plain, _)) = (driven(&scene, start, 1).unwrap(), simulate(&scene, start));
+        let start = box_member(&scene.ranges, [place; 8]);
+        let ((exact, _), (plain, _)) = (simulate_member(&scene, start, 1).unwrap(), simulate(&scene, start));
         for (exact, plain) in exact.iter().zip(plain) {
-            let near = |x: &Exact, plain: f64| x.is_in(Interval::new(plain - 1e-3, plain + 1e-3).unwrap());
+            let near = |x: &FixedPointInterval, plain: f64| x.is_in(Interval::new(plain - 1e-3, plain + 1e-3).unwrap());
             assert!(exact.iter().zip(plain).all(|(x, plain)| near(x, plain)), "{exact:?} {plain:?}");
         }
     }

@@ -1,7 +1,7 @@
 //! No operation on affine forms loses a member, by comparison with rational arithmetic.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::form::Form;
+use crumple_verify::reach::form::AffineForm;
 use num_rational::BigRational;
 use num_traits::{FromPrimitive, One, Signed};
 use proptest::prelude::*;
@@ -38,10 +38,10 @@ prop_compose! {
         terms in prop::collection::vec(number(), 0..=SYMBOLS),
         rest in prop_oneof![Just(0.0), 0.0..2.0_f64],
         place in unit(),
-    ) -> (Form, f64) {
-        let mut form = Form::constant(Interval::point(centre));
+    ) -> (AffineForm, f64) {
+        let mut form = AffineForm::constant(Interval::point(centre));
         for (symbol, &term) in terms.iter().enumerate() {
-            form.add(&Form::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(term));
+            form.add_scaled(&AffineForm::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(term));
         }
         if rest > 0.0 {
             form.widen(rest);
@@ -51,27 +51,27 @@ prop_compose! {
 }
 
 /// What a form is for some values of its symbols, but for `rest`.
-fn without_rest(form: &Form, symbols: &[f64; SYMBOLS]) -> BigRational {
-    let terms = form.terms().iter().zip(symbols).map(|(&term, &symbol)| exact(term) * exact(symbol));
-    terms.fold(exact(form.centre()), |sum, term| sum + term)
+fn without_rest(form: &AffineForm, symbols: &[f64; SYMBOLS]) -> BigRational {
+    let terms = form.terms().iter().zip(symbols).map(|(&term, &symbol)| rational(term) * rational(symbol));
+    terms.fold(rational(form.centre()), |sum, term| sum + term)
 }
 
 /// The member of a form for some values of its symbols and of what is left.
-fn member((form, place): &(Form, f64), symbols: &[f64; SYMBOLS]) -> BigRational {
-    without_rest(form, symbols) + exact(form.rest()) * exact(*place)
+fn member((form, place): &(AffineForm, f64), symbols: &[f64; SYMBOLS]) -> BigRational {
+    without_rest(form, symbols) + rational(form.rest()) * rational(*place)
 }
 
 /// Whether a form holds a number for these values of the symbols.
-fn holds(form: &Form, symbols: &[f64; SYMBOLS], value: &BigRational) -> bool {
-    (value - without_rest(form, symbols)).abs() <= exact(form.rest())
+fn holds(form: &AffineForm, symbols: &[f64; SYMBOLS], value: &BigRational) -> bool {
+    (value - without_rest(form, symbols)).abs() <= rational(form.rest())
 }
 
 fn is_in(range: Interval, value: &BigRational) -> bool {
-    exact(range.low()) <= *value && *value <= exact(range.high())
+    rational(range.low()) <= *value && *value <= rational(range.high())
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(2000))]
+    #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
     fn results_hold_the_exact_results(
@@ -82,36 +82,36 @@ proptest! {
     ) {
         let (of_x, of_y) = (member(&x, &symbols), member(&y, &symbols));
         let (x, y) = (x.0, y.0);
-        let holds = |form: &Form, value: &BigRational| holds(form, &symbols, value) && is_in(form.range(), value);
+        let holds = |form: &AffineForm, value: &BigRational| holds(form, &symbols, value) && is_in(form.range(), value);
         prop_assert!(holds(&x, &of_x));
-        prop_assert!(holds(&Form::constant(factor), &exact(by)));
+        prop_assert!(holds(&AffineForm::constant(factor), &rational(by)));
         prop_assert!(holds(&x.clone().plus(&y), &(&of_x + &of_y)));
         prop_assert!(holds(&x.clone().minus(&y), &(&of_x - &of_y)));
-        prop_assert!(holds(&x.scaled(factor), &(&of_x * exact(by))));
+        prop_assert!(holds(&x.scaled(factor), &(&of_x * rational(by))));
         prop_assert!(holds(&x.times(&y), &(&of_x * &of_y)));
         let mut sum = x.clone();
-        sum.add(&y, factor);
-        prop_assert!(holds(&sum, &(&of_x + exact(by) * &of_y)));
+        sum.add_scaled(&y, factor);
+        prop_assert!(holds(&sum, &(&of_x + rational(by) * &of_y)));
         let mut shifted = x.clone();
         shifted.shift(factor);
-        prop_assert!(holds(&shifted, &(&of_x + exact(by))));
-        prop_assert!(holds(&x.joined(&y), &of_x) && holds(&x.joined(&y), &of_y));
+        prop_assert!(holds(&shifted, &(&of_x + rational(by))));
+        prop_assert!(holds(&x.join(&y), &of_x) && holds(&x.join(&y), &of_y));
         let mut wide = x.clone();
         wide.widen(by.abs());
-        prop_assert!(holds(&wide, &(&of_x + exact(by))) && holds(&wide, &(&of_x - exact(by))));
-        prop_assert!(!x.is_zero() || of_x == exact(0.0));
+        prop_assert!(holds(&wide, &(&of_x + rational(by))) && holds(&wide, &(&of_x - rational(by))));
+        prop_assert!(!x.is_zero() || of_x == rational(0.0));
     }
 
     /// What holds two forms keeps what they have in common, reaches no farther than they do, and is as far from either as the other.
     #[test]
     fn what_is_joined_reaches_no_farther((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
-        let joined = x.joined(&y).range();
+        let joined = x.join(&y).range();
         let both = x.range().hull(y.range());
         let slack = 1e-11 * (1e-280 + both.low().abs().max(both.high().abs()));
         prop_assert!(both.low() - slack <= joined.low() && joined.high() <= both.high() + slack, "{joined:?} {both:?}");
         let mut farther = x.clone();
         farther.shift(Interval::point(by));
-        let joined = x.joined(&farther);
+        let joined = x.join(&farther);
         let size = 1.0 + x.centre().abs() + x.radius();
         prop_assert_eq!(joined.terms().len(), x.terms().len());
         for (found, term) in joined.terms().iter().zip(x.terms()) {
@@ -123,8 +123,8 @@ proptest! {
     /// Half a unit in the last place for each product and each sum, at least.
     #[test]
     fn small_numbers_round_as_well(c in 1e-4..1e-2_f64, d in 1e-4..1e-2_f64, factor in 1e-3..0.5_f64) {
-        let mut sum = Form::constant(Interval::point(c));
-        sum.add(&Form::constant(Interval::point(d)), Interval::point(factor));
+        let mut sum = AffineForm::constant(Interval::point(c));
+        sum.add_scaled(&AffineForm::constant(Interval::point(d)), Interval::point(factor));
         let least = 0.5 * f64::EPSILON * (factor * d + c + factor * d);
         prop_assert!(sum.rest() >= least && sum.rest() <= 5.0 * least);
     }
@@ -132,21 +132,21 @@ proptest! {
     /// What a form has in common with itself is not lost: bounds are no wider than rounding asks for.
     #[test]
     fn what_is_shared_cancels((x, _) in form(), symbols in prop::array::uniform3(unit())) {
-        let rests = exact(x.rest()) * exact(2.0);
-        let rounding = exact(1e-14) * (exact(x.centre().abs()) + exact(x.radius())) + exact(1e-290);
+        let rests = rational(x.rest()) * rational(2.0);
+        let rounding = rational(1e-14) * (rational(x.centre().abs()) + rational(x.radius())) + rational(1e-290);
         let difference = x.clone().minus(&x);
-        prop_assert!(exact(difference.radius()) <= rests.clone() * (BigRational::one() + exact(1e-9)) + rounding.clone());
+        prop_assert!(rational(difference.radius()) <= rests.clone() * (BigRational::one() + rational(1e-9)) + rounding.clone());
         // A single number is itself.
-        prop_assert_eq!(Form::constant(Interval::point(x.centre())).rest(), 0.0);
-        prop_assert_eq!(x.joined(&x), x.clone());
+        prop_assert_eq!(AffineForm::constant(Interval::point(x.centre())).rest(), 0.0);
+        prop_assert_eq!(x.join(&x), x.clone());
         // A symbol may take over what nobody shares: the set stays the same.
-        let settled = x.clone().settled(SYMBOLS);
+        let settled = x.clone().with_rest_as_symbol(SYMBOLS);
         prop_assert!((settled.radius() - x.radius()).abs() <= 1e-14 * x.radius());
         prop_assert!(settled.rest() == 0.0 || settled.rest() <= 1e-9 && settled == x);
         // The ends of the range are those of the sum.
-        let reach = exact(x.radius());
-        prop_assert!((without_rest(&x, &symbols) - exact(x.centre())).abs() <= reach);
-        let terms = x.terms().iter().fold(exact(x.rest()), |sum, &term| sum + exact(term).abs());
-        prop_assert!(reach >= terms && reach <= terms * (BigRational::one() + exact(1e-11)) + exact(1e-290));
+        let reach = rational(x.radius());
+        prop_assert!((without_rest(&x, &symbols) - rational(x.centre())).abs() <= reach);
+        let terms = x.terms().iter().fold(rational(x.rest()), |sum, &term| sum + rational(term).abs());
+        prop_assert!(reach >= terms && reach <= terms * (BigRational::one() + rational(1e-11)) + rational(1e-290));
     }
 }

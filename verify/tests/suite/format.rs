@@ -20,7 +20,7 @@ fn unavoidable() -> Certificate {
         "follower": null
     });
     let statement = json!({"unavoidable": {"scene": scene, "branches": [{"first": 0, "last": 10, "front": [[1, 1]]}]}});
-    let provenance = Provenance {
+    let provenance = CertificateProvenance {
         crumple: "0.1.0".to_owned(),
         scenario: "by hand".to_owned(),
         scenario_sha256: sha256(text),
@@ -54,7 +54,7 @@ fn rate() -> Certificate {
         rate_at_most: 0.05,
         blocks: vec![(1, sha256("0")), (0, sha256("1")), (2, sha256("2"))],
     });
-    let provenance = Provenance {
+    let provenance = CertificateProvenance {
         crumple: "0.1.0".to_owned(),
         scenario: "paper".to_owned(),
         scenario_sha256: sha256(text),
@@ -65,8 +65,8 @@ fn rate() -> Certificate {
 }
 
 /// The text with one passage changed, read and checked.
-fn check_replaced(certificate: &Certificate, from: &str, to: &str) -> Result<Accepted, String> {
-    let text = certificate.canonical();
+fn check_replaced(certificate: &Certificate, from: &str, to: &str) -> Result<ProvedClaim, String> {
+    let text = certificate.to_canonical_json();
     assert!(text.contains(from), "{from} in {text}");
     let read = Certificate::from_json(&text.replacen(from, to, 1)).map_err(|error| error.to_string())?;
     check(&read).map_err(|rejection| rejection.to_string())
@@ -77,9 +77,9 @@ fn what_is_written_is_canonical_with_any_whitespace() {
     for certificate in [unavoidable(), rate()] {
         check(&certificate).unwrap();
         let pretty = serde_json::to_string_pretty(&certificate).unwrap();
-        for text in [certificate.canonical(), pretty] {
+        for text in [certificate.to_canonical_json(), pretty] {
             let read = Certificate::from_json(&text).unwrap();
-            assert_eq!((&read, read.digest()), (&certificate, sha256(&certificate.canonical())));
+            assert_eq!((&read, read.digest()), (&certificate, sha256(&certificate.to_canonical_json())));
         }
     }
 }
@@ -90,7 +90,7 @@ fn a_key_of_a_configuration_may_not_occur_twice() {
     for version in [1, 2] {
         let mut certificate = rate();
         certificate.version = version;
-        let error = judged(&certificate, "\"controller\":\"idm\"", twice).unwrap_err();
+        let error = check_replaced(&certificate, "\"controller\":\"idm\"", twice).unwrap_err();
         assert!(error.contains("duplicate key \"controller\" at line 1"), "{error}");
     }
 }
@@ -108,9 +108,9 @@ fn the_same_in_other_words_is_refused() {
         ("\"step_s\":0.1,\"steps\":10", "\"steps\":10,\"step_s\":0.1"),
         ("\"max_brake_mps2\":8.0", "\"max_brake_mps2\":8.0,\"max_brake_mps2\":8.0"),
     ] {
-        assert!(judged(&unavoidable(), from, to).is_err(), "{to}");
+        assert!(check_replaced(&unavoidable(), from, to).is_err(), "{to}");
     }
-    let spelled_out = judged(&unavoidable(), "\"max_accel_mps2\":3.0", "\"max_accel_mps2\":3.00").unwrap_err();
+    let spelled_out = check_replaced(&unavoidable(), "\"max_accel_mps2\":3.0", "\"max_accel_mps2\":3.00").unwrap_err();
     assert!(spelled_out.starts_with("is not in canonical form from line 1 column "), "{spelled_out}");
 }
 
@@ -128,7 +128,7 @@ fn a_statement_is_bound_to_the_text_it_names() {
             "order",
         ),
     ] {
-        let error = judged(&unavoidable(), from, to).unwrap_err();
+        let error = check_replaced(&unavoidable(), from, to).unwrap_err();
         assert!(error.contains(said) || to.is_empty() && error.contains("canonical"), "{to}: {error}");
     }
     let mut without = unavoidable();
@@ -184,7 +184,7 @@ fn blocks_cover_the_runs_and_add_up() {
         ("\"blocks\":[[1,", "\"blocks\":[[0,", "do not add up"),
         (&sha256("1"), &sha256("1")[1..], "has no SHA-256"),
     ] {
-        let error = judged(&rate(), from, to).unwrap_err();
+        let error = check_replaced(&rate(), from, to).unwrap_err();
         assert!(error.contains(said), "{to}: {error}");
     }
     let mut short = rate();
@@ -208,11 +208,11 @@ fn version_1_is_read_and_said_to_be_old() {
     let mut old = unavoidable();
     old.version = 1;
     old.provenance =
-        Provenance { crumple: "0.1.0".to_owned(), scenario: "paper-1".to_owned(), ..Provenance::default() };
+        CertificateProvenance { crumple: "0.1.0".to_owned(), scenario: "paper-1".to_owned(), ..CertificateProvenance::default() };
     let mut file = serde_json::to_value(&old).unwrap();
     file["provenance"]["scenario_sha256"] = json!("");
     let read = Certificate::from_json(&file.to_string()).unwrap();
-    assert!(check(&read).is_ok() && read.is_old());
+    assert!(check(&read).is_ok() && read.is_first_version());
     assert!(read.scope().about.contains("by its own word: version 1 binds a statement to nothing"));
     let bound: Value = serde_json::to_value(unavoidable()).unwrap();
     assert!(bound["provenance"]["scenario_text"].is_string());
@@ -262,7 +262,7 @@ fn comparison() -> Certificate {
     for (key, value) in [("against", "policy"), ("against_sha256", &sha256("policy"))] {
         registration.configuration.insert(key.to_owned(), value.to_owned());
     }
-    certificate.statement = Statement::Comparison(Comparison {
+    certificate.statement = Statement::Comparison(ComparisonClaim {
         registration_sha256: registration.digest(),
         registration,
         only_first_failed: 3,
@@ -278,7 +278,7 @@ fn kernel() -> Certificate {
         "stopping_own_squared": "1/12", "stopping_ahead_squared": "-1/12"
     }});
     let statement: Statement = serde_json::from_value(statement).unwrap();
-    let provenance = Provenance { crumple: "0.1.0".to_owned(), ..Provenance::default() };
+    let provenance = CertificateProvenance { crumple: "0.1.0".to_owned(), ..CertificateProvenance::default() };
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
@@ -306,7 +306,7 @@ fn reach() -> Certificate {
         "partition": ["verified"], "verified_share_at_least": 0, "falsified_share_at_least": 0, "min_gap_m_at_least": 0
     }});
     let statement: Statement = serde_json::from_value(statement).unwrap();
-    let provenance = Provenance { box_text: Some("steps = 500".to_owned()), ..unavoidable().provenance };
+    let provenance = CertificateProvenance { box_text: Some("steps = 500".to_owned()), ..unavoidable().provenance };
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
@@ -342,7 +342,7 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
         });
         assert_eq!(said, "`registration.block_runs` must be positive");
     }
-    let of_two = |change: fn(&mut Comparison)| {
+    let of_two = |change: fn(&mut ComparisonClaim)| {
         check_mutated(comparison(), |certificate| {
             let Statement::Comparison(claim) = &mut certificate.statement else { panic!("a comparison") };
             change(claim);
@@ -352,9 +352,9 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
     assert!(of_two(|claim| (claim.blocks[1].0, claim.only_second_failed) = ([0, 100], 140)).starts_with("comparison"));
     assert_eq!(of_two(|claim| claim.blocks[1].0 = [1, 100]), "`blocks[1]` counts more runs than it has");
     for change in [
-        |claim: &mut Comparison| claim.blocks[0].0 = [0, 41],
-        |claim: &mut Comparison| claim.only_first_failed = 2,
-        |claim: &mut Comparison| claim.only_second_failed = 61,
+        |claim: &mut ComparisonClaim| claim.blocks[0].0 = [0, 41],
+        |claim: &mut ComparisonClaim| claim.only_first_failed = 2,
+        |claim: &mut ComparisonClaim| claim.only_second_failed = 61,
     ] {
         assert_eq!(of_two(change), "`blocks` do not add up to what is claimed");
     }
@@ -367,7 +367,7 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
 fn what_is_about_no_scenario_names_none() {
     let bound = |certificate: Certificate, said: &str, why: &str| {
         assert!(check_mutated(certificate.clone(), |_| ()).starts_with(said), "{}", check_mutated(certificate, |_| ()));
-        type ProvenanceMutation = fn(&mut Provenance);
+        type ProvenanceMutation = fn(&mut CertificateProvenance);
         let changes: [(&str, ProvenanceMutation); 4] = [
             ("scenario", |provenance| provenance.scenario = "paper-1".to_owned()),
             ("scenario_sha256", |provenance| provenance.scenario_sha256 = sha256("")),
@@ -398,7 +398,7 @@ fn a_network_is_named_after_its_digest_and_where_it_is_from() {
     }
     for (certificate, kind, other) in [(reach(), "policy", "network"), (cruise(), "network", "policy")] {
         let start = &sha256(kind)[..12];
-        let named = |file: Option<&str>, digest: Option<&str>| named(certificate.clone(), file, digest);
+        let named = |file: Option<&str>, digest: Option<&str>| check_named(certificate.clone(), file, digest);
         assert_eq!(named(None, None), "the policy file is not there", "all else is as it should be");
         let wrong = "`policy_file` is not named after `policy_sha256`";
         for file in [format!("{other}-{start}.safetensors"), format!("{kind}.safetensors"), String::new()] {
@@ -442,9 +442,9 @@ fn how_long_a_claim_holds_is_said_in_seconds() {
     let (horizon_s, text) = said(&kernel());
     assert!(horizon_s == Some(f64::INFINITY) && text.contains("for ever"), "{text}");
     // A profile may say what holds after it.
-    let Statement::Unavoidable(Unavoidable { mut scene, .. }) = unavoidable().statement else { panic!() };
+    let Statement::Unavoidable(UnavoidableClaim { mut scene, .. }) = unavoidable().statement else { panic!() };
     scene.steps = 25;
-    let avoidable = Avoidable { scene, witness: Vec::new(), min_gap_m_at_least: None };
+    let avoidable = AvoidableClaim { scene, witness: Vec::new(), min_gap_m_at_least: None };
     let (horizon_s, text) = said(&Certificate { statement: Statement::Avoidable(avoidable), ..unavoidable() });
     assert_eq!(horizon_s, Some(2.5));
     assert!(text.contains("for 2.5 s from the start\n"), "{text}");
@@ -453,9 +453,9 @@ fn how_long_a_claim_holds_is_said_in_seconds() {
 /// A name in a file is what its kind is called in words and results, too.
 #[test]
 fn statements_are_called_what_they_are_called_in_files() {
-    let Statement::Unavoidable(Unavoidable { scene, branches }) = unavoidable().statement else { panic!() };
-    let avoidable = Avoidable { scene: scene.clone(), witness: Vec::new(), min_gap_m_at_least: None };
-    let gap_bound = GapBound { scene: scene.clone(), gap_m: 1.0, branches };
+    let Statement::Unavoidable(UnavoidableClaim { scene, branches }) = unavoidable().statement else { panic!() };
+    let avoidable = AvoidableClaim { scene: scene.clone(), witness: Vec::new(), min_gap_m_at_least: None };
+    let gap_bound = GapBoundClaim { scene: scene.clone(), gap_m: 1.0, branches };
     let of_scenes = [Statement::Avoidable(avoidable), unavoidable().statement, Statement::GapBound(gap_bound)];
     let of_none = [kernel(), rate(), comparison(), reach(), cruise()].map(|certificate| certificate.statement);
     for statement in of_scenes.iter().chain(&of_none) {
@@ -472,23 +472,23 @@ fn a_policy_is_looked_for_beside_its_certificate() {
     let network = cruise();
     let digest = sha256("network");
     let name = format!("network-{}.safetensors", &digest[..12]);
-    assert_eq!(network.policy(), Some((name.as_str(), digest.as_str())));
+    assert_eq!(network.policy_reference(), Some((name.as_str(), digest.as_str())));
     let digest = sha256("policy");
-    assert_eq!(reach().policy(), Some((format!("policy-{}.safetensors", &digest[..12]).as_str(), digest.as_str())));
-    assert_eq!((kernel().policy(), unavoidable().policy(), rate().policy()), (None, None, None));
+    assert_eq!(reach().policy_reference(), Some((format!("policy-{}.safetensors", &digest[..12]).as_str(), digest.as_str())));
+    assert_eq!((kernel().policy_reference(), unavoidable().policy_reference(), rate().policy_reference()), (None, None, None));
     let folder = std::env::temp_dir().join(format!("crumple-verify-beside-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let (path, other) = (folder.join("certificate.json"), folder.join("other"));
     std::fs::write(folder.join(&name), b"a network").unwrap();
     std::fs::write(&other, b"another one").unwrap();
-    assert_eq!(network.policy_bytes(&path, None).as_deref(), Some(&b"a network"[..]));
-    assert_eq!(network.policy_bytes(&path, Some(&other)).as_deref(), Some(&b"another one"[..]));
-    assert_eq!(reach().policy_bytes(&path, None), None, "there is none");
-    assert_eq!(kernel().policy_bytes(&path, Some(&other)), None, "it needs none");
+    assert_eq!(network.read_policy(&path, None).as_deref(), Some(&b"a network"[..]));
+    assert_eq!(network.read_policy(&path, Some(&other)).as_deref(), Some(&b"another one"[..]));
+    assert_eq!(reach().read_policy(&path, None), None, "there is none");
+    assert_eq!(kernel().read_policy(&path, Some(&other)), None, "it needs none");
     // A name leads nowhere else.
     let mut astray = cruise();
     let Statement::AdaptiveCruise(claim) = &mut astray.statement else { panic!() };
     claim.policy_file = format!("/nowhere/{name}");
-    assert_eq!(astray.policy_bytes(&path, None).as_deref(), Some(&b"a network"[..]));
+    assert_eq!(astray.read_policy(&path, None).as_deref(), Some(&b"a network"[..]));
     std::fs::remove_dir_all(folder).unwrap();
 }

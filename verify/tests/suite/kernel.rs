@@ -1,12 +1,12 @@
 //! A kernel is accepted exactly where its closed form is right.
 
 use crumple_verify::polynomial::Polynomial;
-use crumple_verify::{Accepted, Assumption, Certificate, Kernel, Provenance, Rejection, Statement, check};
+use crumple_verify::{ProvedClaim, Assumption, Certificate, KernelClaim, CertificateProvenance, Rejection, Statement, check};
 use num_rational::BigRational;
 
-fn check_kernel(kernel: &Kernel) -> Result<Accepted, Rejection> {
+fn check_kernel(kernel: &KernelClaim) -> Result<ProvedClaim, Rejection> {
     let statement = Statement::Kernel(kernel.clone());
-    let nobody = Provenance::default();
+    let nobody = CertificateProvenance::default();
     let mut certificate =
         Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement };
     let text = serde_json::to_string(&certificate).unwrap();
@@ -22,9 +22,9 @@ fn parse_rational(text: &str) -> BigRational {
 }
 
 /// The closed form for a pair of limits.
-fn kernel(b: &str, c: &str) -> Kernel {
-    let (b, c, half) = (number(b), number(c), number("1/2"));
-    Kernel {
+fn kernel(b: &str, c: &str) -> KernelClaim {
+    let (b, c, half) = (parse_rational(b), parse_rational(c), parse_rational("1/2"));
+    KernelClaim {
         ego_brake_mps2: b.to_string(),
         leader_brake_mps2: c.to_string(),
         step_s: "1/100".to_owned(),
@@ -36,15 +36,15 @@ fn kernel(b: &str, c: &str) -> Kernel {
 }
 
 /// D(v, w) as a kernel states it.
-fn demanded_gap_m(kernel: &Kernel, v: &BigRational, w: &BigRational) -> BigRational {
-    let zero = number("0");
+fn demanded_gap_m(kernel: &KernelClaim, v: &BigRational, w: &BigRational) -> BigRational {
+    let zero = parse_rational("0");
     match &kernel.catching_up_squared {
-        Some(r) if v * number(&kernel.leader_brake_mps2) < w * number(&kernel.ego_brake_mps2) => {
+        Some(r) if v * parse_rational(&kernel.leader_brake_mps2) < w * parse_rational(&kernel.ego_brake_mps2) => {
             let closing = (v - w).max(zero);
-            number(r) * &closing * &closing
+            parse_rational(r) * &closing * &closing
         }
         _ => {
-            let [p, q] = [&kernel.stopping_own_squared, &kernel.stopping_ahead_squared].map(|text| number(text));
+            let [p, q] = [&kernel.stopping_own_squared, &kernel.stopping_ahead_squared].map(|text| parse_rational(text));
             (p * v * v + q * w * w).max(zero)
         }
     }
@@ -55,7 +55,7 @@ fn closed_forms_are_accepted_whatever_the_limits() {
     for (b, c) in
         [("15/2", "15/2"), ("15/2", "6"), ("6", "15/2"), ("6", "6"), ("8", "5"), ("3/40", "30"), ("30", "1/10")]
     {
-        assert_eq!(checked(&kernel(b, c)), Ok(Accepted::Kernel), "{b} {c}");
+        assert_eq!(check_kernel(&kernel(b, c)), Ok(ProvedClaim::Kernel), "{b} {c}");
     }
 }
 
@@ -74,10 +74,10 @@ fn a_change_of_any_number_that_matters_is_rejected() {
             for factor in ["2", "101/100", "999999/1000000", "0", "-1"] {
                 let mut mutant = json.clone();
                 let Some(value) = mutant.pointer_mut(path) else { continue };
-                let changed = number(value.as_str().unwrap()) * number(factor);
+                let changed = parse_rational(value.as_str().unwrap()) * parse_rational(factor);
                 *value = changed.to_string().into();
-                let mutant: Kernel = serde_json::from_value(mutant).unwrap();
-                assert!(checked(&mutant).is_err(), "{b} {c} {path} times {factor}");
+                let mutant: KernelClaim = serde_json::from_value(mutant).unwrap();
+                assert!(check_kernel(&mutant).is_err(), "{b} {c} {path} times {factor}");
                 rejected += 1;
             }
         }
@@ -87,12 +87,12 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 
 #[test]
 fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder() {
-    let rss = Kernel { catching_up_squared: None, ..kernel("8", "5") };
-    assert!(checked(&rss).unwrap_err().to_string().contains("catching_up_squared"));
-    let needless = Kernel { catching_up_squared: kernel("8", "5").catching_up_squared, ..kernel("5", "8") };
-    assert!(checked(&needless).unwrap_err().to_string().contains("catching_up_squared"));
-    let none = Kernel { margin_m: "0".to_owned(), ..kernel("8", "5") };
-    assert_eq!(checked(&none).unwrap_err().to_string(), "`margin_m` must be positive");
+    let rss = KernelClaim { catching_up_squared: None, ..kernel("8", "5") };
+    assert!(check_kernel(&rss).unwrap_err().to_string().contains("catching_up_squared"));
+    let needless = KernelClaim { catching_up_squared: kernel("8", "5").catching_up_squared, ..kernel("5", "8") };
+    assert!(check_kernel(&needless).unwrap_err().to_string().contains("catching_up_squared"));
+    let none = KernelClaim { margin_m: "0".to_owned(), ..kernel("8", "5") };
+    assert_eq!(check_kernel(&none).unwrap_err().to_string(), "`margin_m` must be positive");
 }
 
 /// Numbers are read up to a length, and no further: what a stranger wrote must not take for ever.
@@ -100,8 +100,8 @@ fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder()
 fn numbers_of_a_hundred_characters_are_read_and_longer_ones_refused() {
     for (zeros, is_read) in [(96, true), (97, true), (98, false)] {
         let padded = |text: &str| format!("{}{text}", "0".repeat(zeros));
-        let long = Kernel { ego_brake_mps2: padded("6/1"), ..kernel("6", "6") };
-        let result = checked(&long);
+        let long = KernelClaim { ego_brake_mps2: padded("6/1"), ..kernel("6", "6") };
+        let result = check_kernel(&long);
         assert_eq!(result.is_ok(), is_read, "{zeros}: {result:?}");
     }
 }
@@ -111,13 +111,13 @@ fn numbers_of_a_hundred_characters_are_read_and_longer_ones_refused() {
 fn the_demanded_gap_is_the_largest_closing_distance() {
     let distance = |u: &BigRational, rate: &BigRational, t: &BigRational| {
         let until = t.clone().min(u / rate);
-        u * &until - rate * &until * &until / number("2")
+        u * &until - rate * &until * &until / parse_rational("2")
     };
     for (b, c) in [("15/2", "6"), ("6", "15/2"), ("6", "6"), ("8", "5")] {
         let kernel = kernel(b, c);
-        let (b, c) = (number(b), number(c));
+        let (b, c) = (parse_rational(b), parse_rational(c));
         for (v, w) in [("25", "20"), ("20", "25"), ("25", "24"), ("30", "3"), ("0", "4"), ("9", "0"), ("25", "23")] {
-            let (v, w) = (number(v), number(w));
+            let (v, w) = (parse_rational(v), parse_rational(w));
             let demanded = demanded_gap_m(&kernel, &v, &w);
             let sixtieths = 0..60 * 60;
             let closing = sixtieths.map(|k| {
@@ -125,14 +125,14 @@ fn the_demanded_gap_is_the_largest_closing_distance() {
                 distance(&v, &b, &t) - distance(&w, &c, &t)
             });
             let largest = closing.max().unwrap();
-            assert!(largest <= demanded && demanded < &largest + number("1/100000"), "{demanded} {largest}");
+            assert!(largest <= demanded && demanded < &largest + parse_rational("1/100000"), "{demanded} {largest}");
         }
     }
 }
 
 #[test]
 fn the_note_s_example_demands_4_17_m() {
-    assert_eq!(demanded_gap_m(&kernel("8", "5"), &number("25"), &number("20")), number("25/6"));
+    assert_eq!(demanded_gap_m(&kernel("8", "5"), &parse_rational("25"), &parse_rational("20")), parse_rational("25/6"));
 }
 
 #[test]

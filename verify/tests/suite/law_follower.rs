@@ -1,14 +1,14 @@
 //! What is claimed of a follower that drives by a law is true of each member.
 
-use crumple_verify::reach::{AccAeb, Actor, Follower, Idm, Law, Ranges, Scene, reach, reach_with_tube};
+use crumple_verify::reach::{AccAebLaw, NeuralController, Follower, IdmLaw, FollowerLaw, InitialRanges, ReachProblem, reach, reach_with_tube};
 use proptest::prelude::*;
 
-use crate::reach::{any_ranges, any_unit, attacked, is_bounded, member, paper, reference, scene};
+use crate::reach::{any_ranges, any_unit, min_gap_under_attack, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem};
 use crate::support::closed_loop::simulate;
-use crate::support::networks::{any_network, network};
+use crate::support::networks::{any_network, native_network};
 
 /// As crumple's own, at the wheel of the paper's car.
-pub const IDM: Law = Law::Idm(Idm {
+pub const IDM: FollowerLaw = FollowerLaw::Idm(IdmLaw {
     desired_speed_mps: 120.0 / 3.6,
     time_headway_s: 1.6,
     standstill_gap_m: 2.0,
@@ -16,7 +16,7 @@ pub const IDM: Law = Law::Idm(Idm {
     comfortable_brake_mps2: 1.67,
     max_accel_mps2: 3.0,
 });
-pub const ACC_AEB: Law = Law::AccAeb(AccAeb {
+pub const ACC_AEB: FollowerLaw = FollowerLaw::AccAeb(AccAebLaw {
     ttc_s: 1.4,
     time_headway_s: 0.8,
     standstill_gap_m: 2.0,
@@ -28,12 +28,12 @@ pub const ACC_AEB: Law = Law::AccAeb(AccAeb {
 });
 
 /// Laws with other numbers, some of them 0 where they may be.
-pub fn any_law() -> impl Strategy<Value = Law> {
+pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
     let rate = || prop_oneof![4 => 0.1..4.0_f64, 1 => 4.0..30.0_f64];
     let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, rate(), rate(), 0.0..3.0_f64);
     let idm = idm.prop_map(
         |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
-            Law::Idm(Idm {
+            FollowerLaw::Idm(IdmLaw {
                 desired_speed_mps,
                 time_headway_s,
                 standstill_gap_m,
@@ -56,7 +56,7 @@ pub fn any_law() -> impl Strategy<Value = Law> {
             comfort_accel_mps2,
             max_accel_mps2,
         ]| {
-            Law::AccAeb(AccAeb {
+            FollowerLaw::AccAeb(AccAebLaw {
                 ttc_s,
                 time_headway_s,
                 standstill_gap_m,
@@ -71,12 +71,12 @@ pub fn any_law() -> impl Strategy<Value = Law> {
     prop_oneof![Just(IDM), Just(ACC_AEB), idm, acc]
 }
 
-fn with_law_follower<'a>(actor: &'a Actor, ranges: Ranges, law: Law) -> Scene<'a> {
-    Scene { follower: Some(Follower::Driven(law)), ..scene(actor, ranges) }
+fn with_law_follower<'a>(actor: &'a NeuralController, ranges: InitialRanges, law: FollowerLaw) -> ReachProblem<'a> {
+    ReachProblem { follower: Some(Follower::Driven(law)), ..paper_problem(actor, ranges) }
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(300))]
+    #![proptest_config(crumple_cases::with_cases(300))]
 
     /// Whatever a network does and whoever follows, through stops, brakes that fire and let go, and contacts: every number that is observed
     /// is inside the bounds at every decision, and no gap is ever below its bound.
@@ -87,12 +87,12 @@ proptest! {
         // Stops within a step, and a brake that lets go, matter in long steps.
         step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
-        let whole = followed(&actor, ranges, law);
-        let scene = Scene { stop_at_doubt: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
+        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let whole = with_law_follower(&actor, ranges, law);
+        let scene = ReachProblem { stop_when_undecided: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
         let bounded = reach_with_tube(&scene);
         for place in places {
-            let start = member(&ranges, place);
+            let start = box_member(&ranges, place);
             is_bounded(&scene, &bounded, simulate(&scene, start), &(start, law))?;
         }
     }
@@ -102,16 +102,16 @@ proptest! {
 /// brake; where that may fire nobody knows at which steps it does.
 #[test]
 fn verified_boxes_survive_search() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    let Law::AccAeb(acc_aeb) = ACC_AEB else { panic!() };
-    let acc = Law::AccAeb(AccAeb { ttc_s: 0.0, time_headway_s: 1.6, ..acc_aeb });
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let FollowerLaw::AccAeb(acc_aeb) = ACC_AEB else { panic!() };
+    let acc = FollowerLaw::AccAeb(AccAebLaw { ttc_s: 0.0, time_headway_s: 1.6, ..acc_aeb });
     for (law, least_m) in [(IDM, 1.8), (acc, 0.0)] {
-        let scene = followed(&actor, paper(0.1, 0.02), law);
+        let scene = with_law_follower(&actor, paper_box(0.1, 0.02), law);
         let reached = reach(&scene);
-        let found_m = attacked(&scene, 3000, 300, 9);
+        let found_m = min_gap_under_attack(&scene, 3000, 300, 9);
         let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
         println!("proved {proved_m:.3} m, found {found_m:.3} m {reached:?}");
-        assert_eq!(reached.doubt, None);
+        assert_eq!(reached.undecided, None);
         assert!(found_m >= proved_m && proved_m > least_m, "{found_m} {reached:?}");
     }
 }

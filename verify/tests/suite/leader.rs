@@ -1,12 +1,12 @@
 //! What is claimed of a leader that brakes as it likes is true however it brakes.
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Reach, Scene, reach, reach_with_tube};
-use crumple_verify::{Accepted, Assumption, Certificate, Interval, Rejection, WorkLimit, check_with};
+use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, InitialRanges, ReachClaim, ReachProblem, reach, reach_with_tube};
+use crumple_verify::{ProvedClaim, Assumption, Certificate, Interval, Rejection, WorkLimit, check_with};
 use proptest::prelude::*;
 
-use crate::reach::{LATCHED, any_ranges, any_unit, certificate, claim, is_bounded, member, paper, reference, scene};
-use crate::support::closed_loop::{Numbers, simulate_led};
-use crate::support::networks::{any_network, network};
+use crate::reach::{LATCHED, any_ranges, any_unit, certificate, claim, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem};
+use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
+use crate::support::networks::{any_network, native_network};
 
 /// How a leader brakes, as a share of its limit, step by step.
 #[derive(Debug, Clone)]
@@ -27,9 +27,9 @@ impl BrakingPattern {
     fn share(&self, k: u32) -> f64 {
         let yes = |it: bool| f64::from(u8::from(it));
         match self {
-            Self::Held(share) => *share,
-            Self::From(first) => yes(k >= *first),
-            Self::Any(seed) => Numbers::at(*seed, k).unit(),
+            Self::Constant(share) => *share,
+            Self::FullFrom(first) => yes(k >= *first),
+            Self::Random(seed) => XorShiftRng::for_index(*seed, k).next_unit(),
             Self::Pulses(steps) => yes((k / steps).is_multiple_of(2)),
             Self::Observed { every, is_shown } => yes((k % every == every - 1) == *is_shown),
         }
@@ -38,9 +38,9 @@ impl BrakingPattern {
 
 fn any_braking_pattern() -> impl Strategy<Value = BrakingPattern> {
     prop_oneof![
-        (0.0..=1.0_f64).prop_map(BrakingPattern::Held),
-        (0..400_u32).prop_map(BrakingPattern::From),
-        any::<u64>().prop_map(BrakingPattern::Any),
+        (0.0..=1.0_f64).prop_map(BrakingPattern::Constant),
+        (0..400_u32).prop_map(BrakingPattern::FullFrom),
+        any::<u64>().prop_map(BrakingPattern::Random),
         (1..60_u32).prop_map(BrakingPattern::Pulses),
         (prop::sample::select(vec![1_u32, 2, 5, 10]), any::<bool>())
             .prop_map(|(every, is_shown)| BrakingPattern::Observed { every, is_shown }),
@@ -48,12 +48,12 @@ fn any_braking_pattern() -> impl Strategy<Value = BrakingPattern> {
 }
 
 /// A box of which no script is left.
-pub fn unscripted(ranges: Ranges) -> Ranges {
-    Ranges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
+pub fn unscripted(ranges: InitialRanges) -> InitialRanges {
+    InitialRanges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
 }
 
-fn with_bounded_leader<'a>(actor: &'a Actor, ranges: Ranges, limit_mps2: f64) -> Scene<'a> {
-    Scene { leader_brakes_at_most_mps2: Some(limit_mps2), ..scene(actor, unscripted(ranges)) }
+fn with_bounded_leader<'a>(actor: &'a NeuralController, ranges: InitialRanges, limit_mps2: f64) -> ReachProblem<'a> {
+    ReachProblem { leader_brakes_at_most_mps2: Some(limit_mps2), ..paper_problem(actor, unscripted(ranges)) }
 }
 
 /// Limits that stop a leader soon, late, or never.
@@ -62,7 +62,7 @@ fn any_limit() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(300))]
+    #![proptest_config(crumple_cases::with_cases(300))]
 
     /// Whatever a network does and however the leader brakes, through stops, fires and contacts: every number that is observed is
     /// inside the bounds at every decision, and no gap is ever below its bound.
@@ -72,15 +72,15 @@ proptest! {
         has_follower: bool, every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         members in prop::collection::vec((any_unit(), any_braking_pattern()), 12),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
-        let scene = Scene {
-            follower: has_follower.then_some(LATCHED), stop_at_doubt: false, steps: 400, decision_steps: every,
-            ..led(&actor, ranges, limit_mps2)
+        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let scene = ReachProblem {
+            follower: has_follower.then_some(LATCHED), stop_when_undecided: false, steps: 400, decision_steps: every,
+            ..with_bounded_leader(&actor, ranges, limit_mps2)
         };
         let bounded = reach_with_tube(&scene);
         for (place, habit) in members {
-            let start = member(&scene.ranges, place);
-            let run = simulate_led(&scene, start, |k| limit_mps2 * habit.share(k));
+            let start = box_member(&scene.ranges, place);
+            let run = simulate_with_leader(&scene, start, |k| limit_mps2 * habit.share(k));
             is_bounded(&scene, &bounded, run, &(start, habit))?;
         }
     }
@@ -91,13 +91,13 @@ proptest! {
         let actor = any_network(seed);
         let follower = has_follower.then_some(LATCHED);
         let scripted =
-            Scene { follower, steps: 300, stop_at_doubt: false, ..scene(&actor, unscripted(ranges)) };
-        let within = Scene { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
+            ReachProblem { follower, steps: 300, stop_when_undecided: false, ..paper_problem(&actor, unscripted(ranges)) };
+        let within = ReachProblem { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
         prop_assert_eq!(reach_with_tube(&scripted), reach_with_tube(&within));
         // And next to nothing next to the same.
-        let nearly = reach(&Scene { leader_brakes_at_most_mps2: Some(1e-13), ..scripted.clone() });
+        let nearly = reach(&ReachProblem { leader_brakes_at_most_mps2: Some(1e-13), ..scripted.clone() });
         let exactly = reach(&scripted);
-        if exactly.doubt.is_none() && nearly.doubt.is_none() {
+        if exactly.undecided.is_none() && nearly.undecided.is_none() {
             let is_near = |(a, b): (&f64, &f64)| a == b || (a - b).abs() < 1e-3;
             prop_assert!(nearly.gaps_m.iter().zip(&exactly.gaps_m).all(is_near), "{nearly:?} {exactly:?}");
         }
@@ -106,11 +106,11 @@ proptest! {
     /// A leader within a limit is one within any larger one.
     #[test]
     fn a_larger_limit_proves_no_more(ranges in any_ranges(), seed: u64, limits in prop::array::uniform2(any_limit())) {
-        let actor = network(&[12, 9], 0.3, seed);
+        let actor = native_network(&[12, 9], 0.3, seed);
         let [less, more] = [limits[0].min(limits[1]), limits[0].max(limits[1])]
-            .map(|limit| reach(&Scene { steps: 300, ..led(&actor, ranges, limit) }));
-        if more.doubt.is_none() {
-            prop_assert!(less.doubt.is_none(), "{less:?} {more:?}");
+            .map(|limit| reach(&ReachProblem { steps: 300, ..with_bounded_leader(&actor, ranges, limit) }));
+        if more.undecided.is_none() {
+            prop_assert!(less.undecided.is_none(), "{less:?} {more:?}");
             for (less, more) in less.gaps_m.into_iter().zip(more.gaps_m) {
                 prop_assert!(more <= less + 1e-6, "{less} {more}");
             }
@@ -119,25 +119,25 @@ proptest! {
 }
 
 /// The leader that comes as close to contact as hill climbing over its braking finds; the smallest gap.
-fn min_gap_under_attack(scene: &Scene<'_>, rounds: usize, seed: u64) -> f64 {
+fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f64 {
     const PIECES: usize = 30;
     let limit_mps2 = scene.leader_brakes_at_most_mps2.unwrap();
-    let mut numbers = Numbers(seed);
+    let mut numbers = XorShiftRng(seed);
     let gap = |place: [f64; 8], pieces: &[f64; PIECES]| {
         let share = |k: u32| pieces[(k as usize * PIECES / scene.steps as usize).min(PIECES - 1)];
-        let (_, least) = simulate_led(scene, member(&scene.ranges, place), |k| limit_mps2 * share(k));
+        let (_, least) = simulate_with_leader(scene, box_member(&scene.ranges, place), |k| limit_mps2 * share(k));
         least[0].min(least[1])
     };
     let mut best_m = f64::INFINITY;
     for begin in 0..4 {
-        let pieces = std::array::from_fn(|piece| [1.0, 0.0, f64::from(u8::from(piece < 15)), numbers.unit()][begin]);
+        let pieces = std::array::from_fn(|piece| [1.0, 0.0, f64::from(u8::from(piece < 15)), numbers.next_unit()][begin]);
         let mut best = ([0.5; 8], pieces, gap([0.5; 8], &pieces));
         for round in 0..rounds {
             let size = 0.99_f64.powi(round as i32 % 300);
-            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.signed()).clamp(0.0, 1.0));
+            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut pieces = best.1;
-            for _ in 0..1 + (numbers.unit() * 3.0) as usize {
-                pieces[(numbers.unit() * PIECES as f64) as usize] = numbers.unit().round();
+            for _ in 0..1 + (numbers.next_unit() * 3.0) as usize {
+                pieces[(numbers.next_unit() * PIECES as f64) as usize] = numbers.next_unit().round();
             }
             let found_m = gap(place, &pieces);
             if found_m < best.2 {
@@ -157,13 +157,13 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: four searches"]
     fn verified_boxes_survive_the_worst_leader_that_is_found() {
-        let actor = Actor::from_bytes(&reference()).unwrap();
+        let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
         for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
-            let scene = led(&actor, paper(0.1, 0.0), limit_mps2);
+            let scene = with_bounded_leader(&actor, paper_box(0.1, 0.0), limit_mps2);
             let reached = reach(&scene);
-            assert_eq!(reached.doubt, None, "{limit_mps2}");
+            assert_eq!(reached.undecided, None, "{limit_mps2}");
             let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-            let found_m = attacked(&scene, 500, 7);
+            let found_m = min_gap_under_attack(&scene, 500, 7);
             println!("{limit_mps2} m/s²: proved {proved_m:.3} m, found {found_m:.3} m");
             assert!(found_m >= proved_m && proved_m > found_m - 1.5, "{found_m} {reached:?}");
         }
@@ -174,19 +174,19 @@ mod tier_2 {
 #[test]
 #[ignore = "takes a minute; for the table of corpora/boxes/README.md"]
 fn worst_leader_at_each_limit() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     for limit_mps2 in [0.1, 0.2, 0.3, 0.4, 0.46, 0.5, 1.0, 2.0, 3.0, 3.5, 4.0] {
-        let scene = led(&actor, paper(0.7, 0.0), limit_mps2);
-        println!("{limit_mps2} m/s²: {:.3} m", attacked(&scene, 1000, 7));
+        let scene = with_bounded_leader(&actor, paper_box(0.7, 0.0), limit_mps2);
+        println!("{limit_mps2} m/s²: {:.3} m", min_gap_under_attack(&scene, 1000, 7));
     }
 }
 
 /// A claim about a leader that brakes at 0 to 0.05 m/s² as it likes.
-fn bounded_leader_claim() -> Reach {
-    Reach {
+fn bounded_leader_claim() -> ReachClaim {
+    ReachClaim {
         leader_brakes_at_most_mps2: Some(0.05),
         ranges: unscripted(claim().ranges),
-        partition: vec![Cell::Verified],
+        partition: vec![PartitionCell::Verified],
         verified_share_at_least: 1.0,
         falsified_share_at_least: 0.0,
         min_gap_m_at_least: 3.0,
@@ -194,20 +194,20 @@ fn bounded_leader_claim() -> Reach {
     }
 }
 
-fn check_claim(claim: Reach) -> Result<Accepted, Rejection> {
-    check_with(&certificate(claim), Some(&reference()), WorkLimit::default())
+fn check_claim(claim: ReachClaim) -> Result<ProvedClaim, Rejection> {
+    check_with(&certificate(claim), Some(&reference_policy_bytes()), WorkLimit::default())
 }
 
 #[test]
 fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() {
     let genuine = bounded_leader_claim();
-    match judged(genuine.clone()) {
-        Ok(Accepted::Reach { verified_share, leader_brakes_at_most_mps2, .. }) => {
+    match check_claim(genuine.clone()) {
+        Ok(ProvedClaim::Reach { verified_share, leader_brakes_at_most_mps2, .. }) => {
             assert_eq!((verified_share, leader_brakes_at_most_mps2), (1.0, Some(0.05)));
         }
         other => panic!("{other:?}"),
     }
-    let said = judged(genuine.clone()).unwrap().to_string();
+    let said = check_claim(genuine.clone()).unwrap().to_string();
     assert!(said.contains("however the leader brakes at up to 0.05 m/s²"), "{said}");
     let scope = certificate(genuine.clone()).scope().to_string();
     assert!(
@@ -219,28 +219,28 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
 
     // More than is proved.
     for limit_mps2 in [4.0, 30.0, 1e9, 1e300] {
-        let forged = Reach { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
-        assert!(matches!(judged(forged), Err(Rejection::Leaf { leaf: 0, .. })), "{limit_mps2}");
+        let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
+        assert!(matches!(check_claim(forged), Err(Rejection::Leaf { leaf: 0, .. })), "{limit_mps2}");
     }
     // A limit that is none, and a script beside it.
     for limit_mps2 in [-0.0001, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let forged = Reach { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
+        let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
         let field = "leader_brakes_at_most_mps2".to_owned();
         assert_eq!(
-            judged(forged),
+            check_claim(forged),
             Err(Rejection::Invalid { field, problem: "is negative or infinite" }),
             "{limit_mps2}"
         );
     }
-    for dimension in [Dimension::LeaderBrakeMps2, Dimension::OnsetSteps] {
+    for dimension in [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps] {
         let mut forged = genuine.clone();
         *forged.ranges.get_mut(dimension) = Interval::new(0.0, 0.05).unwrap();
-        let field = format!("ranges.{}", dimension.field());
-        assert!(matches!(judged(forged), Err(Rejection::Invalid { field: found, .. }) if found == field));
+        let field = format!("ranges.{}", dimension.field_name());
+        assert!(matches!(check_claim(forged), Err(Rejection::Invalid { field: found, .. }) if found == field));
     }
     // The assumption left out, doubled, or that of a script in its place; and it in the place of that of a script.
-    let with = |claim: &Reach, assumptions: Vec<Assumption>| {
-        check_with(&Certificate { assumptions, ..certificate(claim.clone()) }, Some(&reference()), WorkLimit::default())
+    let with = |claim: &ReachClaim, assumptions: Vec<Assumption>| {
+        check_with(&Certificate { assumptions, ..certificate(claim.clone()) }, Some(&reference_policy_bytes()), WorkLimit::default())
     };
     let needed = certificate(genuine.clone()).assumptions;
     assert!(needed.contains(&Assumption::LeaderWithinLimit) && !needed.contains(&Assumption::ScriptedLeader));
@@ -255,26 +255,26 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         assert!(matches!(with(&genuine, assumptions), Err(Rejection::Assumptions { .. })));
     }
     assert!(matches!(with(&claim(), needed), Err(Rejection::Assumptions { .. })));
-    let plain = Reach { leader_brakes_at_most_mps2: None, ..genuine };
+    let plain = ReachClaim { leader_brakes_at_most_mps2: None, ..genuine };
     assert!(with(&plain, scripted).is_ok(), "that of a leader that holds its speed is another claim, and true");
 }
 
 /// A cell is falsified by one start and one of the leaders that are spoken of.
 #[test]
 fn a_start_with_a_leader_within_the_limit_falsifies() {
-    let ranges = unscripted(Ranges { gap_behind_m: Interval::point(16.0), ..paper(0.05, 0.0) });
-    let falsified = |limit_mps2: f64, rate_mps2: f64, onset: f64| Reach {
+    let ranges = unscripted(InitialRanges { gap_behind_m: Interval::point(16.0), ..paper_box(0.05, 0.0) });
+    let falsified = |limit_mps2: f64, rate_mps2: f64, onset: f64| ReachClaim {
         leader_brakes_at_most_mps2: Some(limit_mps2),
         ranges,
-        partition: vec![Cell::Falsified([16.0, 16.0, 25.0, 25.0, 25.0, rate_mps2, 6.0, onset])],
+        partition: vec![PartitionCell::Falsified([16.0, 16.0, 25.0, 25.0, 25.0, rate_mps2, 6.0, onset])],
         verified_share_at_least: 0.0,
         falsified_share_at_least: 1.0,
         min_gap_m_at_least: 0.0,
         ..claim()
     };
-    assert!(matches!(judged(falsified(29.0, 28.0, 100.0)), Ok(Accepted::Reach { falsified_share: 1.0, .. })));
+    assert!(matches!(check_claim(falsified(29.0, 28.0, 100.0)), Ok(ProvedClaim::Reach { falsified_share: 1.0, .. })));
     for outside in [falsified(27.0, 28.0, 100.0), falsified(29.0, 28.0, -1.0), falsified(29.0, 28.0, 301.0)] {
-        assert!(matches!(judged(outside), Err(Rejection::Leaf { problem, .. }) if problem == "the point is not in it"));
+        assert!(matches!(check_claim(outside), Err(Rejection::Leaf { problem, .. }) if problem == "the point is not in it"));
     }
-    assert!(matches!(judged(falsified(29.0, 0.0, 0.0)), Err(Rejection::Leaf { .. })), "that one does not touch");
+    assert!(matches!(check_claim(falsified(29.0, 0.0, 0.0)), Err(Rejection::Leaf { .. })), "that one does not touch");
 }

@@ -1,6 +1,6 @@
 //! Boxes of motion hold every member, and are no larger than they need be.
 
-use crate::support::{drive, member, moved, profiles, scenes};
+use crate::support::{simulate_scene, pick_member, advance, profiles, scenes};
 use crumple_verify::{Interval, motion};
 use num_rational::BigRational;
 use num_traits::{FromPrimitive, Signed, Zero};
@@ -12,18 +12,18 @@ fn rational(value: f64) -> BigRational {
 
 /// Distance and speed in rational arithmetic.
 fn rational_distance_and_speed(v: f64, a: f64, t: f64) -> (BigRational, BigRational) {
-    let (v, a, t) = (exact(v), exact(a), exact(t));
+    let (v, a, t) = (rational(v), rational(a), rational(t));
     let end = &v + &a * &t;
-    let two = exact(2.0);
+    let two = rational(2.0);
     if end.is_negative() { (-(&v * &v) / (two * a), BigRational::zero()) } else { (&v * &t + a * &t * &t / two, end) }
 }
 
 fn holds(interval: Interval, value: &BigRational) -> bool {
-    exact(interval.low()) <= *value && exact(interval.high()) >= *value
+    rational(interval.low()) <= *value && rational(interval.high()) >= *value
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(2000))]
+    #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
     fn a_box_holds_its_members_and_not_much_more(
@@ -31,11 +31,11 @@ proptest! {
         at in (0.0..=1.0_f64, 0.0..=1.0_f64),
     ) {
         let (speed, acceleration) = (Interval::new(v, v + dv).unwrap(), Interval::new(a, a + da).unwrap());
-        let (covered, after) = motion::after(speed, acceleration, Interval::point(t));
+        let (covered, after) = motion::distance_and_speed_after(speed, acceleration, Interval::point(t));
         let (v_in, a_in) = (speed.high().min(v + at.0 * dv), acceleration.high().min(a + at.1 * da));
-        let (distance, end) = exactly(v_in, a_in, t);
+        let (distance, end) = rational_distance_and_speed(v_in, a_in, t);
         prop_assert!(holds(covered, &distance) && holds(after, &end));
-        let [low, high] = [(v, a), (v + dv, a + da)].map(|(v, a)| moved([0.0, v], a, t));
+        let [low, high] = [(v, a), (v + dv, a + da)].map(|(v, a)| advance([0.0, v], a, t));
         prop_assert!((covered.low() - low[0]).abs() < 1e-10 && (covered.high() - high[0]).abs() < 1e-10);
         prop_assert!((after.low() - low[1]).abs() < 1e-10 && (after.high() - high[1]).abs() < 1e-10);
     }
@@ -45,8 +45,8 @@ proptest! {
     fn a_stop_at_the_very_end_of_the_step(b in 1..80_u32, t in 1..50_u32, off in -3..=3_i32) {
         let (b, t) = (f64::from(b) / 10.0, f64::from(t) / 10.0);
         let v = (0..off.abs()).fold(b * t, |v, _| if off < 0 { v.next_down() } else { v.next_up() });
-        let (covered, after) = motion::after(Interval::point(v), Interval::point(-b), Interval::point(t));
-        let (distance, end) = exactly(v, -b, t);
+        let (covered, after) = motion::distance_and_speed_after(Interval::point(v), Interval::point(-b), Interval::point(t));
+        let (distance, end) = rational_distance_and_speed(v, -b, t);
         prop_assert!(holds(covered, &distance) && holds(after, &end));
         prop_assert!(covered.high() - covered.low() < 1e-10);
     }
@@ -57,26 +57,26 @@ proptest! {
         picks in prop::collection::vec(0.0..=1.0_f64, 32), fires in 0..9_u32,
     ) {
         let mut picks = picks.into_iter().cycle();
-        let member = member(&scene, || picks.next().unwrap());
+        let member = pick_member(&scene, || picks.next().unwrap());
         let path = scene.leader_rear_m();
         prop_assert_eq!(path.len(), scene.steps as usize + 1);
-        for (k, at) in drive(&scene, &member, &profiles).leader_rear_m.iter().enumerate() {
+        for (k, at) in simulate_scene(&scene, &member, &profiles).leader_rear_m.iter().enumerate() {
             prop_assert!(path[k].low() - 1e-9 <= *at && *at <= path[k].high() + 1e-9);
         }
         let (Some(follower), Some([x, v, b])) = (&scene.follower, member.follower) else { return Ok(()) };
         let mut state = [x, v];
         for k in 0..=scene.steps {
-            let held = scene.follower_m(follower, fires, k);
+            let held = scene.follower_position_m(follower, fires, k);
             prop_assert!(held.low() - 1e-9 <= state[0] && state[0] <= held.high() + 1e-9);
-            prop_assert!(scene.follower_m(follower, fires + 1, k).high() >= held.high() - 1e-9, "grows with firing later");
-            state = moved(state, if k >= fires + follower.reaction_steps { -b } else { 0.0 }, scene.step_s);
+            prop_assert!(scene.follower_position_m(follower, fires + 1, k).high() >= held.high() - 1e-9, "grows with firing later");
+            state = advance(state, if k >= fires + follower.reaction_steps { -b } else { 0.0 }, scene.step_s);
         }
     }
 }
 
 #[test]
 fn a_vehicle_at_rest_stays_whatever_it_brakes() {
-    let (covered, speed) = motion::after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
+    let (covered, speed) = motion::distance_and_speed_after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
     assert!(covered.contains(0.0) && covered.high() < 1e-300 && covered.low() > -1e-300);
     assert!(speed.contains(0.0) && speed.high() < 1e-300);
 }

@@ -1,9 +1,9 @@
 //! What a network may answer, against the formulas of `reach::actor` written out number by number.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::actor::{answer, rectified_between};
-use crumple_verify::reach::form::Form;
-use crumple_verify::reach::{Layer, OBSERVED};
+use crumple_verify::reach::controller::{network_output, interleave_relu};
+use crumple_verify::reach::form::AffineForm;
+use crumple_verify::reach::{LinearLayer, OBSERVATION_SIZE};
 use proptest::prelude::*;
 
 /// Symbols that the observations share.
@@ -13,7 +13,7 @@ const SYMBOLS: usize = 3;
 #[derive(Debug, Clone, Default)]
 struct NumberBounds {
     centre: f64,
-    slopes: [f64; OBSERVED],
+    slopes: [f64; OBSERVATION_SIZE],
     excess: Vec<f64>,
     rho: f64,
 }
@@ -23,18 +23,18 @@ fn abs_sum(values: &[f64]) -> f64 {
 }
 
 /// Σ |Λᵢ| times something of each observation.
-fn weighted_sum(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED], of: impl Fn(&Form) -> f64) -> f64 {
+fn weighted_sum(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE], of: impl Fn(&AffineForm) -> f64) -> f64 {
     slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
 }
 
 /// Σ Λᵢ aᵢₛ for each symbol.
-fn terms(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED]) -> [f64; SYMBOLS] {
-    let of = |form: &Form, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
+fn terms(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE]) -> [f64; SYMBOLS] {
+    let of = |form: &AffineForm, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
     std::array::from_fn(|symbol| slopes.iter().zip(seen).map(|(slope, seen)| slope * of(seen, symbol)).sum())
 }
 
 /// h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
-fn apply_linear(numbers: &[NumberBounds], layer: &Layer, seen: &[Form; OBSERVED]) -> Vec<NumberBounds> {
+fn apply_linear(numbers: &[NumberBounds], layer: &LinearLayer, seen: &[AffineForm; OBSERVATION_SIZE]) -> Vec<NumberBounds> {
     let nu = (layer.inputs as f64 + 2.0) * 2.0_f64.powi(-24);
     let gamma = nu / (1.0 - nu);
     let of_output = |output: usize| {
@@ -43,7 +43,7 @@ fn apply_linear(numbers: &[NumberBounds], layer: &Layer, seen: &[Form; OBSERVED]
         for (input, number) in numbers.iter().enumerate() {
             let weight = layer.weights[input * layer.outputs + output];
             let most =
-                number.centre.abs() + weighed(&number.slopes, seen, Form::radius) + total(&number.excess) + number.rho;
+                number.centre.abs() + weighted_sum(&number.slopes, seen, AffineForm::radius) + abs_sum(&number.excess) + number.rho;
             sum.centre += weight * number.centre;
             sum.rho += weight.abs() * (number.rho + gamma * most);
             sum.slopes.iter_mut().zip(number.slopes).for_each(|(sum, slope)| *sum += weight * slope);
@@ -56,12 +56,12 @@ fn apply_linear(numbers: &[NumberBounds], layer: &Layer, seen: &[Form; OBSERVED]
 }
 
 /// max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
-fn apply_relu(numbers: &mut [NumberBounds], seen: &[Form; OBSERVED]) {
+fn apply_relu(numbers: &mut [NumberBounds], seen: &[AffineForm; OBSERVATION_SIZE]) {
     let mut columns = numbers.iter().map(|number| number.excess.len()).max().unwrap_or(0);
     for number in numbers {
-        let radius = total(&terms(&number.slopes, seen))
-            + weighed(&number.slopes, seen, Form::rest)
-            + total(&number.excess)
+        let radius = abs_sum(&terms(&number.slopes, seen))
+            + weighted_sum(&number.slopes, seen, AffineForm::rest)
+            + abs_sum(&number.excess)
             + number.rho;
         let (low, high) = (number.centre - radius, number.centre + radius);
         if high <= 0.0 {
@@ -84,10 +84,10 @@ prop_compose! {
         centre in -2.0..2.0_f64,
         factors in prop::array::uniform3(prop_oneof![Just(0.0), -0.5..0.5_f64]),
         rest in prop_oneof![Just(0.0), 0.0..0.2_f64],
-    ) -> Form {
-        let mut form = Form::constant(Interval::point(centre));
+    ) -> AffineForm {
+        let mut form = AffineForm::constant(Interval::point(centre));
         for (symbol, factor) in factors.into_iter().enumerate() {
-            form.add(&Form::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(factor));
+            form.add_scaled(&AffineForm::symbol(symbol, Interval::new(-1.0, 1.0).unwrap()), Interval::point(factor));
         }
         if rest > 0.0 {
             form.widen(rest);
@@ -96,9 +96,9 @@ prop_compose! {
     }
 }
 
-fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = Layer> {
+fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = LinearLayer> {
     let weights = prop::collection::vec(prop_oneof![4 => -1.0..1.0_f64, 1 => Just(0.0)], inputs * outputs);
-    (weights, prop::collection::vec(-2.0..2.0_f64, outputs)).prop_map(move |(weights, biases)| Layer {
+    (weights, prop::collection::vec(-2.0..2.0_f64, outputs)).prop_map(move |(weights, biases)| LinearLayer {
         inputs,
         outputs,
         weights,
@@ -107,21 +107,21 @@ fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = Layer> {
 }
 
 /// Two layers of a few rectifiers and one number at the end.
-fn layers() -> impl Strategy<Value = Vec<Layer>> {
+fn layers() -> impl Strategy<Value = Vec<LinearLayer>> {
     (1..6_usize, 1..6_usize).prop_flat_map(|(first, second)| {
-        (layer(OBSERVED, first), layer(first, second), layer(second, 1)).prop_map(|(a, b, c)| vec![a, b, c])
+        (layer(OBSERVATION_SIZE, first), layer(first, second), layer(second, 1)).prop_map(|(a, b, c)| vec![a, b, c])
     })
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(1000))]
+    #![proptest_config(crumple_cases::with_cases(1000))]
 
     /// Centre, terms and rest are those of the formulas; rounding is allowed for in full, and with hardly anything on top. It
     /// is a millionth of what it is added to, so that no sample of what the network does would miss it.
     #[test]
-    fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVED), layers in layers()) {
-        let seen: [Form; OBSERVED] = seen.try_into().unwrap();
-        let mut numbers: Vec<NumberBounds> = (0..OBSERVED)
+    fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVATION_SIZE), layers in layers()) {
+        let seen: [AffineForm; OBSERVATION_SIZE] = seen.try_into().unwrap();
+        let mut numbers: Vec<NumberBounds> = (0..OBSERVATION_SIZE)
             .map(|i| NumberBounds {
                 centre: seen[i].centre(),
                 slopes: std::array::from_fn(|column| f64::from(u8::from(i == column))),
@@ -129,20 +129,20 @@ proptest! {
             })
             .collect();
         for (index, layer) in layers.iter().enumerate() {
-            numbers = through(&numbers, layer, &seen);
+            numbers = apply_linear(&numbers, layer, &seen);
             if index + 1 < layers.len() {
-                rectify(&mut numbers, &seen);
+                apply_relu(&mut numbers, &seen);
             }
         }
         let expected = &numbers[0];
         let off = 1e-3 * expected.rho + 1e-40;
-        let found = answer(&rectified_between(layers).collect::<Vec<_>>(), &seen);
+        let found = network_output(&interleave_relu(layers).collect::<Vec<_>>(), &seen);
         prop_assert!((found.centre() - expected.centre).abs() <= off, "{found:?} {expected:?}");
         for (symbol, expected) in terms(&expected.slopes, &seen).into_iter().enumerate() {
             let found = found.terms().get(symbol).copied().unwrap_or(0.0);
             prop_assert!((found - expected).abs() <= off, "symbol {symbol}: {found} {expected}");
         }
-        let rest = weighed(&expected.slopes, &seen, Form::rest) + total(&expected.excess) + expected.rho;
+        let rest = weighted_sum(&expected.slopes, &seen, AffineForm::rest) + abs_sum(&expected.excess) + expected.rho;
         prop_assert!((found.rest() - rest).abs() <= off, "{} {rest} {expected:?}", found.rest());
     }
 }

@@ -1,20 +1,20 @@
 //! The files of networks from outside: what is read back, what is refused, and what a statement about one has to say.
 
-use crumple_verify::reach::{Actor, Cell, Format, Ranges, Reach, Source, file_name};
+use crumple_verify::reach::{NeuralController, PartitionCell, NetworkFileFormat, InitialRanges, ReachClaim, NetworkFileSource, controller_file_name};
 use crumple_verify::{
-    Accepted, Assumption, Certificate, Interval, Provenance, Rejection, Statement, WorkLimit, check_with,
+    ProvedClaim, Assumption, Certificate, Interval, CertificateProvenance, Rejection, Statement, WorkLimit, check_with,
 };
 use sha2::{Digest, Sha256};
 
 use serde_json::{Value, json};
 
-use crate::support::networks::{any_with_file, file_of};
+use crate::support::networks::{any_network_with_file, encode_file};
 
 #[test]
 fn what_is_written_is_read() {
     for seed in 0..500 {
-        let (actor, file) = any_with_file(seed);
-        assert_eq!(Actor::from_bytes(&file), Ok(actor), "{seed}");
+        let (actor, file) = any_network_with_file(seed);
+        assert_eq!(NeuralController::from_bytes(&file), Ok(actor), "{seed}");
     }
 }
 
@@ -32,8 +32,8 @@ fn with_text(file: &[u8], change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
 
 #[test]
 fn what_makes_no_sense_is_refused() {
-    let (_, file) = any_with_file(1);
-    assert!(Actor::from_bytes(&with_text(&file, |_| ())).is_ok());
+    let (_, file) = any_network_with_file(1);
+    assert!(NeuralController::from_bytes(&with_text(&file, |_| ())).is_ok());
     type NetworkTextMutation = fn(&mut Value);
     let changes: [(&str, NetworkTextMutation); 14] = [
         ("version 2 is not known", |text| text["version"] = json!(2)),
@@ -54,12 +54,12 @@ fn what_makes_no_sense_is_refused() {
         ("must be positive", |text| text["decision_interval_s"] = json!(0.0)),
     ];
     for (said, change) in changes {
-        let error = Actor::from_bytes(&with_text(&file, change)).unwrap_err();
+        let error = NeuralController::from_bytes(&with_text(&file, change)).unwrap_err();
         assert!(error.contains(said), "{said}: {error}");
     }
     // A product less: its tensors are left over.
     let fewer = with_text(&file, |text| drop(text["steps"].as_array_mut().unwrap().remove(0)));
-    assert!(Actor::from_bytes(&fewer).is_err());
+    assert!(NeuralController::from_bytes(&fewer).is_err());
 }
 
 fn digest(bytes: &[u8]) -> String {
@@ -67,19 +67,19 @@ fn digest(bytes: &[u8]) -> String {
 }
 
 /// Nothing happens: the leader is far away and does not brake.
-fn claim(file: &[u8]) -> Reach {
+fn claim(file: &[u8]) -> ReachClaim {
     let at = Interval::point;
-    Reach {
-        policy_file: file_name(&digest(file), true),
+    ReachClaim {
+        policy_file: controller_file_name(&digest(file), true),
         policy_sha256: digest(file),
-        source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),
+        source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),
         step_s: 0.01,
         steps: 100,
         follower_ttc_s: None,
         follower_law: None,
         leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
-        ranges: Ranges {
+        ranges: InitialRanges {
             gap_ahead_m: at(100.0),
             gap_behind_m: at(0.0),
             leader_speed_mps: at(20.0),
@@ -89,34 +89,34 @@ fn claim(file: &[u8]) -> Reach {
             follower_brake_mps2: at(0.0),
             onset_steps: at(0.0),
         },
-        partition: vec![Cell::Verified],
+        partition: vec![PartitionCell::Verified],
         verified_share_at_least: 1.0,
         falsified_share_at_least: 0.0,
         min_gap_m_at_least: 50.0,
     }
 }
 
-fn certificate(claim: Reach) -> Certificate {
+fn certificate(claim: ReachClaim) -> Certificate {
     let statement = Statement::Reach(claim);
-    Certificate { version: 1, provenance: Provenance::default(), assumptions: statement.assumptions(), statement }
+    Certificate { version: 1, provenance: CertificateProvenance::default(), assumptions: statement.assumptions(), statement }
 }
 
 #[test]
 fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
-    let (_, file) = any_with_file(3);
+    let (_, file) = any_network_with_file(3);
     let genuine = certificate(claim(&file));
     let accepted = check_with(&genuine, Some(&file), WorkLimit::default());
-    assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{accepted:?}");
+    assert!(matches!(accepted, Ok(ProvedClaim::Reach { .. })), "{accepted:?}");
     assert!(genuine.assumptions.contains(&Assumption::NetworkAsRead));
     assert!(genuine.scope().to_string().contains("read from a file in the format ONNX"));
     let mut silent = genuine.clone();
     silent.assumptions.retain(|assumption| *assumption != Assumption::NetworkAsRead);
     assert!(matches!(check_with(&silent, Some(&file), WorkLimit::default()), Err(Rejection::Assumptions { .. })));
     // As one of crumple's own, or of another file.
-    let mut sources = [None, Some(Source { format: Format::StableBaselines, sha256: "0".repeat(64) })].to_vec();
-    sources.push(Some(Source { format: Format::Onnx, sha256: "1".repeat(64) }));
+    let mut sources = [None, Some(NetworkFileSource { format: NetworkFileFormat::StableBaselines, sha256: "0".repeat(64) })].to_vec();
+    sources.push(Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "1".repeat(64) }));
     for source in sources {
-        let other = certificate(Reach { source, ..claim(&file) });
+        let other = certificate(ReachClaim { source, ..claim(&file) });
         let refused = check_with(&other, Some(&file), WorkLimit::default());
         assert!(matches!(refused, Err(Rejection::Policy { .. })), "{refused:?}");
     }
@@ -129,10 +129,10 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
 }
 
 /// A network that sees so many constants, with steps and tensors of its own.
-fn constant_network(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<Actor, String> {
+fn constant_network(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<NeuralController, String> {
     let input = json!({ "constant": 1.0, "offset": 0.0, "scale": 1.0, "low": -1.0, "high": 1.0 });
     let text = with_inputs(vec![input; constants], steps);
-    Actor::from_bytes(&file_of(&text, tensors))
+    NeuralController::from_bytes(&encode_file(&text, tensors))
 }
 
 fn with_inputs(inputs: Vec<Value>, steps: Value) -> Value {
@@ -148,16 +148,16 @@ fn a_network_is_as_large_as_is_allowed_and_no_larger() {
     let too_large = Err("describes too large a network".to_owned());
     let relus = |count: usize| json!(vec!["relu"; count]);
     for (inputs, steps) in [(1, 0), (1, 256), (4096, 0), (4096, 1), (31, 256)] {
-        assert!(plain(inputs, relus(steps), &[]).is_ok(), "{inputs} {steps}");
+        assert!(constant_network(inputs, relus(steps), &[]).is_ok(), "{inputs} {steps}");
     }
     for (inputs, steps) in [(0, 0), (4097, 0), (1, 257), (1, 258), (4096, 2), (32, 256), (33, 256)] {
-        assert_eq!(plain(inputs, relus(steps), &[]).map(|_| ()), too_large, "{inputs} {steps}");
+        assert_eq!(constant_network(inputs, relus(steps), &[]).map(|_| ()), too_large, "{inputs} {steps}");
     }
     // The widest product, into it and out of it.
     let zeros = vec![0.0; 4096];
     let product = |inputs: usize, outputs: usize| {
         let weight = ("steps.0.weight".to_owned(), vec![inputs, outputs], &zeros[..inputs * outputs]);
-        plain(
+        constant_network(
             inputs,
             json!([{ "linear": outputs }]),
             &[weight, ("steps.0.bias".to_owned(), vec![outputs], &zeros[..outputs])],
@@ -166,7 +166,7 @@ fn a_network_is_as_large_as_is_allowed_and_no_larger() {
     };
     assert_eq!((product(4096, 1), product(1, 4096)), (Ok(()), Ok(())));
     for outputs in [0, 4097, usize::MAX] {
-        let wide = plain(1, json!([{ "linear": outputs }]), &[]).map(|_| ());
+        let wide = constant_network(1, json!([{ "linear": outputs }]), &[]).map(|_| ());
         assert_eq!(wide, Err("crumple_network: steps[0]: is too wide".to_owned()), "{outputs}");
     }
 }
@@ -176,12 +176,12 @@ fn numbers_of_functions_are_of_single_precision() {
     for name in ["leaky-relu", "elu"] {
         for number in [0.125, 0.0, f64::from(0.1_f32), f64::from(f32::MAX)] {
             // What it makes of 1 must stay in single precision as well.
-            let read = plain(1, json!([{ (name): number }]), &[]).map(|_| ());
+            let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
             let expected = if number > 1.0 { Err("can leave single precision in layer 0".to_owned()) } else { Ok(()) };
             assert_eq!(read, expected, "{name} {number}");
         }
         for number in [0.1, 1e300, -1e39, 1e-46] {
-            let read = plain(1, json!([{ (name): number }]), &[]).map(|_| ());
+            let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
             let said = "crumple_network: steps[0]: is no number of single precision".to_owned();
             assert_eq!(read, Err(said), "{name} {number}");
         }
@@ -194,8 +194,8 @@ fn what_stands_in_is_for_who_may_be_absent() {
     let read = |described: Value| {
         let mut input = json!({ "offset": 0.5, "scale": 2.0, "low": -1.0, "high": 1.0 });
         input.as_object_mut().unwrap().extend(described.as_object().unwrap().clone());
-        let actor = Actor::from_bytes(&file_of(&with_inputs(vec![input], json!([])), &[]))?;
-        Ok::<_, String>((actor.inputs[0].constant, actor.inputs[0].absent))
+        let actor = NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))?;
+        Ok::<_, String>((actor.inputs[0].constant, actor.inputs[0].absent_value))
     };
     let refused = "crumple_network: inputs[0]: must be a quantity or a constant, and `absent` is for what is seen of another vehicle";
     let refused = Err(refused.to_owned());
@@ -228,7 +228,7 @@ fn what_stands_in_is_for_who_may_be_absent() {
 fn an_input_has_a_scale_and_limits_in_order() {
     let read = |scale: f64, [low, high]: [f64; 2]| {
         let input = json!({ "quantity": "speed_mps", "offset": 0.5, "scale": scale, "low": low, "high": high });
-        Actor::from_bytes(&file_of(&with_inputs(vec![input], json!([])), &[])).map(|actor| actor.inputs[0].low)
+        NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[])).map(|actor| actor.inputs[0].low)
     };
     for (scale, limits) in [(2.0, [1.0, 1.0]), (-2.0, [-1.0, 1.0]), (f64::MIN_POSITIVE, [0.0, 0.0])] {
         assert_eq!(read(scale, limits), Ok(limits[0]), "{scale} {limits:?}");
@@ -257,7 +257,7 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
                 [of("low", 0), of("high", 1)]
             })
             .collect();
-        Actor::from_bytes(&file_of(&text, &tensors)).map(|actor| actor.is_cut)
+        NeuralController::from_bytes(&encode_file(&text, &tensors)).map(|actor| actor.is_clipped)
     };
     for scale in [2.0, -2.0] {
         assert_eq!(is_cut(scale, [2.0, 4.0], json!(["clip"])), Ok(false), "{scale}");
@@ -279,12 +279,12 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
 
 #[test]
 fn a_header_is_as_long_as_is_allowed_and_no_longer() {
-    let (actor, file) = any_with_file(5);
+    let (actor, file) = any_network_with_file(5);
     let length = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
     let padded = |to: usize| {
         let spaces = " ".repeat(to - length);
         let parts = [&(to as u64).to_le_bytes()[..], &file[8..8 + length], spaces.as_bytes(), &file[8 + length..]];
-        Actor::from_bytes(&parts.concat())
+        NeuralController::from_bytes(&parts.concat())
     };
     assert_eq!(padded(1 << 20), Ok(actor));
     for longer in [1, 2, 1 << 20] {

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use crumple_verify::rate::tail_at_most;
-use crumple_verify::{Accepted, Certificate, Comparison, Provenance, Rate, Registration, Rejection, Statement, check};
+use crumple_verify::rate::binomial_tail_upper_bound;
+use crumple_verify::{ProvedClaim, Certificate, ComparisonClaim, CertificateProvenance, RateClaim, Registration, Rejection, Statement, check};
 
-fn check_statement(statement: Statement) -> Result<Accepted, Rejection> {
-    let nobody = Provenance::default();
+fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
+    let nobody = CertificateProvenance::default();
     check(&Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement })
 }
 
@@ -15,15 +15,15 @@ fn registration(runs: u64, confidence: f64) -> Registration {
     Registration { configuration, runs, confidence, block_runs: None }
 }
 
-fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> Rate {
+fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> RateClaim {
     let registration = registration(runs, confidence);
-    Rate { registration_sha256: registration.digest(), registration, failures, rate_at_most, blocks: Vec::new() }
+    RateClaim { registration_sha256: registration.digest(), registration, failures, rate_at_most, blocks: Vec::new() }
 }
 
-fn is_shown(rate: Rate) -> bool {
-    match checked(Statement::Rate(rate)) {
-        Ok(accepted) => matches!(accepted, Accepted::Rate { .. }),
-        Err(rejection) => !matches!(rejection, Rejection::TooLikely { .. }),
+fn is_shown(rate: RateClaim) -> bool {
+    match check_statement(Statement::Rate(rate)) {
+        Ok(accepted) => matches!(accepted, ProvedClaim::Rate { .. }),
+        Err(rejection) => !matches!(rejection, Rejection::NotSignificant { .. }),
     }
 }
 
@@ -49,7 +49,7 @@ fn the_tail_is_above_the_exact_one_and_close() {
             sum += &choose * exact.pow(i) * rest.pow(n - i);
             choose = choose * BigRational::from_integer((n - i).into()) / BigRational::from_integer((i + 1).into());
         }
-        let tail = tail_at_most(k as u64, n as u64, p);
+        let tail = binomial_tail_upper_bound(k as u64, n as u64, p);
         let bound = BigRational::from_float(tail).unwrap();
         assert!(bound >= sum, "{k} {n} {p}");
         assert!(bound <= sum * BigRational::from_float(1.0 + 1e-12).unwrap(), "{k} {n} {p}");
@@ -59,16 +59,16 @@ fn the_tail_is_above_the_exact_one_and_close() {
 #[test]
 fn no_term_vanishes_or_overflows_for_large_counts() {
     // Median of a binomial with mean 500 000: between its mean less one and its mean plus one.
-    let tail = tail_at_most(500_000, 1_000_000, 0.5);
+    let tail = binomial_tail_upper_bound(500_000, 1_000_000, 0.5);
     assert!((0.5..0.501).contains(&tail), "{tail}");
-    assert!(tail_at_most(9_000, 1_000_000, 0.01) < 1e-20);
+    assert!(binomial_tail_upper_bound(9_000, 1_000_000, 0.01) < 1e-20);
 }
 
 #[test]
 fn a_change_of_any_number_that_matters_is_rejected() {
     let sound = serde_json::to_value(rate(3, 1000, 0.0201, 0.999)).unwrap();
-    let judge = |value: &serde_json::Value| checked(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
-    assert_eq!(judge(&sound), Ok(Accepted::Rate { at_most: 0.0201, confidence: 0.999 }));
+    let judge = |value: &serde_json::Value| check_statement(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
+    assert_eq!(judge(&sound), Ok(ProvedClaim::Rate { max_rate: 0.0201, confidence: 0.999 }));
     for (path, worse) in [
         ("/failures", 9.into()),
         ("/failures", 1001.into()),
@@ -89,14 +89,14 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
     let registration = registration(100_000, 0.99);
     let shown = |only_first_failed, only_second_failed| {
-        let comparison = Comparison {
+        let comparison = ComparisonClaim {
             registration_sha256: registration.digest(),
             registration: registration.clone(),
             only_first_failed,
             only_second_failed,
             blocks: Vec::new(),
         };
-        checked(Statement::Comparison(comparison)).is_ok()
+        check_statement(Statement::Comparison(comparison)).is_ok()
     };
     assert!(shown(0, 7), "1/128 is below 1 %");
     assert!(!shown(0, 6), "1/64 is not");
@@ -107,17 +107,17 @@ fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
 
 #[test]
 fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
-    let most = crumple_verify::rate::MOST_RUNS;
+    let most = crumple_verify::rate::MAX_RUNS;
     let exact = (most as f64 * (-1e-9_f64).ln_1p()).exp();
-    let tail = tail_at_most(0, most, 1e-9);
+    let tail = binomial_tail_upper_bound(0, most, 1e-9);
     assert!(tail >= exact * (1.0 - 1e-12) && tail <= exact * (1.0 + 5e-7), "{tail} {exact}");
     for runs in [most + 1, most + 2, u64::MAX] {
         for rate in [1e-9, 1e-300, 0.5] {
-            assert_eq!(tail_at_most(0, runs, rate), 1.0, "{runs} {rate}");
+            assert_eq!(binomial_tail_upper_bound(0, runs, rate), 1.0, "{runs} {rate}");
         }
     }
     for (failures, runs) in [(5, 5), (6, 5), (0, 0)] {
-        assert_eq!(tail_at_most(failures, runs, 0.5), 1.0, "{failures} of {runs}");
+        assert_eq!(binomial_tail_upper_bound(failures, runs, 0.5), 1.0, "{failures} of {runs}");
     }
 }
 
@@ -126,13 +126,13 @@ fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
 fn a_rate_next_to_nothing_has_all_of_the_tail() {
     for runs in 1..9 {
         for failures in 0..runs {
-            assert_eq!(tail_at_most(failures, runs, 1e-300), 1.0, "{failures} of {runs}");
+            assert_eq!(binomial_tail_upper_bound(failures, runs, 1e-300), 1.0, "{failures} of {runs}");
         }
     }
 }
 
 fn rejection_text(statement: Statement) -> String {
-    checked(statement).unwrap_err().to_string()
+    check_statement(statement).unwrap_err().to_string()
 }
 
 #[test]
@@ -143,13 +143,13 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
     }
     for confidence in [0.5_f64.next_up(), 1.0_f64.next_down()] {
         assert!(is_shown(rate(0, 100, 0.9, confidence)), "{confidence}");
-        assert!(checked(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(), "{confidence}");
+        assert!(check_statement(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(), "{confidence}");
     }
     for rate_at_most in [-0.1, 0.0, 1.0, 1.5, f64::NAN] {
         let refused = rejection_text(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
         assert_eq!(refused, "`rate_at_most` must be between 0 and 1", "{rate_at_most}");
     }
-    assert!(checked(Statement::Rate(rate(99, 100, 1.0_f64.next_down(), 0.9))).is_ok());
+    assert!(check_statement(Statement::Rate(rate(99, 100, 1.0_f64.next_down(), 0.9))).is_ok());
     for (runs, failures) in [(0, 0), (1_000_000_001, 0)] {
         let refused = rejection_text(Statement::Rate(rate(failures, runs, 0.5, 0.9)));
         assert_eq!(refused, "`registration.runs` must be from 1 to 1000 million", "{runs}");
@@ -162,7 +162,7 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
         let registration = registration(10, 0.99);
         let registration_sha256 = registration.digest();
         let blocks = Vec::new();
-        Statement::Comparison(Comparison {
+        Statement::Comparison(ComparisonClaim {
             registration,
             registration_sha256,
             only_first_failed,
@@ -170,7 +170,7 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
             blocks,
         })
     };
-    assert_eq!(checked(comparison(0, 10)), Ok(Accepted::FailsLessOften { confidence: 0.99 }), "2^-10 is below 1 %");
+    assert_eq!(check_statement(comparison(0, 10)), Ok(ProvedClaim::FailsLessOften { confidence: 0.99 }), "2^-10 is below 1 %");
     for only_second_failed in [11, 12, u64::MAX] {
         let refused = rejection_text(comparison(0, only_second_failed));
         assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");

@@ -1,18 +1,18 @@
 //! What reach statements say of a box is true of each of its members.
 
-use crumple_verify::reach::actor::answer;
-use crumple_verify::reach::form::Form;
+use crumple_verify::reach::controller::network_output;
+use crumple_verify::reach::form::AffineForm;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    Actor, Cell, Dimension, Undecided, Follower, Layer, Ranges, Reach, Reached, Scene, Step, ReachTube, reach, reach_with_tube,
+    NeuralController, PartitionCell, BoxDimension, Undecided, Follower, LinearLayer, InitialRanges, ReachClaim, ReachResult, ReachProblem, NetworkLayer, ReachTube, reach, reach_with_tube,
 };
-use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::{ProvedClaim, Certificate, Interval, CertificateProvenance, Rejection, Statement, WorkLimit, check, check_with};
 use proptest::prelude::*;
 
-use crate::support::closed_loop::{Numbers, Start, answers, scripted, simulate, simulate_told};
+use crate::support::closed_loop::{XorShiftRng, InitialState, network_outputs, scripted_braking, simulate, simulate_with_errors};
 use crate::support::mutants::mutants;
-use crate::support::networks::{any_network, network};
+use crate::support::networks::{any_network, native_network};
 
 pub fn reference_policy_bytes() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
@@ -26,9 +26,9 @@ fn between(low: f64, high: f64) -> Interval {
 }
 
 /// The paper's scenario 1 with ranges.
-pub fn paper_box(gap_m: f64, brake_mps2: f64) -> Ranges {
+pub fn paper_box(gap_m: f64, brake_mps2: f64) -> InitialRanges {
     let at = Interval::point;
-    Ranges {
+    InitialRanges {
         gap_ahead_m: between(16.0 - gap_m, 16.0 + gap_m),
         gap_behind_m: between(16.0 - gap_m, 16.0 + gap_m),
         leader_speed_mps: at(25.0),
@@ -40,9 +40,9 @@ pub fn paper_box(gap_m: f64, brake_mps2: f64) -> Ranges {
     }
 }
 
-pub fn paper_problem<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
-    Scene {
-        actor,
+pub fn paper_problem<'a>(actor: &'a NeuralController, ranges: InitialRanges) -> ReachProblem<'a> {
+    ReachProblem {
+        controller: actor,
         ranges,
         follower: Some(LATCHED),
         leader_brakes_at_most_mps2: None,
@@ -50,22 +50,22 @@ pub fn paper_problem<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
         step_s: 0.01,
         steps: 1500,
         decision_steps: 10,
-        stop_at_doubt: true,
+        stop_when_undecided: true,
     }
 }
 
-pub fn box_member(ranges: &Ranges, place: [f64; 8]) -> Start {
+pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> InitialState {
     std::array::from_fn(|i| {
-        let range = ranges.get(Dimension::ALL[i]);
+        let range = ranges.get(BoxDimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
     })
 }
 
 /// The reference policy with each hidden unit there several times, of which each copy counts as much less.
-fn widen_network(actor: &Actor, copies: usize) -> Actor {
-    let last = actor.steps.iter().rposition(|step| matches!(step, Step::Linear(_)));
-    let widen = |(index, step): (usize, &Step)| {
-        let Step::Linear(layer) = step else { return step.clone() };
+fn widen_network(actor: &NeuralController, copies: usize) -> NeuralController {
+    let last = actor.layers.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
+    let widen = |(index, step): (usize, &NetworkLayer)| {
+        let NetworkLayer::Linear(layer) = step else { return step.clone() };
         let (in_copies, out_copies) =
             (if index == 0 { 1 } else { copies }, if Some(index) == last { 1 } else { copies });
         let (inputs, outputs) = (layer.inputs * in_copies, layer.outputs * out_copies);
@@ -73,9 +73,9 @@ fn widen_network(actor: &Actor, copies: usize) -> Actor {
             |i: usize, o: usize| layer.weights[i / in_copies * layer.outputs + o / out_copies] / in_copies as f64;
         let weights = (0..inputs * outputs).map(|place| weight(place / outputs, place % outputs)).collect();
         let biases = (0..outputs).map(|o| layer.biases[o / out_copies]).collect();
-        Step::Linear(Layer { inputs, outputs, weights, biases })
+        NetworkLayer::Linear(LinearLayer { inputs, outputs, weights, biases })
     };
-    Actor { steps: actor.steps.iter().enumerate().map(widen).collect(), ..actor.clone() }
+    NeuralController { layers: actor.layers.iter().enumerate().map(widen).collect(), ..actor.clone() }
 }
 
 pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
@@ -86,10 +86,10 @@ prop_compose! {
     /// A box somewhere, in some dimensions a single number.
     pub fn any_ranges()(
         low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64), size in 0.001..0.1_f64,
-    ) -> Ranges {
+    ) -> InitialRanges {
         let scales = [30.0, 30.0, 30.0, 30.0, 30.0, 6.0, 7.0, 150.0];
-        let mut ranges = paper(0.0, 0.0);
-        for (i, dimension) in Dimension::ALL.into_iter().enumerate() {
+        let mut ranges = paper_box(0.0, 0.0);
+        for (i, dimension) in BoxDimension::ALL.into_iter().enumerate() {
             let from = scales[i] * low[i];
             *ranges.get_mut(dimension) = between(from, from + size * scales[i] * width[i].max(0.0));
         }
@@ -102,7 +102,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(1000))]
+    #![proptest_config(crumple_cases::with_cases(1000))]
 
     /// What a network of any shape and functions answers to any member of a set of inputs is where the form of its answer has it.
     #[test]
@@ -110,25 +110,25 @@ proptest! {
         seed: u64, radii in prop::array::uniform8(0.0..0.5_f64),
         at in prop::collection::vec(prop::array::uniform8(-1.0..=1.0_f64), 10),
     ) {
-        let mut numbers = Numbers(seed | 1);
+        let mut numbers = XorShiftRng(seed | 1);
         let actor = any_network(seed);
         let inputs = actor.inputs.len();
         // Numbers that share eight symbols.
-        let centre: Vec<f64> = (0..inputs).map(|_| numbers.signed()).collect();
+        let centre: Vec<f64> = (0..inputs).map(|_| numbers.next_signed()).collect();
         let share: Vec<[f64; 8]> =
-            (0..inputs).map(|i| std::array::from_fn(|_| radii[i % 8] * numbers.signed())).collect();
-        let forms: Vec<Form> = (0..inputs).map(|i| {
-            share[i].iter().enumerate().fold(Form::constant(Interval::point(centre[i])), |mut form, (symbol, &share)| {
-                form.add(&Form::symbol(symbol, between(-1.0, 1.0)), Interval::point(share));
+            (0..inputs).map(|i| std::array::from_fn(|_| radii[i % 8] * numbers.next_signed())).collect();
+        let forms: Vec<AffineForm> = (0..inputs).map(|i| {
+            share[i].iter().enumerate().fold(AffineForm::constant(Interval::point(centre[i])), |mut form, (symbol, &share)| {
+                form.add_scaled(&AffineForm::symbol(symbol, between(-1.0, 1.0)), Interval::point(share));
                 form
             })
         }).collect();
-        let answer = answer(&actor.steps, &forms);
+        let answer = network_output(&actor.layers, &forms);
         for at in at {
             let of = |i: usize| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>();
             // What it sees is of single precision: its rounding is not part of these forms.
             let seen: Vec<f64> = (0..inputs).map(of).collect();
-            let exact = answers(&actor.steps, seen)[0];
+            let exact = network_outputs(&actor.layers, seen)[0];
             let expected = answer.centre() + answer.terms().iter().zip(&at).map(|(term, at)| term * at).sum::<f64>();
             prop_assert!((exact - expected).abs() <= answer.rest() + 1e-9, "{exact} {expected} {}", answer.rest());
         }
@@ -137,17 +137,17 @@ proptest! {
 
 /// A run, as it was observed at each decision and with its smallest gaps, is within the bounds of its scene; `whose` names it.
 pub fn is_bounded(
-    scene: &Scene<'_>,
-    (reached, tube): &(Reached, Option<ReachTube>),
+    scene: &ReachProblem<'_>,
+    (reached, tube): &(ReachResult, Option<ReachTube>),
     (trace, least): (Vec<[f64; 8]>, [f64; 2]),
     whose: &impl Debug,
 ) -> Result<(), TestCaseError> {
-    if reached.doubt.is_none() {
+    if reached.undecided.is_none() {
         prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{whose:?} {least:?} {reached:?}");
         let is_behind = scene.follower.is_none() || least[1] >= reached.gaps_m[1] - 1e-8;
         prop_assert!(is_behind, "{whose:?} {least:?} {reached:?}");
     }
-    if reached.touches {
+    if reached.surely_collides {
         prop_assert!(least[0] < 1e-8 || least[1] < 1e-8, "{whose:?} {least:?}");
         return Ok(());
     }
@@ -163,7 +163,7 @@ pub fn is_bounded(
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(200))]
+    #![proptest_config(crumple_cases::with_cases(200))]
 
     /// Whatever a network does, with and without a follower, through stops, fires and contacts: every number that is observed
     /// is inside the bounds at every decision, and no gap is ever below its bound.
@@ -173,15 +173,15 @@ proptest! {
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
     ) {
         // One of crumple's own, or any.
-        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
-        let scene = Scene {
-            follower: has_follower.then_some(LATCHED), stop_at_doubt: false, steps: 400, decision_steps: every,
-            ..scene(&actor, ranges)
+        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let scene = ReachProblem {
+            follower: has_follower.then_some(LATCHED), stop_when_undecided: false, steps: 400, decision_steps: every,
+            ..paper_problem(&actor, ranges)
         };
         let bounded = reach_with_tube(&scene);
         let corner = |i: usize| std::array::from_fn(|j| f64::from(u8::from(i >> j & 1 == 1)));
         for place in places.into_iter().chain([corner(0), corner(255), corner(0b0101_1010)]) {
-            let start = member(&ranges, place);
+            let start = box_member(&ranges, place);
             is_bounded(&scene, &bounded, simulate(&scene, start), &start)?;
         }
     }
@@ -190,28 +190,28 @@ proptest! {
 /// An ego that stands from the start is among those whose follower fires: here it rolls up to two millimetres from it.
 #[test]
 fn who_stands_is_not_forgotten() {
-    let actor = network(&[12, 9], 0.2, 0);
-    let mut ranges = paper(0.0, 0.0);
-    for (dimension, value) in Dimension::ALL.into_iter().zip([0.004, 21.59, 18.6, 0.0, 5.397, 0.0, 0.0, 0.0]) {
+    let actor = native_network(&[12, 9], 0.2, 0);
+    let mut ranges = paper_box(0.0, 0.0);
+    for (dimension, value) in BoxDimension::ALL.into_iter().zip([0.004, 21.59, 18.6, 0.0, 5.397, 0.0, 0.0, 0.0]) {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
-    let scene = Scene { steps: 400, decision_steps: 1, stop_at_doubt: false, ..scene(&actor, ranges) };
-    let (_, least) = simulate(&scene, member(&ranges, [0.0; 8]));
+    let scene = ReachProblem { steps: 400, decision_steps: 1, stop_when_undecided: false, ..paper_problem(&actor, ranges) };
+    let (_, least) = simulate(&scene, box_member(&ranges, [0.0; 8]));
     assert!(least[1] > 0.0 && least[1] < 0.01, "{least:?}");
-    assert!(!reach(&scene).touches);
+    assert!(!reach(&scene).surely_collides);
 }
 
 /// Starts that come as close to contact as hill climbing finds; the smallest gap.
-pub fn min_gap_under_attack(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
-    let mut numbers = Numbers(seed);
+pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
+    let mut numbers = XorShiftRng(seed);
     let gap = |place: [f64; 8]| {
-        let start = member(&scene.ranges, place);
+        let start = box_member(&scene.ranges, place);
         let (_, least) = simulate(scene, start);
         least[0].min(least[1])
     };
     let mut best = ([0.5; 8], gap([0.5; 8]));
     for _ in 0..random {
-        let place = std::array::from_fn(|_| numbers.unit());
+        let place = std::array::from_fn(|_| numbers.next_unit());
         let found = gap(place);
         if found < best.1 {
             best = (place, found);
@@ -219,7 +219,7 @@ pub fn min_gap_under_attack(scene: &Scene<'_>, random: usize, adversarial: usize
     }
     for round in 0..adversarial {
         let size = 0.5 * 0.995_f64.powi(round as i32);
-        let place = best.0.map(|at: f64| (at + size * numbers.signed()).clamp(0.0, 1.0));
+        let place = best.0.map(|at: f64| (at + size * numbers.next_signed()).clamp(0.0, 1.0));
         let found = gap(place);
         if found < best.1 {
             best = (place, found);
@@ -235,18 +235,18 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: three searches"]
     fn verified_boxes_survive_search() {
-        let actor = Actor::from_bytes(&reference()).unwrap();
-        let mut light = paper(0.4, 0.1);
+        let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+        let mut light = paper_box(0.4, 0.1);
         light.follower_brake_mps2 = between(7.3, 7.7);
-        let mut other = paper(0.1, 0.05);
+        let mut other = paper_box(0.1, 0.05);
         (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
         (other.follower_speed_mps, other.onset_steps) = (between(25.0, 25.1), between(120.0, 123.5));
-        for (ranges, least_m) in [(paper(0.5, 0.1), 1.8), (light, 2.7), (other, 1.2)] {
-            let scene = scene(&actor, ranges);
+        for (ranges, least_m) in [(paper_box(0.5, 0.1), 1.8), (light, 2.7), (other, 1.2)] {
+            let scene = paper_problem(&actor, ranges);
             let reached = reach(&scene);
-            assert_eq!(reached.doubt, None);
+            assert_eq!(reached.undecided, None);
             let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-            let found_m = attacked(&scene, 10_000, 1000, 9);
+            let found_m = min_gap_under_attack(&scene, 10_000, 1000, 9);
             println!("proved {proved_m:.3} m, found {found_m:.3} m");
             assert!(found_m >= proved_m, "{found_m} {reached:?}");
             assert!(proved_m > least_m, "the bound is not idle: {found_m} {proved_m}");
@@ -255,14 +255,14 @@ mod tier_2 {
 }
 
 /// A statement about a leader that brakes at up to 30 m/s², much too hard for half of the box.
-pub fn claim() -> Reach {
-    let mut ranges = paper(0.05, 0.0);
+pub fn claim() -> ReachClaim {
+    let mut ranges = paper_box(0.05, 0.0);
     (ranges.gap_behind_m, ranges.leader_brake_mps2) = (between(16.0, 16.0), between(2.95, 29.95));
-    let cuts = [Cell::Cut(Dimension::LeaderBrakeMps2); 6];
+    let cuts = [PartitionCell::Cut(BoxDimension::LeaderBrakeMps2); 6];
     let point = [16.0, 16.0, 25.0, 25.0, 25.0, 28.0, 6.0, 100.0];
-    let rest = [Cell::Verified, Cell::Undecided, Cell::Undecided, Cell::Undecided, Cell::Undecided, Cell::Undecided];
-    let bytes = reference();
-    Reach {
+    let rest = [PartitionCell::Verified, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided];
+    let bytes = reference_policy_bytes();
+    ReachClaim {
         policy_file: "reference.safetensors".to_owned(),
         policy_sha256: sha256(&bytes),
         source: None,
@@ -273,7 +273,7 @@ pub fn claim() -> Reach {
         leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         ranges,
-        partition: [&cuts[..], &rest, &[Cell::Falsified(point)]].concat(),
+        partition: [&cuts[..], &rest, &[PartitionCell::Falsified(point)]].concat(),
         verified_share_at_least: 0.015625,
         falsified_share_at_least: 0.5,
         min_gap_m_at_least: 3.0,
@@ -285,17 +285,17 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub fn certificate(claim: Reach) -> Certificate {
+pub fn certificate(claim: ReachClaim) -> Certificate {
     let statement = Statement::Reach(claim);
-    let nobody = Provenance::default();
+    let nobody = CertificateProvenance::default();
     Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement }
 }
 
 #[test]
 fn a_claim_is_derived_again() {
-    let bytes = reference();
+    let bytes = reference_policy_bytes();
     match check_with(&certificate(claim()), Some(&bytes), WorkLimit::default()) {
-        Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. }) => {
+        Ok(ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. }) => {
             // Volumes: the middle of a range is rounded.
             assert!(
                 (0.0..1e-12).contains(&(1.0 / 64.0 - verified_share))
@@ -313,14 +313,14 @@ fn a_claim_is_derived_again() {
 /// Five cuts of five ranges of three numbers each: a 32nd of the box, 3.12 %, by the count of cuts, and a 243rd, 0.41 %, of its volume.
 #[test]
 fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd() {
-    let bytes = reference();
-    let mut ranges = paper(0.0, 0.0);
+    let bytes = reference_policy_bytes();
+    let mut ranges = paper_box(0.0, 0.0);
     let cut = [
-        Dimension::GapAheadM,
-        Dimension::GapBehindM,
-        Dimension::LeaderSpeedMps,
-        Dimension::EgoSpeedMps,
-        Dimension::FollowerSpeedMps,
+        BoxDimension::GapAheadM,
+        BoxDimension::GapBehindM,
+        BoxDimension::LeaderSpeedMps,
+        BoxDimension::EgoSpeedMps,
+        BoxDimension::FollowerSpeedMps,
     ];
     for dimension in cut {
         let low = ranges.get(dimension).low();
@@ -328,17 +328,17 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
     }
     // Where the smaller part of each is: the middle is rounded to the one side or the other.
     let partition = |is_low_smaller: [bool; 5]| {
-        let after = is_low_smaller.iter().rev().filter(|is_low| **is_low).map(|_| Cell::Undecided);
-        let (mut cells, after): (Vec<Cell>, Vec<Cell>) = (Vec::new(), after.collect());
+        let after = is_low_smaller.iter().rev().filter(|is_low| **is_low).map(|_| PartitionCell::Undecided);
+        let (mut cells, after): (Vec<PartitionCell>, Vec<PartitionCell>) = (Vec::new(), after.collect());
         for (dimension, is_low) in cut.into_iter().zip(is_low_smaller) {
-            cells.push(Cell::Cut(dimension));
-            cells.extend((!is_low).then_some(Cell::Undecided));
+            cells.push(PartitionCell::Cut(dimension));
+            cells.extend((!is_low).then_some(PartitionCell::Undecided));
         }
-        cells.push(Cell::Verified);
+        cells.push(PartitionCell::Verified);
         cells.extend(after);
         cells
     };
-    let claims = (0..32_u32).map(|places| Reach {
+    let claims = (0..32_u32).map(|places| ReachClaim {
         ranges,
         partition: partition(std::array::from_fn(|i| places >> i & 1 == 1)),
         verified_share_at_least: 1.0 / 32.0,
@@ -346,30 +346,30 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
         min_gap_m_at_least: 0.0,
         ..claim()
     });
-    let share = |claim: &Reach| claim.shares().unwrap()[0];
+    let share = |claim: &ReachClaim| claim.volume_shares().unwrap()[0];
     let stated = claims.min_by(|one, other| share(one).total_cmp(&share(other))).unwrap();
     assert!(share(&stated) <= 1.0 / 243.0 && share(&stated) > 0.0041, "{}", share(&stated));
     let refused = check_with(&certificate(stated.clone()), Some(&bytes), WorkLimit::default()).unwrap_err().to_string();
     assert!(refused.contains("verified_share_at_least"), "{refused}");
-    let measured = Reach { verified_share_at_least: share(&stated), ..stated };
+    let measured = ReachClaim { verified_share_at_least: share(&stated), ..stated };
     let shown = check_with(&certificate(measured), Some(&bytes), WorkLimit::default()).unwrap().to_string();
     assert!(shown.starts_with("reach: in 0.41 % of the box's volume"), "{shown}");
 }
 
 #[test]
 fn one_changed_weight_is_another_policy() {
-    let mut bytes = reference();
+    let mut bytes = reference_policy_bytes();
     let last = bytes.len() - 7;
     bytes[last] ^= 1;
     let changed = check_with(&certificate(claim()), Some(&bytes), WorkLimit::default());
     assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
     // With its own digest the statement is derived for the changed network: no longer true if the change is large.
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    let Some(Step::Linear(last)) = actor.steps.iter().rfind(|step| matches!(step, Step::Linear(_))) else { panic!() };
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let Some(NetworkLayer::Linear(last)) = actor.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_))) else { panic!() };
     let bias = (last.biases[0] as f32).to_le_bytes();
     let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
     bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
-    let changed = Reach { policy_sha256: sha256(&bytes), ..claim() };
+    let changed = ReachClaim { policy_sha256: sha256(&bytes), ..claim() };
     assert!(matches!(
         check_with(&certificate(changed), Some(&bytes), WorkLimit::default()),
         Err(Rejection::Leaf { leaf: 0, .. })
@@ -379,8 +379,8 @@ fn one_changed_weight_is_another_policy() {
 /// Every number changed by little and by much: what is still accepted survives an attack.
 #[test]
 fn what_survives_a_change_is_true() {
-    let bytes = reference();
-    let actor = Actor::from_bytes(&bytes).unwrap();
+    let bytes = reference_policy_bytes();
+    let actor = NeuralController::from_bytes(&bytes).unwrap();
     let original = serde_json::to_value(certificate(claim())).unwrap();
     let (mut accepted, mut rejected) = (0, 0);
     for (change, mutant) in mutants(&original) {
@@ -396,17 +396,17 @@ fn what_survives_a_change_is_true() {
         let Statement::Reach(claim) = certificate.statement else { panic!("another statement") };
         let (mut verified, mut falsified) = (0.0, 0.0);
         for (cell, ranges, share) in claim.leaves().unwrap() {
-            let scene = Scene { ranges, ..claim.scene(&actor).unwrap() };
+            let scene = ReachProblem { ranges, ..claim.problem(&actor).unwrap() };
             match cell {
-                Cell::Verified => {
+                PartitionCell::Verified => {
                     verified += share;
-                    let found_m = attacked(&scene, 100, 50, 3);
+                    let found_m = min_gap_under_attack(&scene, 100, 50, 3);
                     assert!(found_m >= claim.min_gap_m_at_least, "{change}: {found_m}");
                 }
-                Cell::Falsified(point) => {
+                PartitionCell::Falsified(point) => {
                     falsified += share;
                     let least = simulate(&scene, point).1;
-                    assert!(ranges.at(&point).is_some() && (least[0] < 0.0 || least[1] < 0.0), "{change}: {least:?}");
+                    assert!(ranges.at_point(&point).is_some() && (least[0] < 0.0 || least[1] < 0.0), "{change}: {least:?}");
                 }
                 _ => {}
             }
@@ -422,32 +422,32 @@ fn what_survives_a_change_is_true() {
 
 #[test]
 fn why_a_box_is_undecided_is_said() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    let mut wide = paper(3.0, 1.0);
-    let reached = reach(&scene(&actor, wide));
-    assert!(matches!(reached.doubt, Some(Undecided::MayTouch { .. })) && !reached.touches, "{reached:?}");
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let mut wide = paper_box(3.0, 1.0);
+    let reached = reach(&paper_problem(&actor, wide));
+    assert!(matches!(reached.undecided, Some(Undecided::MayCollide { .. })) && !reached.surely_collides, "{reached:?}");
     assert!(reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0, "{reached:?}");
     wide.ego_speed_mps = between(0.0, 100.0);
-    assert!(matches!(reach(&scene(&actor, wide)).doubt, Some(Undecided::TooWide { step: 0 })));
+    assert!(matches!(reach(&paper_problem(&actor, wide)).undecided, Some(Undecided::TooWide { step: 0 })));
 }
 
 /// A policy that decides at every step stops at hundreds of instants, of which none may open a case of its own.
 #[test]
 fn a_decision_at_every_step_is_bounded_as_well() {
-    let reference = Actor::from_bytes(&reference()).unwrap();
-    let wide = widened(&reference, 4);
-    for (actor, ranges) in [(&reference, paper(0.1, 0.02)), (&wide, paper(0.02, 0.0))] {
-        let scene = Scene { decision_steps: 1, stop_at_doubt: false, ..scene(actor, ranges) };
+    let reference = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let wide = widen_network(&reference, 4);
+    for (actor, ranges) in [(&reference, paper_box(0.1, 0.02)), (&wide, paper_box(0.02, 0.0))] {
+        let scene = ReachProblem { decision_steps: 1, stop_when_undecided: false, ..paper_problem(actor, ranges) };
         let begin = std::time::Instant::now();
         let (reached, tube) = reach_with_tube(&scene);
         println!("{:?}, {:?}", begin.elapsed(), reached.gaps_m);
-        assert_eq!(reached.doubt, None);
-        let (tube, mut numbers) = (tube.unwrap(), Numbers(5));
+        assert_eq!(reached.undecided, None);
+        let (tube, mut numbers) = (tube.unwrap(), XorShiftRng(5));
         assert_eq!(tube.len(), 1501);
         let mut found_m = [f64::INFINITY; 2];
         for start in 0..40 {
-            let place = std::array::from_fn(|_| if start % 2 == 0 { numbers.unit() } else { numbers.unit().round() });
-            let (trace, least) = simulate(&scene, member(&ranges, place));
+            let place = std::array::from_fn(|_| if start % 2 == 0 { numbers.next_unit() } else { numbers.next_unit().round() });
+            let (trace, least) = simulate(&scene, box_member(&ranges, place));
             found_m = std::array::from_fn(|pair| found_m[pair].min(least[pair]));
             for (bounds, seen) in tube.iter().zip(&trace) {
                 assert!(
@@ -467,13 +467,13 @@ fn a_decision_at_every_step_is_bounded_as_well() {
 /// One box of the reference policy, and of a network four times as wide; times are for optimised builds and idle machines.
 #[test]
 fn a_box_takes_a_fraction_of_a_second() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    let wide = network(&[256, 256, 256], 0.3, 5);
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let wide = native_network(&[256, 256, 256], 0.3, 5);
     for (name, actor) in [("reference", &actor), ("3 x 256", &wide)] {
-        let scene = Scene { stop_at_doubt: false, ..scene(actor, paper(0.1, 0.02)) };
+        let scene = ReachProblem { stop_when_undecided: false, ..paper_problem(actor, paper_box(0.1, 0.02)) };
         let timed = |_| {
             let begin = std::time::Instant::now();
-            assert_eq!(reach(&scene).doubt, None);
+            assert_eq!(reach(&scene).undecided, None);
             begin.elapsed()
         };
         let least = (0..3).map(timed).min().unwrap();
@@ -490,20 +490,20 @@ proptest! {
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
     ) {
         use crumple_verify::reach::relax;
-        let mut form = Form::constant(Interval::point(centre));
+        let mut form = AffineForm::constant(Interval::point(centre));
         let mut value = centre;
         for (symbol, (radius, at)) in radii.into_iter().zip(at).enumerate() {
-            form.add(&Form::symbol(symbol, between(-1.0, 1.0)), Interval::point(radius));
+            form.add_scaled(&AffineForm::symbol(symbol, between(-1.0, 1.0)), Interval::point(radius));
             value += radius * at;
         }
-        let holds = |f: &Form, expected: f64| {
+        let holds = |f: &AffineForm, expected: f64| {
             let terms: f64 = f.terms().iter().zip(at).map(|(term, at)| term * at).sum();
             (f.centre() + terms - expected).abs() <= f.rest() + 1e-9 * (1.0 + expected.abs())
         };
         prop_assert!(holds(&form, value));
         prop_assert!(holds(&relax::hyperbolic_tangent(&form), value.tanh()));
-        prop_assert!(holds(&relax::rectified(&form), value.max(0.0)));
-        prop_assert!(holds(&relax::rectified_square(&form), value.max(0.0).powi(2)));
+        prop_assert!(holds(&relax::relu(&form), value.max(0.0)));
+        prop_assert!(holds(&relax::relu_squared(&form), value.max(0.0).powi(2)));
         prop_assert!(holds(&relax::reciprocal(&form), 1.0 / value));
         prop_assert!(holds(&form.times(&form), value * value));
         let tanh = relax::tanh(value);
@@ -517,20 +517,20 @@ proptest! {
 #[ignore = "takes minutes; for the table of corpora/boxes/README.md"]
 fn worst_errors_at_each_size() {
     const BLOCK: u32 = 5;
-    let actor = Actor::from_bytes(&reference()).unwrap();
+    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     // As `cargo run -p crumple-experiments -- filter_errors paper-1` prints them.
     let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
-    let mut ranges = paper(0.7, 0.2);
+    let mut ranges = paper_box(0.7, 0.2);
     (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));
     for factor in [0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0] {
-        let scene = scene(&actor, ranges);
-        let mut numbers = Numbers(3);
+        let scene = paper_problem(&actor, ranges);
+        let mut numbers = XorShiftRng(3);
         let gap = |place: [f64; 8], signs: &[[f64; 8]]| {
-            let start = member(&ranges, place);
+            let start = box_member(&ranges, place);
             let error = |decision: u32| {
                 std::array::from_fn(|i| factor * filter[i] * signs[(decision / BLOCK) as usize % signs.len()][i])
             };
-            let (_, least) = simulate_told(&scene, start, scripted(&start), error);
+            let (_, least) = simulate_with_errors(&scene, start, scripted_braking(&start), error);
             least[0].min(least[1])
         };
         // Errors that last, first; then each for half a second.
@@ -545,10 +545,10 @@ fn worst_errors_at_each_size() {
         let lasting_m = best.2;
         for round in 0..4000 {
             let size = 0.999_f64.powi(round % 1000);
-            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.signed()).clamp(0.0, 1.0));
+            let place = best.0.map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut signs = best.1.clone();
-            for _ in 0..1 + (numbers.unit() * 4.0) as usize {
-                signs[(numbers.unit() * 30.0) as usize % 30][(numbers.unit() * 8.0) as usize % 8] *= -1.0;
+            for _ in 0..1 + (numbers.next_unit() * 4.0) as usize {
+                signs[(numbers.next_unit() * 30.0) as usize % 30][(numbers.next_unit() * 8.0) as usize % 8] *= -1.0;
             }
             let found_m = gap(place, &signs);
             if found_m < best.2 {

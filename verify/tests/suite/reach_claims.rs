@@ -1,26 +1,26 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 
-use crumple_verify::reach::{AccAeb, Actor, Cell, Departure, Dimension, Idm, Law, Layer, Own, Ranges, Reach};
+use crumple_verify::reach::{AccAebLaw, NeuralController, PartitionCell, ResidualPolicy, BoxDimension, IdmLaw, FollowerLaw, LinearLayer, NativePolicy, InitialRanges, ReachClaim};
 use crumple_verify::{Interval, Rejection};
 
 use crate::law_follower::{ACC_AEB, IDM};
 
-fn zero_controller() -> Actor {
-    Actor::from(Own {
-        layers: vec![Layer { inputs: 8, outputs: 1, weights: vec![0.0; 8], biases: vec![0.0] }],
+fn zero_controller() -> NeuralController {
+    NeuralController::from(NativePolicy {
+        layers: vec![LinearLayer { inputs: 8, outputs: 1, weights: vec![0.0; 8], biases: vec![0.0] }],
         offset: [0.0; 8],
         scale: [1.0; 8],
         limit: 1.5,
         empty_gap_m: 80.0,
-        action_mps2: [-7.5, 3.0],
-        departs_from: None,
+        action_bounds_mps2: [-7.5, 3.0],
+        residual_over: None,
         decision_interval_s: 0.1,
     })
 }
 
-fn claim() -> Reach {
+fn claim() -> ReachClaim {
     let at = Interval::point;
-    Reach {
+    ReachClaim {
         policy_file: "policy.safetensors".to_owned(),
         policy_sha256: String::new(),
         source: None,
@@ -30,7 +30,7 @@ fn claim() -> Reach {
         follower_law: None,
         leader_brakes_at_most_mps2: None,
         observation_error: [0.0; 8],
-        ranges: Ranges {
+        ranges: InitialRanges {
             gap_ahead_m: at(16.0),
             gap_behind_m: at(16.0),
             leader_speed_mps: at(25.0),
@@ -40,7 +40,7 @@ fn claim() -> Reach {
             follower_brake_mps2: at(6.0),
             onset_steps: at(0.0),
         },
-        partition: vec![Cell::Undecided],
+        partition: vec![PartitionCell::Undecided],
         verified_share_at_least: 0.0,
         falsified_share_at_least: 0.0,
         min_gap_m_at_least: 0.0,
@@ -49,41 +49,41 @@ fn claim() -> Reach {
 
 #[test]
 fn what_makes_no_sense_is_named() {
-    let scene = claim().scene(&actor()).map(|scene| (scene.steps, scene.decision_steps));
+    let scene = claim().problem(&zero_controller()).map(|scene| (scene.steps, scene.decision_steps));
     assert_eq!(scene, Ok((300, 10)));
-    assert!(Reach { steps: 10, ..claim() }.scene(&actor()).is_ok(), "one decision");
-    assert!(Reach { follower_ttc_s: Some(0.0), ..claim() }.scene(&actor()).is_ok(), "a brake for contact alone");
-    let (Law::Idm(idm), Law::AccAeb(acc_aeb)) = (IDM, ACC_AEB) else { panic!() };
-    let followed = |law| Reach { follower_ttc_s: None, follower_law: Some(Box::new(law)), ..claim() };
-    assert!(followed(ACC_AEB).scene(&actor()).is_ok());
+    assert!(ReachClaim { steps: 10, ..claim() }.problem(&zero_controller()).is_ok(), "one decision");
+    assert!(ReachClaim { follower_ttc_s: Some(0.0), ..claim() }.problem(&zero_controller()).is_ok(), "a brake for contact alone");
+    let (FollowerLaw::Idm(idm), FollowerLaw::AccAeb(acc_aeb)) = (IDM, ACC_AEB) else { panic!() };
+    let followed = |law| ReachClaim { follower_ttc_s: None, follower_law: Some(Box::new(law)), ..claim() };
+    assert!(followed(ACC_AEB).problem(&zero_controller()).is_ok());
     let backwards = Interval::point(-1.0);
-    let wrong: Vec<(&str, Reach)> = [
-        ("step_s", Reach { step_s: 0.0, ..claim() }),
-        ("step_s", Reach { step_s: -0.01, ..claim() }),
-        ("step_s", Reach { step_s: f64::INFINITY, ..claim() }),
+    let wrong: Vec<(&str, ReachClaim)> = [
+        ("step_s", ReachClaim { step_s: 0.0, ..claim() }),
+        ("step_s", ReachClaim { step_s: -0.01, ..claim() }),
+        ("step_s", ReachClaim { step_s: f64::INFINITY, ..claim() }),
         // Not a whole number of steps, and more than the time between decisions.
-        ("step_s", Reach { step_s: 0.03, ..claim() }),
-        ("step_s", Reach { step_s: 0.3, ..claim() }),
-        ("steps", Reach { steps: 0, ..claim() }),
-        ("steps", Reach { steps: 9, ..claim() }),
-        ("steps", Reach { steps: 305, ..claim() }),
-        ("steps", Reach { steps: 100_010, ..claim() }),
-        ("ranges.ego_speed_mps", Reach { ranges: Ranges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
-        ("follower_ttc_s", Reach { follower_ttc_s: Some(-0.1), ..claim() }),
-        ("follower_ttc_s", Reach { follower_ttc_s: Some(f64::NAN), ..claim() }),
-        ("follower_law", Reach { follower_law: Some(Box::new(IDM)), ..claim() }),
-        ("follower_law", followed(Law::Idm(Idm { accel_mps2: 0.0, ..idm }))),
-        ("follower_law", followed(Law::Idm(Idm { time_headway_s: -0.1, ..idm }))),
-        ("follower_law", followed(Law::AccAeb(AccAeb { ttc_s: f64::INFINITY, ..acc_aeb }))),
+        ("step_s", ReachClaim { step_s: 0.03, ..claim() }),
+        ("step_s", ReachClaim { step_s: 0.3, ..claim() }),
+        ("steps", ReachClaim { steps: 0, ..claim() }),
+        ("steps", ReachClaim { steps: 9, ..claim() }),
+        ("steps", ReachClaim { steps: 305, ..claim() }),
+        ("steps", ReachClaim { steps: 100_010, ..claim() }),
+        ("ranges.ego_speed_mps", ReachClaim { ranges: InitialRanges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
+        ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(-0.1), ..claim() }),
+        ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(f64::NAN), ..claim() }),
+        ("follower_law", ReachClaim { follower_law: Some(Box::new(IDM)), ..claim() }),
+        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { accel_mps2: 0.0, ..idm }))),
+        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { time_headway_s: -0.1, ..idm }))),
+        ("follower_law", followed(FollowerLaw::AccAeb(AccAebLaw { ttc_s: f64::INFINITY, ..acc_aeb }))),
     ]
     .into_iter()
     .chain([-1e-9, f64::INFINITY].map(|error| {
         let observation_error = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, error];
-        ("observation_error", Reach { observation_error, ..claim() })
+        ("observation_error", ReachClaim { observation_error, ..claim() })
     }))
     .collect();
     for (name, wrong) in wrong {
-        match wrong.scene(&actor()) {
+        match wrong.problem(&zero_controller()) {
             Err(Rejection::Invalid { field, .. }) => assert_eq!(field, name, "{wrong:?}"),
             other => panic!("{name}: {other:?}"),
         }
@@ -95,34 +95,34 @@ fn what_makes_no_sense_is_named() {
 fn a_network_that_can_overflow_is_refused() {
     let mut bytes =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
-    assert!(Actor::from_bytes(&bytes).is_ok());
+    assert!(NeuralController::from_bytes(&bytes).is_ok());
     let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
     let listing: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
     for tensor in ["actor.0.weight", "actor.0.bias"] {
         let from = listing[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
         bytes[8 + length + from..][..4].copy_from_slice(&3e38_f32.to_le_bytes());
     }
-    assert_eq!(Actor::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
+    assert_eq!(NeuralController::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
 }
 
 /// The volume of a part, not the number of cuts: in a range of a few floating-point numbers the middle is rounded.
 #[test]
 fn shares_are_volumes_and_not_counts_of_cuts() {
     let ulps = |n: u64| f64::from_bits(16.0_f64.to_bits() + n);
-    let cut = Cell::Cut(Dimension::GapAheadM);
-    let shares = |gap_ahead_m: Interval, partition: Vec<Cell>| -> Vec<f64> {
-        let claim = Reach { ranges: Ranges { gap_ahead_m, ..claim().ranges }, partition, ..claim() };
+    let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
+    let shares = |gap_ahead_m: Interval, partition: Vec<PartitionCell>| -> Vec<f64> {
+        let claim = ReachClaim { ranges: InitialRanges { gap_ahead_m, ..claim().ranges }, partition, ..claim() };
         claim.leaves().unwrap().into_iter().map(|(_, _, share)| share).collect()
     };
     // Three numbers apart: the middle is one or two of them away from the lower end.
-    let thirds = shares(Interval::new(16.0, ulps(3)).unwrap(), vec![cut, Cell::Verified, Cell::Undecided]);
+    let thirds = shares(Interval::new(16.0, ulps(3)).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
     let mut sorted = thirds.clone();
     sorted.sort_by(f64::total_cmp);
     assert!(sorted[0] <= 1.0 / 3.0 && sorted[0] > 0.333 && sorted[1] <= 2.0 / 3.0 && sorted[1] > 0.666, "{thirds:?}");
     let halves =
-        shares(Interval::new(2.0, 18.0).unwrap(), vec![cut, cut, Cell::Verified, Cell::Undecided, Cell::Verified]);
+        shares(Interval::new(2.0, 18.0).unwrap(), vec![cut, cut, PartitionCell::Verified, PartitionCell::Undecided, PartitionCell::Verified]);
     assert_eq!(halves, [0.25, 0.25, 0.5], "equal halves are exact");
-    let rounded = shares(Interval::new(15.3, 16.7).unwrap(), vec![cut, Cell::Verified, Cell::Undecided]);
+    let rounded = shares(Interval::new(15.3, 16.7).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
     assert!(
         rounded.iter().all(|share| (share - 0.5).abs() < 1e-12) && rounded.iter().sum::<f64>() <= 1.0,
         "{rounded:?}"
@@ -156,26 +156,26 @@ fn insert_residual(text: &mut String, how: &str) {
 /// Of a law that is read it is known what drives: numbers that are not stated are the simulator's.
 #[test]
 fn a_policy_that_departs_from_a_law_is_read_with_it() {
-    let how = |how: &str| Actor::from_bytes(&with_header(|text, _| departing(text, how))).unwrap();
-    let Law::Idm(idm) = IDM else { panic!() };
-    let departure = Departure { dead_zone: 0.3, rate_per_s: 200.0, idm };
+    let how = |how: &str| NeuralController::from_bytes(&with_header(|text, _| insert_residual(text, how))).unwrap();
+    let FollowerLaw::Idm(idm) = IDM else { panic!() };
+    let departure = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm };
     let actor = how("\"dead_zone\":0.3,\"rate_per_s\":200");
-    assert_eq!((actor.departs_from, actor.scale_mps2, actor.offset_mps2), (Some(departure), 1.0, 0.0));
-    assert_eq!(actor.action_mps2, [-7.5, 3.0]);
+    assert_eq!((actor.residual_over, actor.scale_mps2, actor.offset_mps2), (Some(departure), 1.0, 0.0));
+    assert_eq!(actor.action_bounds_mps2, [-7.5, 3.0]);
     let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
-    let idm = Idm { time_headway_s: 1.3, ..idm };
-    assert_eq!(other.departs_from, Some(Departure { idm, ..departure }));
+    let idm = IdmLaw { time_headway_s: 1.3, ..idm };
+    assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..departure }));
     // A step of 0.01 s is enough for all of the way at 200 1/s, and not at 199.
-    assert!(claim().scene(&actor).is_ok());
+    assert!(claim().problem(&actor).is_ok());
     let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
-    let refused = claim().scene(&slow).unwrap_err();
+    let refused = claim().problem(&slow).unwrap_err();
     assert!(matches!(refused, Rejection::Policy { .. }), "{refused:?}");
     assert!(refused.to_string().contains("at 199 1/s: over a step of 0.01 s"), "{refused}");
 }
 
 #[test]
 fn what_the_simulator_does_not_drive_with_is_refused() {
-    assert!(Actor::from_bytes(&with_header(|_, _| ())).is_ok());
+    assert!(NeuralController::from_bytes(&with_header(|_, _| ())).is_ok());
     type PolicyTextMutation = fn(&mut String, &mut String);
     let changes: [(&str, PolicyTextMutation); 18] = [
         ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
@@ -187,17 +187,17 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
         ("sees nothing but the present", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
         ("action: departs_from: dead_zone: 1 is not from 0 to 0.99", |text, _| {
-            departing(text, "\"dead_zone\":1.0,\"rate_per_s\":4.0")
+            insert_residual(text, "\"dead_zone\":1.0,\"rate_per_s\":4.0")
         }),
         ("action: departs_from: rate_per_s: 2000 is not", |text, _| {
-            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":2e3")
+            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":2e3")
         }),
         ("action: departs_from: accel_mps2: 0 is not", |text, _| {
-            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"accel_mps2\":0.0}");
+            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"accel_mps2\":0.0}");
         }),
-        ("missing field `rate_per_s`", |text, _| departing(text, "\"dead_zone\":0.3")),
+        ("missing field `rate_per_s`", |text, _| insert_residual(text, "\"dead_zone\":0.3")),
         ("unknown field `max_accel_mps2`", |text, _| {
-            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"max_accel_mps2\":1.0}");
+            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"max_accel_mps2\":1.0}");
         }),
         ("unknown field `note`", |_, header| replace(header, "\"crumple_policy\"", "\"note\":\"\",\"crumple_policy\"")),
         ("duplicate key \"actor.0.bias\"", |_, header| {
@@ -212,9 +212,9 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("bytes that belong to none", |_, header| replace(header, "\"data_offsets\":[0,", "\"data_offsets\":[4,")),
     ];
     for (said, change) in changes {
-        let error = Actor::from_bytes(&with_header(change)).unwrap_err();
+        let error = NeuralController::from_bytes(&with_header(change)).unwrap_err();
         assert!(error.contains(said), "{said}: {error}");
     }
     let longer = [with_header(|_, _| ()), vec![0; 4]].concat();
-    assert!(Actor::from_bytes(&longer).unwrap_err().contains("bytes that belong to none"));
+    assert!(NeuralController::from_bytes(&longer).unwrap_err().contains("bytes that belong to none"));
 }

@@ -1,7 +1,7 @@
 //! What is accepted as unavoidable cannot be avoided.
 
 use crate::support;
-use crate::support::{branches, certificate, drive, member, profiles, proofs, rows, scenes, some_escape};
+use crate::support::{branches, certificate, simulate_scene, pick_member, profiles, proofs, row_values, scenes, has_escape};
 use crumple_verify::unavoidable::check_branch;
 use crumple_verify::*;
 use proptest::prelude::*;
@@ -10,9 +10,9 @@ prop_compose! {
     fn any_case(egos: usize)(scene in scenes(egos))(
         branch in branches(&scene), profiles in profiles(&scene), picks in prop::collection::vec(0.0..=1.0_f64, 32),
         corners in any::<bool>(), scene in Just(scene),
-    ) -> (Scene, Branch, support::Member, Vec<Vec<f64>>) {
+    ) -> (Scene, Branch, support::SceneMember, Vec<Vec<f64>>) {
         let mut picks = picks.into_iter().cycle();
-        let member = member(&scene, || { let p = picks.next().unwrap(); if corners { p.round() } else { p } });
+        let member = pick_member(&scene, || { let p = picks.next().unwrap(); if corners { p.round() } else { p } });
         (scene, branch, member, profiles)
     }
 }
@@ -20,19 +20,19 @@ prop_compose! {
 /// The weighted sum for one member, given by a number between 0 and 1 for each interval, and one drive of it.
 fn sum_m(scene: &Scene, branch: &Branch, picks: &[f64], profiles: &[Vec<f64>]) -> (f64, Vec<(f64, f64, bool)>, u32) {
     let mut picks = picks.iter().cycle();
-    let member = member(scene, || *picks.next().unwrap());
-    let drive = drive(scene, &member, profiles);
-    let rows = rows(scene, &member, &drive, branch);
+    let member = pick_member(scene, || *picks.next().unwrap());
+    let drive = simulate_scene(scene, &member, profiles);
+    let rows = row_values(scene, &member, &drive, branch);
     (rows.iter().map(|(y, value, _)| y * value).sum(), rows, drive.fired)
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(1500))]
+    #![proptest_config(crumple_cases::with_cases(1500))]
 
     /// The bound: no member and no profile has a smaller sum than the least one found, not even the worst.
     #[test]
     fn no_profile_is_below_the_bound(
-        (scene, branch, _, mut profiles) in (1..4_usize).prop_flat_map(cases),
+        (scene, branch, _, mut profiles) in (1..4_usize).prop_flat_map(any_case),
         mut picks in prop::collection::vec(0.0..=1.0_f64, 24),
     ) {
         let proved = check_branch(&scene, &branch, 3);
@@ -71,22 +71,22 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_global_rejects: 1_000_000, ..crumple_cases::cases(6000) })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 1_000_000, ..crumple_cases::with_cases(6000) })]
 
     /// The rows: whoever escapes satisfies each of them.
     #[test]
-    fn every_escape_satisfies_every_row((scene, branch, member, profiles) in (1..3_usize).prop_flat_map(cases)) {
-        let drive = drive(&scene, &member, &profiles);
+    fn every_escape_satisfies_every_row((scene, branch, member, profiles) in (1..3_usize).prop_flat_map(any_case)) {
+        let drive = simulate_scene(&scene, &member, &profiles);
         prop_assume!(drive.min_gap_m > 0.0);
         prop_assume!((branch.first..=branch.last).contains(&drive.fired));
-        for (_, value, _) in rows(&scene, &member, &drive, &branch) {
+        for (_, value, _) in row_values(&scene, &member, &drive, &branch) {
             prop_assert!(value <= 1e-9);
         }
     }
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::cases(500) })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::with_cases(500) })]
 
     /// Random multipliers prove something or nothing, never something false.
     #[test]
@@ -94,12 +94,12 @@ proptest! {
         (scene, branches) in prop_oneof![3 => Just(1), 1 => Just(2)].prop_flat_map(proofs),
         picks in prop::collection::vec(0.0..=1.0_f64, 32),
     ) {
-        let accepted = check(&certificate(Statement::Unavoidable(Unavoidable { scene: scene.clone(), branches })));
+        let accepted = check(&certificate(Statement::Unavoidable(UnavoidableClaim { scene: scene.clone(), branches })));
         prop_assume!(accepted.is_ok());
         let mut picks = picks.into_iter().cycle();
-        let member = member(&scene, || picks.next().unwrap());
+        let member = pick_member(&scene, || picks.next().unwrap());
         let blocks = if scene.egos.len() == 1 { 6 } else { 3 };
-        prop_assert!(!some_escape(&scene, &member, blocks));
+        prop_assert!(!has_escape(&scene, &member, blocks));
     }
 }
 
@@ -107,7 +107,7 @@ proptest! {
 #[test]
 fn the_bound_is_attained() {
     let scene = standing_leader(1.0);
-    let proved = |front: Rows| check_branch(&scene, &Branch { last: 10, front, ..Branch::default() }, 0);
+    let proved = |front: MultiplierRows| check_branch(&scene, &Branch { last: 10, front, ..Branch::default() }, 0);
     // 20 t - 4 t² - 1 at t = 0.1, and the mean of that at 0.1 and 0.2.
     assert!((proved(vec![(1, 1.0)]).unwrap() - 0.96).abs() < 1e-12);
     assert!((proved(vec![(1, 5.0), (2, 5.0)]).unwrap() - (0.96 + 2.84) / 2.0).abs() < 1e-12);
@@ -124,9 +124,9 @@ fn standing_leader(gap_m: f64) -> Scene {
             position_m: Interval::point(gap_m + 2.0),
             length_m: 2.0,
             speed_mps: Interval::ZERO,
-            acceleration_mps2: vec![Held(10, Interval::ZERO)],
+            acceleration_mps2: vec![ConstantPiece(10, Interval::ZERO)],
         },
-        egos: vec![Ego {
+        egos: vec![SceneEgo {
             position_m: Interval::ZERO,
             length_m: 2.0,
             speed_mps: Interval::point(20.0),
@@ -165,7 +165,7 @@ fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
 #[test]
 fn what_would_prove_anything_is_refused() {
     let follower = follower_at(-9.0, 20.0);
-    let sound = |scene: Scene| Unavoidable {
+    let sound = |scene: Scene| UnavoidableClaim {
         branches: match scene.follower {
             None => vec![Branch { last: 10, front: vec![(1, 1.0)], ..Branch::default() }],
             Some(_) => [(0, 0), (1, 4), (5, 10)]
@@ -174,13 +174,13 @@ fn what_would_prove_anything_is_refused() {
         },
         scene,
     };
-    let result = |change: &dyn Fn(&mut Unavoidable), follower: Option<&Follower>| {
+    let result = |change: &dyn Fn(&mut UnavoidableClaim), follower: Option<&Follower>| {
         let mut claim = sound(Scene { follower: follower.cloned(), ..standing_leader(1.0) });
         change(&mut claim);
         check(&certificate(Statement::Unavoidable(claim)))
     };
     assert!(result(&|_| {}, None).is_ok());
-    let refused = |expected: &str, change: &dyn Fn(&mut Unavoidable)| {
+    let refused = |expected: &str, change: &dyn Fn(&mut UnavoidableClaim)| {
         let message = result(change, Some(&follower)).unwrap_err().to_string();
         assert!(message.contains(expected), "{message} instead of {expected}");
     };
@@ -220,7 +220,7 @@ fn what_would_prove_anything_is_refused() {
     refused("is not proved", &|claim| claim.scene.egos[0].max_brake_mps2 = 1e308);
     // Rows of a follower that is not there.
     for change in [
-        (&|claim: &mut Unavoidable| claim.branches[0].rear = vec![(1, 0.0)]) as &dyn Fn(&mut Unavoidable),
+        (&|claim: &mut UnavoidableClaim| claim.branches[0].rear = vec![(1, 0.0)]) as &dyn Fn(&mut UnavoidableClaim),
         &|claim| claim.branches[0].unfired = vec![(0, 0.0)],
         &|claim| claim.branches[0].fired = 1.0,
     ] {
@@ -261,23 +261,23 @@ fn final_branch(first: u32) -> Branch {
     Branch { first, last: 5, front: vec![(5, 2.0)], ..Branch::default() }
 }
 
-fn gap_bound(scene: &Scene, branches: &[Branch], gap_m: f64) -> Result<Accepted, Rejection> {
-    let claim = GapBound { scene: scene.clone(), gap_m, branches: branches.to_vec() };
+fn gap_bound(scene: &Scene, branches: &[Branch], gap_m: f64) -> Result<ProvedClaim, Rejection> {
+    let claim = GapBoundClaim { scene: scene.clone(), gap_m, branches: branches.to_vec() };
     check(&certificate(Statement::GapBound(claim)))
 }
 
 #[test]
 fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
-    let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping(gap_m, None), &[final_branch(0)], stated_m);
-    let Ok(Accepted::GapBound { gap_m, horizon_s }) = with(30.0, 5.5) else { panic!("{:?}", with(30.0, 5.5)) };
+    let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping_scene(gap_m, None), &[final_branch(0)], stated_m);
+    let Ok(ProvedClaim::GapBound { gap_m, horizon_s }) = with(30.0, 5.5) else { panic!("{:?}", with(30.0, 5.5)) };
     assert!(gap_m >= 5.0 && gap_m - 5.0 < 1e-12 && horizon_s == 2.5, "{gap_m} {horizon_s}");
-    assert_eq!(with(30.0, gap_m), Ok(Accepted::GapBound { gap_m, horizon_s }));
+    assert_eq!(with(30.0, gap_m), Ok(ProvedClaim::GapBound { gap_m, horizon_s }));
     let stated_m = gap_m.next_down();
     assert_eq!(with(30.0, stated_m), Err(Rejection::GapBound { stated_m, gap_m }));
     let said = with(30.0, 4.0).unwrap_err().to_string();
     assert_eq!(said, format!("`gap_m` is 4, and only {gap_m} m is proved"));
     // Where it touches, no gap above 0 is kept.
-    assert_eq!(with(20.0, 0.0), Ok(Accepted::GapBound { gap_m: 0.0, horizon_s }));
+    assert_eq!(with(20.0, 0.0), Ok(ProvedClaim::GapBound { gap_m: 0.0, horizon_s }));
     for stated_m in [-1e-300, -5.0, f64::NAN, f64::INFINITY] {
         let said = with(30.0, stated_m).unwrap_err().to_string();
         assert_eq!(said, "`gap_m` must be a number that is not negative", "{stated_m}");
@@ -285,7 +285,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
     // Without a row of contact nothing is said of a gap.
     let speed = vec![vec![(5, 1.0)]];
     for nothing in [Branch { last: 5, ..Branch::default() }, Branch { last: 5, speed, ..Branch::default() }] {
-        let refused = gap_bound(&stopping(30.0, None), &[nothing], 1e9);
+        let refused = gap_bound(&stopping_scene(30.0, None), &[nothing], 1e9);
         assert!(matches!(refused, Err(Rejection::Unproved { branch: 0, sum_m }) if sum_m < 0.0), "{refused:?}");
     }
 }
@@ -296,14 +296,14 @@ fn a_branch_that_nobody_is_in_takes_nothing_away() {
     let follower = follower_at(-50.0, 0.0);
     let fires = |k: u32| Branch { first: k, last: k, fired: 1.0, ..Branch::default() };
     let branches: Vec<Branch> = (0..5).map(fires).chain([final_branch(5)]).collect();
-    let scene = |gap_m: f64| stopping(gap_m, Some(follower.clone()));
+    let scene = |gap_m: f64| stopping_scene(gap_m, Some(follower.clone()));
     assert_eq!(check_branch(&scene(20.0), &branches[3], 3), Ok(f64::INFINITY));
     match gap_bound(&scene(30.0), &branches, 5.5) {
-        Ok(Accepted::GapBound { gap_m, .. }) => assert!((gap_m - 5.0).abs() < 1e-12, "{gap_m}"),
+        Ok(ProvedClaim::GapBound { gap_m, .. }) => assert!((gap_m - 5.0).abs() < 1e-12, "{gap_m}"),
         other => panic!("{other:?}"),
     }
-    match check(&certificate(Statement::Unavoidable(Unavoidable { scene: scene(20.0), branches }))) {
-        Ok(Accepted::Unavoidable { overlap_m, horizon_s }) => {
+    match check(&certificate(Statement::Unavoidable(UnavoidableClaim { scene: scene(20.0), branches }))) {
+        Ok(ProvedClaim::Unavoidable { overlap_m, horizon_s }) => {
             assert!(overlap_m <= 5.0 && 5.0 - overlap_m < 1e-12 && horizon_s == 2.5, "{overlap_m} {horizon_s}");
         }
         other => panic!("{other:?}"),
@@ -312,7 +312,7 @@ fn a_branch_that_nobody_is_in_takes_nothing_away() {
 
 #[test]
 fn a_branch_alone_lies_within_the_instants_too() {
-    let of = |first, last| check_branch(&stopping(20.0, None), &Branch { first, last, ..final_branch(0) }, 7);
+    let of = |first, last| check_branch(&stopping_scene(20.0, None), &Branch { first, last, ..final_branch(0) }, 7);
     assert!(of(0, 5).is_ok() && of(5, 5).is_ok());
     for (first, last) in [(3, 2), (0, 6), (6, 6), (6, 5)] {
         assert_eq!(of(first, last), Err(Rejection::Tiling { branch: 7 }), "{first} {last}");
@@ -324,7 +324,7 @@ fn a_branch_alone_lies_within_the_instants_too() {
 fn an_overlap_that_is_proved_is_more_than_nothing() {
     let mut proved = 0;
     for (ulps, y) in (1..12).flat_map(|ulps| (1..40).map(move |y| (ulps, y))) {
-        let mut scene = stopping(0.0, None);
+        let mut scene = stopping_scene(0.0, None);
         scene.leader.position_m = Interval::point(-f64::from_bits(ulps));
         (scene.leader.length_m, scene.egos[0].speed_mps) = (0.0, Interval::ZERO);
         let branch = Branch { last: 5, front: vec![(0, f64::from(y))], ..Branch::default() };
@@ -344,20 +344,20 @@ fn an_overlap_that_is_proved_is_more_than_nothing() {
 fn work_is_counted_for_every_instant_and_vehicle() {
     let follower = follower_at(-50.0, 0.0);
     for (egos, follower, vehicles) in [(1, None, 2), (1, Some(follower.clone()), 3), (3, Some(follower), 5)] {
-        let mut scene = stopping(20.0, follower);
+        let mut scene = stopping_scene(20.0, follower);
         scene.egos = vec![scene.egos[0].clone(); egos];
-        let (witness, min_gap_m_at_least) = (vec![vec![Held(5, 0.0)]; egos], None);
+        let (witness, min_gap_m_at_least) = (vec![vec![ConstantPiece(5, 0.0)]; egos], None);
         let branches = vec![final_branch(0)];
         for statement in [
-            Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least }),
-            Statement::Unavoidable(Unavoidable { scene: scene.clone(), branches: branches.clone() }),
-            Statement::GapBound(GapBound { scene, gap_m: 0.0, branches }),
+            Statement::Avoidable(AvoidableClaim { scene: scene.clone(), witness, min_gap_m_at_least }),
+            Statement::Unavoidable(UnavoidableClaim { scene: scene.clone(), branches: branches.clone() }),
+            Statement::GapBound(GapBoundClaim { scene, gap_m: 0.0, branches }),
         ] {
             let claim = certificate(statement);
             let (needed, name) = (6 * vehicles * 400, claim.statement.name());
             let is_too_much = |operations: u64| {
-                let checked = check_with(&claim, None, WorkLimit::operations(operations));
-                matches!(checked, Err(Rejection::TooMuchWork { .. }))
+                let checked = check_with(&claim, None, WorkLimit::from_operations(operations));
+                matches!(checked, Err(Rejection::BudgetExceeded { .. }))
             };
             assert!(!is_too_much(needed) && is_too_much(needed - 1), "{name}: {vehicles}");
         }

@@ -1,6 +1,6 @@
 //! A file keeps the checker busy no longer than is allowed, however much it announces.
 
-use crumple_verify::{Accepted, Certificate, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::{ProvedClaim, Certificate, Rejection, Statement, WorkLimit, check, check_with};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -40,7 +40,7 @@ fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
         "partition": cells(cuts), "verified_share_at_least": 0, "falsified_share_at_least": 0, "min_gap_m_at_least": 0
     });
     let driven = ["exact-motion", "scripted-leader", "policy-drives", "observed-within", "tanh-within"];
-    file("reach", &[&driven[..], &["latched-follower"]].concat(), claim)
+    certificate_from_json("reach", &[&driven[..], &["latched-follower"]].concat(), claim)
 }
 
 /// One of each other kind, all of them true.
@@ -65,11 +65,11 @@ fn other_certificates() -> Vec<Certificate> {
         })
     };
     vec![
-        file("avoidable", &["exact-motion", "scripted-leader", "ego-on-profile"], avoidable),
-        file("unavoidable", &["exact-motion", "scripted-leader", "ego-within-limits"], unavoidable),
-        file("kernel", &["exact-motion", "leader-within-limit", "ego-can-brake"], kernel),
-        file("rate", &["registered-draws"], registered("failures", 0, "rate_at_most", json!(0.01))),
-        file(
+        certificate_from_json("avoidable", &["exact-motion", "scripted-leader", "ego-on-profile"], avoidable),
+        certificate_from_json("unavoidable", &["exact-motion", "scripted-leader", "ego-within-limits"], unavoidable),
+        certificate_from_json("kernel", &["exact-motion", "leader-within-limit", "ego-can-brake"], kernel),
+        certificate_from_json("rate", &["registered-draws"], registered("failures", 0, "rate_at_most", json!(0.01))),
+        certificate_from_json(
             "comparison",
             &["registered-draws"],
             registered("only_first_failed", 0, "only_second_failed", json!(1000)),
@@ -77,39 +77,39 @@ fn other_certificates() -> Vec<Certificate> {
     ]
 }
 
-fn is_too_much(result: &Result<Accepted, Rejection>) -> bool {
-    matches!(result, Err(Rejection::TooMuchWork { .. }))
+fn is_too_much(result: &Result<ProvedClaim, Rejection>) -> bool {
+    matches!(result, Err(Rejection::BudgetExceeded { .. }))
 }
 
 #[test]
 fn what_announces_much_is_given_up() {
     // 32 767 cells of a hundred thousand steps in half a megabyte: many hours.
-    let endless = reach(14, 100_000);
-    let limit = WorkLimit::billions(1);
+    let endless = reach_certificate(14, 100_000);
+    let limit = WorkLimit::from_billions(1);
     let result = check_with(&endless, Some(&policy()), limit);
-    assert_eq!(result, Err(Rejection::TooMuchWork { limit }));
+    assert_eq!(result, Err(Rejection::BudgetExceeded { limit }));
     let message = result.unwrap_err().to_string();
     assert_eq!(message, "checking it takes more than 1000000000 operations, and no more are allowed");
-    for claim in others() {
+    for claim in other_certificates() {
         assert!(check(&claim).is_ok(), "{:?}", check(&claim));
         let name = claim.statement.name();
-        assert!(is_too_much(&check_with(&claim, None, WorkLimit::operations(1000))), "{name}");
-        assert!(check_with(&claim, None, WorkLimit::billions(1)).is_ok(), "{name}");
+        assert!(is_too_much(&check_with(&claim, None, WorkLimit::from_operations(1000))), "{name}");
+        assert!(check_with(&claim, None, WorkLimit::from_billions(1)).is_ok(), "{name}");
     }
 }
 
 #[test]
 fn limits_are_said_in_whole_billions() {
     for (operations, billions) in [(0, 0), (999_999_999, 0), (1_000_000_000, 1), (7_999_999_999, 7)] {
-        assert_eq!(WorkLimit::operations(operations).to_billions(), billions);
+        assert_eq!(WorkLimit::from_operations(operations).to_billions(), billions);
     }
-    assert_eq!((WorkLimit::billions(3).to_billions(), WorkLimit::default().to_billions()), (3, 4000));
+    assert_eq!((WorkLimit::from_billions(3).to_billions(), WorkLimit::default().to_billions()), (3, 4000));
 }
 
 /// Who follows by a law takes operations in every step, however rarely the ego decides: some 300 000 of them here.
 #[test]
 fn who_follows_by_a_law_is_counted() {
-    let (mut claim, limit) = (reach(0, 3000), WorkLimit::operations(600_000_000));
+    let (mut claim, limit) = (reach_certificate(0, 3000), WorkLimit::from_operations(600_000_000));
     assert!(check_with(&claim, Some(&policy()), limit).is_ok());
     let Statement::Reach(of) = &mut claim.statement else { panic!() };
     (of.follower_ttc_s, of.follower_law) = (None, Some(Box::new(IDM)));
@@ -121,8 +121,8 @@ fn who_follows_by_a_law_is_counted() {
 /// Threads share what is allowed: where the limit lies does not depend on which of them is first.
 #[test]
 fn the_limit_is_where_it_was() {
-    let (claim, policy) = (reach(3, 500), policy());
-    let checked = |operations: u64| check_with(&claim, Some(&policy), WorkLimit::operations(operations));
+    let (claim, policy) = (reach_certificate(3, 500), policy());
+    let checked = |operations: u64| check_with(&claim, Some(&policy), WorkLimit::from_operations(operations));
     let (mut refused, mut enough) = (0, 1 << 40);
     assert!(checked(enough).is_ok(), "{:?}", checked(enough));
     while enough - refused > 1 {
@@ -143,8 +143,8 @@ fn the_limit_is_where_it_was() {
 /// Lists and maps whose entries take more memory than text.
 #[test]
 fn no_list_is_longer_than_what_it_is_about() {
-    let [avoidable, unavoidable, .., rate, _] = &others()[..] else { panic!("five kinds") };
-    let reach = reach(1, 100);
+    let [avoidable, unavoidable, .., rate, _] = &other_certificates()[..] else { panic!("five kinds") };
+    let reach = reach_certificate(1, 100);
     let empty: Vec<()> = Vec::new();
     let many = |count: usize, entry: &Value| Value::Array(vec![entry.clone(); count]);
     let scene = "/statement/avoidable/scene";

@@ -59,14 +59,14 @@ mod tests {
     #[test]
     fn lone_waves_have_the_exact_interval_of_poisson() {
         for (count, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.390), (100, 81.364, 121.627)] {
-            let [found_low, found_high] = expected_episodes(EpisodeClusters::lone(count), 0.95);
+            let [found_low, found_high] = expected_count_interval(EpisodeClusters::singletons(count), 0.95);
             assert!(
                 (found_low - low).abs() < 1e-3 && (found_high - high).abs() < 1e-3,
                 "{count}: {found_low} {found_high}"
             );
         }
-        let [low, high] = expected_episodes(EpisodeClusters::of(&[3; 10]), 0.95);
-        let [lone_low, lone_high] = expected_episodes(EpisodeClusters::of(&[1; 10]), 0.95);
+        let [low, high] = expected_count_interval(EpisodeClusters::from_sizes(&[3; 10]), 0.95);
+        let [lone_low, lone_high] = expected_count_interval(EpisodeClusters::from_sizes(&[1; 10]), 0.95);
         assert!((low - 3.0 * lone_low).abs() < 1e-9 && (high - 3.0 * lone_high).abs() < 1e-9);
     }
 
@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn very_many_episodes_are_not_taken_for_fewer() {
         let deviation = 1e7_f64.sqrt();
-        let [low, high] = expected_episodes(EpisodeClusters::lone(10_000_000), 0.95);
+        let [low, high] = expected_count_interval(EpisodeClusters::singletons(10_000_000), 0.95);
         assert!((1e7 - low - 1.96 * deviation).abs() < 10.0, "{low}");
         assert!((high - 1e7 - 1.96 * deviation).abs() < 10.0, "{high}");
     }

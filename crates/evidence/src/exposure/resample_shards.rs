@@ -84,7 +84,7 @@ mod tests {
             let ends: Vec<u64> = [0].into_iter().chain(cuts).chain([10_000]).collect();
             let mut end = 0;
             for pair in ends.windows(2) {
-                let own = own_resamples(resamples, &(pair[0]..pair[1]), 10_000);
+                let own = resample_range(resamples, &(pair[0]..pair[1]), 10_000);
                 prop_assert_eq!(own.start, end);
                 end = own.end;
             }

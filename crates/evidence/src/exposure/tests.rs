@@ -1,8 +1,8 @@
 use super::*;
-use crate::fit::refitted;
+use crate::fit::refit;
 use crate::rare::Level;
 use crumple_world::random::{Purpose, Stream, stream};
-use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, file};
+use crumple_world::scenario::space::{Exposure, ObservedData, ObservedParameter, file};
 use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;
@@ -28,7 +28,7 @@ parameters = ["gap_m", "rate"]
 correlation = [[1.0, -0.4], [-0.4, 1.0]]
 "#;
 
-fn traffic() -> Space {
+fn traffic() -> ScenarioSpace {
     file::from_toml(TRAFFIC, Path::new("synthetic.toml")).unwrap()
 }
 
@@ -37,12 +37,12 @@ fn fails(values: &[f64]) -> bool {
 }
 
 /// Failures among draws of a space.
-fn failures(space: &Space, seed: u64, runs: u64) -> Result<u64, std::convert::Infallible> {
+fn failures(space: &ScenarioSpace, seed: u64, runs: u64) -> Result<u64, std::convert::Infallible> {
     Ok((0..runs).filter(|&index| fails(&space.values(&space.draw_point(seed, index)))).count() as u64)
 }
 
 /// What somebody sees who drives along for so many hours in traffic with so many episodes an hour, and the space fitted to it.
-fn observe_traffic(truth: &Space, hours: f64, an_hour: f64, random: &mut Stream) -> Space {
+fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut Stream) -> ScenarioSpace {
     let waiting = Exp::new(an_hour).unwrap();
     let (mut at_hours, mut columns): (f64, [Vec<f64>; 2]) = (waiting.sample(random), Default::default());
     while at_hours < hours {
@@ -62,9 +62,9 @@ fn observe_traffic(truth: &Space, hours: f64, an_hour: f64, random: &mut Stream)
         point_mass: None,
         values,
     });
-    let observed = Observed { waves: (0..episodes as u32).collect(), parameters: parameters.collect() };
+    let observed = ObservedData { braking_clusters: (0..episodes as u32).collect(), parameters: parameters.collect() };
     spec.observed = Some(observed.clone());
-    refitted(&spec, &observed).unwrap()
+    refit(&spec, &observed).unwrap()
 }
 
 /// How many of so many trials hold the true rate per hour: with the data's uncertainty, and without.
@@ -74,13 +74,13 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     let probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
     let mut held = [0; 2];
     for trial in 0..trials {
-        let space = seen(&truth, hours, AN_HOUR, &mut stream(trial, Purpose::Search, 77));
+        let space = observe_traffic(&truth, hours, AN_HOUR, &mut stream(trial, Purpose::Search, 77));
         let runs = 2000;
         let known = FailureProbability::Counted { failures: failures(&space, trial, runs).unwrap(), unknown: 0, runs };
-        let resamples = run_again(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
-        let rate = ExposedRate::of(&space, known, Ok(&resamples)).unwrap();
-        let holds = |figure: Figure| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
-        held[0] += holds(rate.with_data.unwrap().figures.per_hour);
+        let resamples = count_on_resamples(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
+        let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
+        let holds = |figure: IntervalEstimate| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
+        held[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
         held[1] += holds(rate.fitted.per_hour);
     }
     println!("{hours} h, failures {probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour");
@@ -107,15 +107,15 @@ fn coverage_at_several_exposures() {
 fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_counting() {
     let truth = traffic();
     let known = FailureProbability::Counted { failures: 3, unknown: 0, runs: 1000 };
-    let none = Err(&ResamplingError::NotAsked);
-    assert_eq!(ExposedRate::of(&truth, known, none), None);
+    let none = Err(&ResamplingError::NotRequested);
+    assert_eq!(RatePerExposure::new(&truth, known, none), None);
     let mut spec = truth.spec().clone();
     spec.exposure = Some(exposure_for(2.0, 0));
-    let space = Space::new(spec, Path::new("")).unwrap();
-    assert_eq!(run_again(&space, 0, 79, 10, &mut failures).unwrap(), Err(ResamplingError::NoData));
-    let rate = ExposedRate::of(&space, known, none).unwrap();
-    assert_eq!((rate.waves, rate.with_data), (50, None));
-    let Figures { per_episode, per_hour, per_1000_km } = rate.fitted;
+    let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
+    assert_eq!(count_on_resamples(&space, 0, 79, 10, &mut failures).unwrap(), Err(ResamplingError::NoData));
+    let rate = RatePerExposure::new(&space, known, none).unwrap();
+    assert_eq!((rate.clusters, rate.with_data_uncertainty), (50, None));
+    let FailureRates { per_episode, per_hour, per_1000_km } = rate.fitted;
     assert!((per_hour.estimate - 0.075).abs() < 1e-12 && (per_1000_km.estimate - 1.5).abs() < 1e-12);
     // Jointly longer than either alone.
     assert!(per_hour.upper / per_hour.estimate > per_episode.upper / per_episode.estimate);
@@ -133,12 +133,12 @@ fn brakings_that_were_left_out_count_in_rates_per_hour() {
     let rate = |left_out: u64| {
         let mut spec = traffic().spec().clone();
         spec.exposure = Some(exposure_for(2.0, left_out));
-        let space = Space::new(spec, Path::new("")).unwrap();
-        ExposedRate::of(&space, known, Err(&ResamplingError::NotAsked)).unwrap()
+        let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
+        RatePerExposure::new(&space, known, Err(&ResamplingError::NotRequested)).unwrap()
     };
     let (all, half) = (rate(0), rate(50));
     assert_eq!((all.left_out, half.left_out, half.fitted.per_episode), (0, 50, all.fitted.per_episode));
-    let of = |figure: Figure| [figure.estimate, figure.lower, figure.upper];
+    let of = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
     for (one, two) in [(all.fitted.per_hour, half.fitted.per_hour), (all.fitted.per_1000_km, half.fitted.per_1000_km)] {
         assert!(of(one).iter().zip(of(two)).all(|(one, two)| (2.0 * one - two).abs() < 1e-12), "{one:?} {two:?}");
     }
@@ -149,10 +149,10 @@ fn brakings_that_were_left_out_count_in_rates_per_hour() {
 fn estimates_without_a_spread_still_bound_the_rate() {
     let mut spec = traffic().spec().clone();
     spec.exposure = Some(exposure_for(2.0, 0));
-    let space = Space::new(spec, Path::new("")).unwrap();
+    let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
     let rate = |probability: Option<f64>, independent: (u64, u64)| {
         let (independent_failures, independent_runs) = independent;
-        let estimate = Estimate {
+        let estimate = RareEstimate {
             probability,
             coefficient_of_variation: probability.filter(|found| *found > 0.0).map(|_| 0.0),
             interval_95: None,
@@ -163,10 +163,10 @@ fn estimates_without_a_spread_still_bound_the_rate() {
             levels: Vec::new(),
             largest_weight: None,
         };
-        ExposedRate::of(&space, FailureProbability::Estimated(&estimate), Err(&ResamplingError::NotAsked))
+        RatePerExposure::new(&space, FailureProbability::Estimated(&estimate), Err(&ResamplingError::NotRequested))
     };
     for nothing in [rate(None, (0, 500)), rate(Some(0.0), (0, 500))] {
-        let Figures { per_episode, per_hour, .. } = nothing.expect("an upper end is known").fitted;
+        let FailureRates { per_episode, per_hour, .. } = nothing.expect("an upper end is known").fitted;
         assert_eq!((per_episode.estimate, per_episode.lower, per_hour.estimate), (0.0, 0.0, 0.0));
         assert!((per_episode.upper - (1.0 - 0.025_f64.powf(1.0 / 500.0))).abs() < 1e-9, "{per_episode:?}");
         // 50 episodes in 2 h, of which there may have been up to 69 where 50 were seen, each with a probability of up to 0.9 %.
@@ -183,21 +183,21 @@ fn estimates_without_a_spread_still_bound_the_rate() {
 fn percentiles_of_few_resamples_are_not_stated() {
     let resamples = |count: u32| {
         let values: Vec<f64> = (1..=count).map(f64::from).collect();
-        Resamples { spread: [values.clone(), values], unfit: 0, runs_each: None, variance: 0.0 }
+        Resamples { sorted_bounds: [values.clone(), values], failed_fits: 0, runs_each: None, data_variance: 0.0 }
     };
-    assert_eq!(resamples(78).between(0.975), None);
-    assert_eq!(resamples(79).between(0.975), Some([1.0, 79.0]));
-    assert_eq!(resamples(79).between(0.95), Some([2.0, 78.0]));
-    assert_eq!(resamples(159).between(0.975), Some([2.0, 158.0]));
-    assert_eq!(resamples(200).between(0.95), Some([5.0, 196.0]));
-    let space = seen(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
-    let few = run_again(&space, 0, 78, 10, &mut failures).unwrap();
-    assert_eq!(few, Err(ResamplingError::TooFew { asked: 78 }));
+    assert_eq!(resamples(78).percentile_interval(0.975), None);
+    assert_eq!(resamples(79).percentile_interval(0.975), Some([1.0, 79.0]));
+    assert_eq!(resamples(79).percentile_interval(0.95), Some([2.0, 78.0]));
+    assert_eq!(resamples(159).percentile_interval(0.975), Some([2.0, 158.0]));
+    assert_eq!(resamples(200).percentile_interval(0.95), Some([5.0, 196.0]));
+    let space = observe_traffic(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
+    let few = count_on_resamples(&space, 0, 78, 10, &mut failures).unwrap();
+    assert_eq!(few, Err(ResamplingError::TooFew { requested: 78 }));
     // What was changed after it was fitted is not what resamples would be.
     let mut spec = space.spec().clone();
     spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
-    let changed = Space::new(spec, Path::new("")).unwrap();
-    let refused = run_again(&changed, 0, 79, 10, &mut failures).unwrap();
+    let changed = ScenarioSpace::new(spec, Path::new("")).unwrap();
+    let refused = count_on_resamples(&changed, 0, 79, 10, &mut failures).unwrap();
     assert_eq!(refused, Err(ResamplingError::Edited { what: "`gap_m`".to_owned() }));
 }
 
@@ -205,8 +205,8 @@ fn percentiles_of_few_resamples_are_not_stated() {
 #[test]
 fn estimates_in_resamples_agree_with_new_runs() {
     let truth = traffic();
-    let space = seen(&truth, 20.0, 12.0, &mut stream(3, Purpose::Search, 77));
-    let estimate = |probability: Option<f64>| Estimate {
+    let space = observe_traffic(&truth, 20.0, 12.0, &mut stream(3, Purpose::Search, 77));
+    let estimate = |probability: Option<f64>| RareEstimate {
         probability,
         coefficient_of_variation: probability.map(|_| 1e-6),
         interval_95: None,
@@ -224,16 +224,16 @@ fn estimates_in_resamples_agree_with_new_runs() {
         }],
         largest_weight: None,
     };
-    let share = |space: &Space, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
-    let climbed = estimate_again(&space, 9, 80, &mut |space: &Space, seed| Ok(estimate(Some(share(space, seed)?))));
+    let share = |space: &ScenarioSpace, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
+    let climbed = estimate_on_resamples(&space, 9, 80, &mut |space: &ScenarioSpace, seed| Ok(estimate(Some(share(space, seed)?))));
     let climbed: Result<_, std::convert::Infallible> = climbed;
     let (climbed, counted) =
-        (climbed.unwrap().unwrap(), run_again(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
-    for (a, b) in climbed.spread[0].iter().zip(&counted.spread[0]) {
+        (climbed.unwrap().unwrap(), count_on_resamples(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
+    for (a, b) in climbed.sorted_bounds[0].iter().zip(&counted.sorted_bounds[0]) {
         assert!((a - b).abs() < 0.03, "{a} {b}");
     }
-    let ratio = climbed.variance / counted.variance;
+    let ratio = climbed.data_variance / counted.data_variance;
     assert!((0.7..1.4).contains(&ratio), "{ratio}");
-    let none = estimate_again(&space, 9, 80, &mut |_: &Space, _| Ok::<_, std::convert::Infallible>(estimate(None)));
-    assert_eq!(none.unwrap().unwrap().between(0.95), Some([0.0, 1e-3]));
+    let none = estimate_on_resamples(&space, 9, 80, &mut |_: &ScenarioSpace, _| Ok::<_, std::convert::Infallible>(estimate(None)));
+    assert_eq!(none.unwrap().unwrap().percentile_interval(0.95), Some([0.0, 1e-3]));
 }

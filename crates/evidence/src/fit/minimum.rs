@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn a_banana_is_descended_and_its_curvature_known() {
         let banana = |[x, y]: [f64; 2]| (1.0 - x).powi(2) + 100.0 * (y - x * x).powi(2);
-        let found = minimum(&banana, [-1.2, 1.0]);
+        let found = minimize(&banana, [-1.2, 1.0]);
         assert!((found[0] - 1.0).abs() < 1e-5 && (found[1] - 1.0).abs() < 1e-5, "{found:?}");
         let [[xx, xy], [_, yy]] = hessian(&banana, found).unwrap();
         assert!((xx - 802.0).abs() < 0.1 && (xy + 400.0).abs() < 0.1 && (yy - 200.0).abs() < 0.1, "{xx} {xy} {yy}");

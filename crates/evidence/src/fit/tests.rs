@@ -3,48 +3,48 @@ use std::path::Path;
 
 use rand::RngExt;
 
-use super::dependence::{self, Column};
-use super::episodes::numbers;
+use super::dependence::{self, CopulaColumn};
+use super::episodes::features;
 use super::marginal::FamilyRanking;
 use super::*;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{Leaders, MinBrake, Recording, read};
+use crumple_world::recording::{LeaderSelection, MinBrake, Recording, read};
 use crumple_world::scenario::space::{
-    Dependence, Distribution, LogNormal, Normal, Observed, ObservedParameter, ShapeScaleSpec, Space, Uniform, file,
+    Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter, ShapeScaleSpec, ScenarioSpace, UniformSpec, file,
 };
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
 /// A distribution with its parameters, cut where a scenario could be.
-fn known_distributions() -> Vec<(Distribution, Family, [f64; 2], [f64; 2])> {
+fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2], [f64; 2])> {
     let range = [0.2, 12.0];
     let [low, high] = range;
     vec![
-        (Distribution::Uniform(Uniform { low: 1.0, high: 4.0 }), Family::Uniform, [1.0, 4.0], range),
-        (Distribution::Normal(Normal { mean: 2.0, deviation: 1.2, low, high }), Family::Normal, [2.0, 1.2], range),
+        (DistributionSpec::Uniform(UniformSpec { low: 1.0, high: 4.0 }), DistributionFamily::Uniform, [1.0, 4.0], range),
+        (DistributionSpec::Normal(NormalSpec { mean: 2.0, deviation: 1.2, low, high }), DistributionFamily::Normal, [2.0, 1.2], range),
         (
-            Distribution::LogNormal(LogNormal { ln_mean: 0.3, ln_deviation: 0.5, low, high }),
-            Family::LogNormal,
+            DistributionSpec::LogNormal(LogNormalSpec { ln_mean: 0.3, ln_deviation: 0.5, low, high }),
+            DistributionFamily::LogNormal,
             [0.3, 0.5],
             range,
         ),
-        (Distribution::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }), Family::Gamma, [4.0, 0.5], range),
-        (Distribution::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }), Family::Weibull, [2.0, 2.2], range),
+        (DistributionSpec::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }), DistributionFamily::Gamma, [4.0, 0.5], range),
+        (DistributionSpec::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }), DistributionFamily::Weibull, [2.0, 2.2], range),
     ]
 }
 
-fn draw_values(distribution: &Distribution, count: usize, seed: u64) -> Vec<f64> {
-    let (ready, mut random) = (distribution.ready().unwrap(), stream(seed, Purpose::Resampling, 0));
+fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<f64> {
+    let (ready, mut random) = (distribution.build().unwrap(), stream(seed, Purpose::Resampling, 0));
     (0..count).map(|_| ready.quantile(random.random())).collect()
 }
 
 /// 200 trials of 200 draws each: an interval at 95 % misses 18 times or more with a probability below 2 %, and these seeds are fixed.
 #[test]
 fn intervals_hold_the_parameters_of_known_distributions() {
-    for (distribution, family, truth, range) in known() {
+    for (distribution, family, truth, range) in known_distributions() {
         let mut held = [0; 2];
         for trial in 0..200 {
-            let fit = family.fit(&drawn(&distribution, 200, trial), range).unwrap();
+            let fit = family.fit(&draw_values(&distribution, 200, trial), range).unwrap();
             let intervals = fit.intervals_95.unwrap();
             for which in 0..2 {
                 let [low, high] = intervals[which];
@@ -58,9 +58,9 @@ fn intervals_hold_the_parameters_of_known_distributions() {
 
 #[test]
 fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
-    for (distribution, family, _, range) in known() {
+    for (distribution, family, _, range) in known_distributions() {
         let chosen = |trial: u64| {
-            FamilyRanking::of(family.name(), &drawn(&distribution, 1000, 1000 + trial), range).unwrap().chosen.family
+            FamilyRanking::fit(family.name(), &draw_values(&distribution, 1000, 1000 + trial), range).unwrap().chosen.family
         };
         let right = (0..40).filter(|&trial| chosen(trial) == family).count();
         println!("{}: chosen in {right} of 40", family.name());
@@ -71,25 +71,25 @@ fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
 /// Samples of the fitted family are as far from their own fit as it says; of another family further.
 #[test]
 fn the_p_value_is_even_where_the_family_is_right() {
-    let (distribution, family, _, range) = known().remove(2);
-    let judged = |values: &mut Vec<f64>, family: Family, trial: u64| {
+    let (distribution, family, _, range) = known_distributions().remove(2);
+    let judged = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
         values.sort_by(f64::total_cmp);
         let fit = family.fit(values, range).unwrap();
-        GoodnessOfFit::of(values, range, &fit, &fit.distribution.ready().unwrap(), (99, trial, 0))
+        GoodnessOfFit::bootstrap(values, range, &fit, &fit.distribution.build().unwrap(), (99, trial, 0))
     };
     let mut low = 0;
     for trial in 0..60 {
-        let goodness = judged(&mut drawn(&distribution, 100, 500 + trial), family, trial);
+        let goodness = judged(&mut draw_values(&distribution, 100, 500 + trial), family, trial);
         low += u32::from(goodness.cramer_von_mises_p <= 0.2);
     }
     assert!((4..=22).contains(&low), "{low} of 60 below 0.2");
     let two_humps: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 1.0 } else { 5.0 } + 0.01 * f64::from(i)).collect();
-    let goodness = judged(&mut two_humps.clone(), Family::Normal, 0);
+    let goodness = judged(&mut two_humps.clone(), DistributionFamily::Normal, 0);
     assert!(goodness.cramer_von_mises_p <= 0.01 && goodness.kolmogorov_smirnov_p <= 0.01, "{goodness:?}");
 }
 
 /// A space with dependent parameters: three of a scenario with brake-to-speed.
-fn dependent_space() -> Space {
+fn dependent_space() -> ScenarioSpace {
     let text = r#"
 version = 1
 name = "known"
@@ -119,7 +119,7 @@ correlation = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]]
 /// The estimate of a correlation of −0.3 from 2000 draws has a standard deviation of 0.02: one in seventy is off by more than 0.05.
 #[test]
 fn the_correlation_of_2000_draws_is_recovered() {
-    let space = dependent();
+    let space = dependent_space();
     let truth = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]];
     let (mut close, mut sums) = (0, [0.0; 3]);
     for seed in 0..30 {
@@ -127,7 +127,7 @@ fn the_correlation_of_2000_draws_is_recovered() {
         let column = |which: usize| draws.iter().map(|draw| draw[which]).collect::<Vec<f64>>();
         let columns = [column(2), column(0), column(1)];
         let distribution = &space.spec().parameters[0].distribution;
-        let found = dependence::correlation(&columns.each_ref().map(|values| Column { values, distribution }));
+        let found = dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn { values, distribution }));
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = found[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
@@ -139,19 +139,19 @@ fn the_correlation_of_2000_draws_is_recovered() {
 }
 
 /// Draws of a space, as somebody sees them.
-fn observe_draws(space: &Space, count: u32, seed: u64) -> Observed {
+fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     let draws: Vec<Vec<f64>> = (0..count.into()).map(|index| space.values(&space.draw_point(seed, index))).collect();
-    let seen = |(which, parameter): (usize, &crumple_world::scenario::space::Parameter)| ObservedParameter {
+    let seen = |(which, parameter): (usize, &crumple_world::scenario::space::SpaceParameter)| ObservedParameter {
         name: parameter.name().to_owned(),
         low: parameter.range()[0],
         high: parameter.range()[1],
         point_mass: match &space.spec().parameters[which].distribution {
-            Distribution::PointMass(point) => Some(point.at),
+            DistributionSpec::PointMass(point) => Some(point.at),
             _ => None,
         },
         values: draws.iter().map(|draw| draw[which]).collect(),
     };
-    Observed { waves: (0..count).collect(), parameters: space.parameters().iter().enumerate().map(seen).collect() }
+    ObservedData { braking_clusters: (0..count).collect(), parameters: space.parameters().iter().enumerate().map(seen).collect() }
 }
 
 /// Leaders of which three in ten come to a standstill, and followers of which a quarter are lorries; both depend on the rest.
@@ -189,7 +189,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let (mut errors, mut most) = ([0.0; 3], 0.0_f64);
     for seed in 0..8 {
         let observed = observe_draws(&space, 2000, seed);
-        let again = refitted(space.spec(), &observed).unwrap();
+        let again = refit(space.spec(), &observed).unwrap();
         let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else { panic!("dependent") };
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = copula.correlation[row][column] - truth[row][column];
@@ -197,20 +197,20 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
             most = most.max(off.abs());
         }
         let [friction, _, size] = &again.spec().parameters[..] else { panic!("three") };
-        let Distribution::PointMass(point) = &friction.distribution else { panic!("{friction:?}") };
+        let DistributionSpec::PointMass(point) = &friction.distribution else { panic!("{friction:?}") };
         assert!(point.at == 0.3 && (point.probability - 0.3).abs() < 0.035, "{point:?}");
         let (fitted, stated) =
-            (point.others.ready().unwrap(), space.spec().parameters[0].distribution.ready().unwrap());
+            (point.others.build().unwrap(), space.spec().parameters[0].distribution.build().unwrap());
         for u in [0.35, 0.5, 0.7, 0.9] {
             let value = stated.quantile(u);
-            assert!((fitted.share_below(value) - (u - 0.3) / 0.7).abs() < 0.04, "{value}");
+            assert!((fitted.cdf(value) - (u - 0.3) / 0.7).abs() < 0.04, "{value}");
         }
-        let Distribution::Choice(choice) = &size.distribution else { panic!("{size:?}") };
+        let DistributionSpec::Choice(choice) = &size.distribution else { panic!("{size:?}") };
         assert!((choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035, "{choice:?}");
         // What was fitted is written and read as it is, and is what is fitted again.
         let text = file::to_toml(&again).unwrap();
         assert_eq!(file::from_toml(&text, Path::new("again.toml")).unwrap().draw(3, 4), again.draw(3, 4));
-        assert_eq!(edited(&again, &observed), Ok(None));
+        assert_eq!(find_edit(&again, &observed), Ok(None));
     }
     println!("mean errors {errors:.4?}, the largest {most:.3}");
     assert!(most < 0.12 && errors.iter().all(|error| error.abs() < 0.02), "{errors:?} {most}");
@@ -226,32 +226,32 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
 /// A space that is not what is fitted to its data is told, and what is not observed stays as it was stated.
 #[test]
 fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
-    let space = dependent();
+    let space = dependent_space();
     let observed = observe_draws(&space, 300, 4);
-    let fitted = refitted(space.spec(), &observed).unwrap();
-    assert_eq!(edited(&fitted, &observed), Ok(None));
-    assert_eq!(edited(&space, &observed), Ok(Some("friction".to_owned())));
+    let fitted = refit(space.spec(), &observed).unwrap();
+    assert_eq!(find_edit(&fitted, &observed), Ok(None));
+    assert_eq!(find_edit(&space, &observed), Ok(Some("friction".to_owned())));
     let changed = |change: &dyn Fn(&mut crumple_world::scenario::space::SpaceSpec)| {
         let mut spec = fitted.spec().clone();
         change(&mut spec);
-        edited(&Space::new(spec, Path::new("")).unwrap(), &observed).unwrap()
+        find_edit(&ScenarioSpace::new(spec, Path::new("")).unwrap(), &observed).unwrap()
     };
     let narrower = changed(&|spec| {
         let values = &observed.parameters[1].values;
         let [low, high] = [f64::min, f64::max].map(|of| values.iter().copied().reduce(of).unwrap());
-        spec.parameters[1].distribution = Distribution::Uniform(Uniform { low, high });
+        spec.parameters[1].distribution = DistributionSpec::Uniform(UniformSpec { low, high });
     });
     assert_eq!(narrower.as_deref(), Some("ahead_m"));
     assert_eq!(changed(&|spec| spec.dependence = None).as_deref(), Some("dependence"));
     assert_eq!(changed(&|spec| spec.name = "mine".to_owned()), None);
     // Of one parameter alone there is no dependence to be fitted; of two, the third keeps its own.
-    let stated = |space: &Space| match &space.spec().dependence {
+    let stated = |space: &ScenarioSpace| match &space.spec().dependence {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
         None => panic!("dependent"),
     };
     for kept in [1, 2] {
         let parameters = observed.parameters[..kept].to_vec();
-        let again = refitted(space.spec(), &Observed { parameters, waves: observed.waves.clone() }).unwrap();
+        let again = refit(space.spec(), &ObservedData { parameters, braking_clusters: observed.braking_clusters.clone() }).unwrap();
         let (before, after) = (stated(&space), stated(&again));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {
@@ -312,20 +312,20 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 
 #[test]
 fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
-    let taken = Taken { vehicles: 2, min_brake: MinBrake::default(), leaders: Leaders::Any };
-    let sample = Sample::of(&[pairs_in_lanes(2.0)], taken).unwrap();
-    let left_out = ExclusionCounts { nobody_behind: 1, impossible: 1, ..ExclusionCounts::default() };
-    assert_eq!((sample.left_out, sample.exposure.episodes, sample.exposure.left_out), (left_out, 38, 1));
+    let taken = ExtractionConfig { vehicles: 2, min_brake: MinBrake::default(), leaders: LeaderSelection::Any };
+    let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], taken).unwrap();
+    let left_out = ExclusionCounts { no_follower: 1, impossible_speeds: 1, ..ExclusionCounts::default() };
+    assert_eq!((sample.exclusions, sample.exposure.episodes, sample.exposure.left_out), (left_out, 38, 1));
     assert_eq!(sample.exposure.sources[0].left_out, 1);
     // 39 leaders with somebody behind, for 19.9 s, in the last of which no braking can begin.
     assert!((sample.exposure.hours * 3600.0 - 39.0 * 18.9).abs() < 1e-6, "{}", sample.exposure.hours);
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
     assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
     assert_eq!((followers.light, followers.heavy, followers.heavy_m), (28, 10, 12.5));
-    let FittedSpace { space, numbers, sizes, depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
+    let FittedSpace { space, features: numbers, sizes, copula_parameters: depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
-    assert_eq!((point.at, point.seen, numbers[2].chosen.distribution.ready().unwrap().share_below(0.0)), (0.0, 8, 0.0));
-    assert_eq!((sizes[0].values[1].at, sizes[0].values[1].seen), (12.5, 10));
+    assert_eq!((point.at, point.count, numbers[2].chosen.distribution.build().unwrap().cdf(0.0)), (0.0, 8, 0.0));
+    assert_eq!((sizes[0].values[1].at, sizes[0].values[1].count), (12.5, 10));
     assert_eq!(depending.len(), 6);
     let about = &space.spec().about;
     for said in [
@@ -342,7 +342,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     // Wherever in the box, the leader is done braking ten seconds before the end.
     let tried = drawn.into_iter().chain((0..32).map(|corner| {
         let at = |bit: usize| f64::from(corner >> bit & 1);
-        space.at(&[at(0), at(1), at(2), at(3), at(4), 0.5]).unwrap()
+        space.scenario_at(&[at(0), at(1), at(2), at(3), at(4), 0.5]).unwrap()
     }));
     for scenario in tried {
         let leader = &scenario.vehicles()[0];
@@ -355,9 +355,9 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
 /// The threshold is the range's end, whatever it is, and what leaves no range is refused; a recording in which nothing can be seen says so.
 #[test]
 fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
-    let taken = |mps2| Taken { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: Leaders::Any };
-    assert_eq!(numbers(&taken(11.5))[1].range, [11.5, 12.0]);
-    assert!(matches!(Sample::of(&[], taken(12.0)), Err(FitError::MinBrake { .. })));
+    let taken = |mps2| ExtractionConfig { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: LeaderSelection::Any };
+    assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
+    assert!(matches!(EpisodeSample::from_recordings(&[], taken(12.0)), Err(FitError::MinBrake { .. })));
     let header = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps
 ";
     let rows: String = (0..30)
@@ -369,25 +369,25 @@ fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
         })
         .collect();
     let slow = read(format!("{header}{rows}").as_bytes(), Path::new("slow.csv"), None).unwrap();
-    let said = Sample::of(&[slow], taken(1.3)).unwrap_err().to_string();
+    let said = EpisodeSample::from_recordings(&[slow], taken(1.3)).unwrap_err().to_string();
     assert!(said.contains("; slow.csv: a vehicle's speeds are 1.000 s apart"), "{said}");
 }
 
 #[test]
 fn p_values_keep_the_digits_that_count() {
-    let shown = [0.0049, 0.005, 0.0001, 0.051, 0.1, 0.273, 1.0].map(shown_p);
+    let shown = [0.0049, 0.005, 0.0001, 0.051, 0.1, 0.273, 1.0].map(format_p_value);
     assert_eq!(shown, ["0.0049", "0.0050", "0.00010", "0.051", "0.10", "0.27", "1.00"]);
 }
 
 #[test]
 fn a_fit_to_draws_of_a_space_gives_the_space_back() {
-    let space = dependent();
+    let space = dependent_space();
     let observed = observe_draws(&space, 2000, 9);
-    let again = refitted(space.spec(), &observed).unwrap();
+    let again = refit(space.spec(), &observed).unwrap();
     for u in [0.02, 0.2, 0.5, 0.8, 0.98] {
         for (before, after) in space.spec().parameters.iter().zip(&again.spec().parameters) {
-            let [a, b] = [before, after].map(|parameter| parameter.distribution.ready().unwrap());
-            let off = (a.share_below(b.quantile(u)) - u).abs();
+            let [a, b] = [before, after].map(|parameter| parameter.distribution.build().unwrap());
+            let off = (a.cdf(b.quantile(u)) - u).abs();
             assert!(off < 0.03, "{}: {off} at {u}", before.name);
         }
     }
@@ -396,13 +396,13 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
     let read = file::from_toml(&text, Path::new("again.toml")).unwrap();
     assert_eq!(read.draw(3, 4), again.draw(3, 4));
     // A resample keeps whole waves, and as many of them.
-    let paired = Observed { waves: (0..2000).map(|index| index / 2).collect(), ..observed };
-    let one = resampled(&paired, 1, 0);
-    assert_eq!((one.waves.len(), one.parameters[0].values.len()), (2000, 2000));
+    let paired = ObservedData { braking_clusters: (0..2000).map(|index| index / 2).collect(), ..observed };
+    let one = resample(&paired, 1, 0);
+    assert_eq!((one.braking_clusters.len(), one.parameters[0].values.len()), (2000, 2000));
     assert!(one.parameters[0].values.chunks(2).all(|pair| {
         let at = paired.parameters[0].values.iter().position(|value| value == &pair[0]).unwrap();
         paired.parameters[0].values[at + 1] == pair[1]
     }));
-    assert_ne!(one, resampled(&paired, 1, 1));
-    assert_eq!(one, resampled(&paired, 1, 0));
+    assert_ne!(one, resample(&paired, 1, 1));
+    assert_eq!(one, resample(&paired, 1, 0));
 }

@@ -4,66 +4,66 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::*;
-use crumple_verify::{Accepted, check};
+use crumple_verify::{ProvedClaim, check};
 use crumple_world::control::Real;
 use proptest::prelude::*;
 
 /// The shield's own functions in exact arithmetic. Overflow and division by zero panic: the tests' numbers are short.
-impl Real for Quotient {
+impl Real for Rational {
     type Truth = bool;
 
-    fn of(value: f64) -> Self {
+    fn from_f64(value: f64) -> Self {
         let scaled = value * 4.0;
-        assert!(scaled.fract() == 0.0, "no constant of the kernel");
+        assert!(scaled.fract() == 0.0, "no constant from_f64 the kernel");
         Self::new(scaled as i128, 4).unwrap()
     }
 
-    fn above(self, other: Self) -> bool {
-        self.minus(other).unwrap().over > 0
+    fn greater_than(self, other: Self) -> bool {
+        self.checked_sub(other).unwrap().numerator > 0
     }
 
     fn at_least(self, other: Self) -> bool {
-        self.minus(other).unwrap().over >= 0
+        self.checked_sub(other).unwrap().numerator >= 0
     }
 
-    fn either(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+    fn select(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
         if truth { then() } else { otherwise() }
     }
 }
 
-impl Add for Quotient {
+impl Add for Rational {
     type Output = Self;
     fn add(self, other: Self) -> Self {
-        self.minus(-other).unwrap()
+        self.checked_sub(-other).unwrap()
     }
 }
 
-impl Sub for Quotient {
+impl Sub for Rational {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
-        self.minus(other).unwrap()
+        self.checked_sub(other).unwrap()
     }
 }
 
-impl Mul for Quotient {
+impl Mul for Rational {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
-        Self::new(self.over.checked_mul(other.over).unwrap(), self.under.checked_mul(other.under).unwrap()).unwrap()
+        Self::new(self.numerator.checked_mul(other.numerator).unwrap(), self.denominator.checked_mul(other.denominator).unwrap()).unwrap()
     }
 }
 
-impl Div for Quotient {
+impl Div for Rational {
     type Output = Self;
     fn div(self, other: Self) -> Self {
-        let sign = other.over.signum();
-        self * Self::new(sign * other.under, sign * other.over).unwrap()
+        let sign = other.numerator.signum();
+        self * Self::new(sign * other.denominator, sign * other.numerator).unwrap()
     }
 }
 
-impl Neg for Quotient {
+impl Neg for Rational {
     type Output = Self;
     fn neg(self) -> Self {
-        Self { over: -self.over, under: self.under }
+        Self { numerator: -self.numerator, denominator: self.denominator }
     }
 }
 
@@ -72,31 +72,31 @@ fn each_shipped_pair_is_proved() {
     let shipped = shipped_kernels();
     assert_eq!(shipped.len(), 4);
     for (name, certificate) in shipped {
-        assert_eq!(check(&certificate), Ok(Accepted::Kernel), "{name}");
+        assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel), "{name}");
     }
 }
 
-fn rational(value: f64) -> Quotient {
+fn rational(value: f64) -> Rational {
     Real::of(value)
 }
 
-fn parse_rational(text: &str) -> Quotient {
+fn parse_rational(text: &str) -> Rational {
     let (over, under) = text.split_once('/').unwrap_or((text, "1"));
-    Quotient::new(over.parse().unwrap(), under.parse().unwrap()).unwrap()
+    Rational::new(over.parse().unwrap(), under.parse().unwrap()).unwrap()
 }
 
 /// D(v, w) as the checker reads a certificate: `crumple_verify::kernel` proves this form.
-fn stated_gap_m(stated: &crumple_verify::Kernel, v: Quotient, w: Quotient) -> Quotient {
+fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) -> Rational {
     let [b, c, p, q] = [
         &stated.ego_brake_mps2,
         &stated.leader_brake_mps2,
         &stated.stopping_own_squared,
         &stated.stopping_ahead_squared,
     ]
-    .map(|text| quotient(text));
-    let zero = exact(0.0);
+    .map(|text| parse_rational(text));
+    let zero = rational(0.0);
     match &stated.catching_up_squared {
-        Some(r) if Real::above(w / c, v / b) => quotient(r) * (v - w).larger(zero) * (v - w).larger(zero),
+        Some(r) if Real::above(w / c, v / b) => parse_rational(r) * (v - w).larger(zero) * (v - w).larger(zero),
         _ => (p * v * v + q * w * w).larger(zero),
     }
 }
@@ -104,14 +104,14 @@ fn stated_gap_m(stated: &crumple_verify::Kernel, v: Quotient, w: Quotient) -> Qu
 /// The shield's own function, in exact arithmetic: a factor of 2 that is 2.5 there is refuted here, and so is any other case.
 #[test]
 fn what_is_certified_is_what_the_shield_computes() {
-    let quarter = |over: i128| Quotient::new(over, 4).unwrap();
+    let quarter = |over: i128| Rational::new(over, 4).unwrap();
     let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
     for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {
-        let limits = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
+        let limits = KernelClaim { own_brake_mps2: b, ahead_brake_mps2: c };
         let certificate = kernel_certificate(&limits, 0.01, 1e-6).unwrap();
-        assert_eq!(check(&certificate), Ok(Accepted::Kernel));
+        assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
-        let shield = Kernel { own_brake_mps2: exact(b), ahead_brake_mps2: exact(c) };
+        let shield = KernelClaim { own_brake_mps2: rational(b), ahead_brake_mps2: rational(c) };
         for v in speeds() {
             for w in speeds() {
                 assert_eq!(shield.demanded_gap_m(v, w), stated_gap_m(&stated, v, w), "{v} m/s behind {w} m/s, {b} {c}");
@@ -124,9 +124,9 @@ proptest! {
     /// Any limits a scenario may have, friction included, and the same function as the shield's in double precision.
     #[test]
     fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
-        let kernel = Kernel { own_brake_mps2: b, ahead_brake_mps2: c };
+        let kernel = KernelClaim { own_brake_mps2: b, ahead_brake_mps2: c };
         let certificate = kernel_certificate(&kernel, 0.01, 1e-6).unwrap();
-        prop_assert_eq!(check(&certificate), Ok(Accepted::Kernel));
+        prop_assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
         let number = |text: &str| {
             let (over, under) = text.split_once('/').unwrap_or((text, "1"));

@@ -290,11 +290,11 @@ mod tests {
             at[0] = 4.0 + 0.3 * at[1];
             at
         };
-        (0..count).map(|_| WeightedPoint { at: at(random), weight: 1.0 }).collect()
+        (0..count).map(|_| WeightedPoint { point: at(random), weight: 1.0 }).collect()
     }
 
     fn fitted(failures: Vec<WeightedPoint>, random: &mut Stream) -> Option<Mixture> {
-        Mixture::fit(&[OriginMoments::of(failures.iter().map(|seen| seen.at.as_slice()))], &failures, random)
+        Mixture::fit(&[OriginMoments::from_points(failures.iter().map(|seen| seen.point.as_slice()))], &failures, random)
     }
 
     /// Whatever they are divided into, places lie as far out.
@@ -302,14 +302,14 @@ mod tests {
     fn how_far_out_places_lie_can_be_put_together() {
         let mut random = Stream::seed_from_u64(4);
         let all = failures(3, 40, &mut random);
-        let around = |some: &[WeightedPoint]| OriginMoments::of(some.iter().map(|seen| seen.at.as_slice()));
+        let around = |some: &[WeightedPoint]| OriginMoments::from_points(some.iter().map(|seen| seen.point.as_slice()));
         let mut divided = around(&all[..13]);
-        divided.take(&around(&[]));
-        divided.take(&around(&all[13..]));
-        assert_eq!(divided.places, 40);
+        divided.merge(&around(&[]));
+        divided.merge(&around(&all[13..]));
+        assert_eq!(divided.count, 40);
         let off = divided.products.iter().zip(&around(&all).products).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        assert!(off < 1e-10 && divided.products.len() == 6 && divided.part(3).is_some(), "{off}");
-        assert!(divided.part(2).is_none() && OriginMoments::default().part(3).is_none());
+        assert!(off < 1e-10 && divided.products.len() == 6 && divided.component(3).is_some(), "{off}");
+        assert!(divided.component(2).is_none() && OriginMoments::default().component(3).is_none());
     }
 
     /// A proposal is a probability law: draws of it, weighted, come to as much as there is, and no weight is beyond its bound.
@@ -317,7 +317,7 @@ mod tests {
     fn weights_have_a_mean_of_one_and_a_bound() {
         let mut random = Stream::seed_from_u64(1);
         let mixture = fitted(failures(5, 300, &mut random), &mut random).unwrap();
-        let weights: Vec<f64> = (0..200_000).map(|_| mixture.weight(&mixture.draw(5, &mut random))).collect();
+        let weights: Vec<f64> = (0..200_000).map(|_| mixture.importance_weight(&mixture.draw(5, &mut random))).collect();
         let mean = weights.iter().sum::<f64>() / weights.len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "{mean}");
         assert!(weights.iter().all(|weight| (0.0..=1.0 / DEFENSIVE_SHARE + 1e-9).contains(weight)));
@@ -336,11 +336,11 @@ mod tests {
     fn nothing_is_fitted_to_nothing() {
         let mut random = Stream::seed_from_u64(3);
         assert_eq!(Mixture::fit(&[], &[], &mut random), None);
-        assert_eq!(fitted(vec![WeightedPoint { at: vec![1.0], weight: 0.0 }], &mut random), None);
-        let [one, two] = [vec![1.0], vec![1.0, 2.0]].map(|at| WeightedPoint { at, weight: 1.0 });
+        assert_eq!(fitted(vec![WeightedPoint { point: vec![1.0], weight: 0.0 }], &mut random), None);
+        let [one, two] = [vec![1.0], vec![1.0, 2.0]].map(|at| WeightedPoint { point: at, weight: 1.0 });
         assert_eq!(fitted(vec![one, two.clone()], &mut random), None);
         let one = fitted(vec![two], &mut random).unwrap();
-        assert!(one.is_of(2) && !one.is_of(1));
-        assert!(one.weight(&[1.0, 2.0]).is_finite());
+        assert!(one.has_dimension(2) && !one.has_dimension(1));
+        assert!(one.importance_weight(&[1.0, 2.0]).is_finite());
     }
 }

@@ -4,10 +4,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use proptest::prelude::*;
 
-use super::progress::PROGRESS;
+use super::progress::PROGRESS_FILE;
 use super::*;
-use crumple_core::observer::{Listener, Progress as RunProgress};
-use crumple_store::shard::Shard;
+use crumple_core::observer::{Listener, RunProgress as RunProgress};
+use crumple_store::shard::ShardId;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -15,13 +15,13 @@ use crumple_world::scenario::space::built_in_space;
 
 fn plan(method: RareMethod, seed: u64) -> RarePlan {
     RarePlan {
-        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         method,
         seed,
-        effort: Effort { samples: 50, repetitions: 14 },
+        effort: SplittingConfig { samples: 50, repetitions: 14 },
     }
 }
 
@@ -30,7 +30,7 @@ fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 }
 
 /// Makes an estimate, or a shard of one, in a folder; says how many runs it took, or that it was interrupted.
-fn run_until(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Option<u64> {
+fn run_until(plan: &RarePlan, shard: Option<ShardId>, folder: &Path, plug: u64) -> Option<u64> {
     let runs = AtomicU64::new(0);
     // Pilot and repetitions both count from 0.
     let after = |before: u64| {
@@ -45,15 +45,15 @@ fn run_until(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) ->
         Some(shard) => {
             let mut part = plan.open_shard_folder(shard, 0, folder, true).unwrap();
             if !part.is_complete() {
-                let pilot = part.pilot(&after(0)).unwrap();
-                part.repeat(&pilot, &after(so_far())).unwrap();
+                let pilot = part.run_pilot(&after(0)).unwrap();
+                part.run_repetitions(&pilot, &after(so_far())).unwrap();
             }
         }
         None => {
-            let mut kept = plan.in_folder(folder, true).unwrap();
-            if kept.kept().unwrap().is_none() {
-                let pilot = kept.pilot(plan, &after(0)).unwrap();
-                kept.report(plan, &pilot, 0, &after(so_far())).unwrap();
+            let mut kept = plan.open_folder(folder, true).unwrap();
+            if kept.read_report().unwrap().is_none() {
+                let pilot = kept.run_pilot(plan, &after(0)).unwrap();
+                kept.estimate(plan, &pilot, 0, &after(so_far())).unwrap();
             }
         }
     };
@@ -65,11 +65,11 @@ fn assert_same(one: &Path, other: &Path, name: &str) {
     for name in [name, "work.json"] {
         assert!(fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(), "{name}");
     }
-    assert!(!one.join(PROGRESS).exists() && !one.join("previous").exists());
+    assert!(!one.join(PROGRESS_FILE).exists() && !one.join("previous").exists());
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(2))]
+    #![proptest_config(crumple_cases::with_cases(2))]
 
     /// Interrupted wherever it is, again and again, on any number of threads, it ends with the bytes of what nothing happened to.
     #[test]
@@ -78,14 +78,14 @@ proptest! {
         interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
     ) {
         let plan = plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed);
-        let shard = shard.map(|index| Shard::new(index, 2).unwrap());
+        let shard = shard.map(|index| ShardId::new(index, 2).unwrap());
         let name = if shard.is_some() { "repetitions.json" } else { "rare-estimate.json" };
         let root = tempfile::tempdir().unwrap();
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
-        let all = on(2, || made(&plan, shard, &through, u64::MAX)).unwrap();
-        let interrupted = |&(runs, threads): &(u64, usize)| on(threads, || made(&plan, shard, &broken, runs)).is_none();
+        let all = with_threads(2, || run_until(&plan, shard, &through, u64::MAX)).unwrap();
+        let interrupted = |&(runs, threads): &(u64, usize)| with_threads(threads, || run_until(&plan, shard, &broken, runs)).is_none();
         let times = interruptions.iter().filter(|one| interrupted(one)).count();
-        let left = on(3, || made(&plan, shard, &broken, u64::MAX)).unwrap();
+        let left = with_threads(3, || run_until(&plan, shard, &broken, u64::MAX)).unwrap();
         prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");
         assert_same(&through, &broken, name);
     }
@@ -97,10 +97,10 @@ fn repetitions_are_kept_as_they_end() {
     for method in [RareMethod::Splitting, RareMethod::Importance] {
         let (plan, root) = (plan(method, 1), tempfile::tempdir().unwrap());
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
-        let all = on(1, || made(&plan, None, &through, u64::MAX)).unwrap();
-        assert_eq!(on(1, || made(&plan, None, &broken, all - 1)), None);
-        assert!(plan.in_folder(&broken, true).unwrap().completed_repetitions() >= 4, "{method:?}");
-        let left = on(1, || made(&plan, None, &broken, u64::MAX)).unwrap();
+        let all = with_threads(1, || run_until(&plan, None, &through, u64::MAX)).unwrap();
+        assert_eq!(with_threads(1, || run_until(&plan, None, &broken, all - 1)), None);
+        assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4, "{method:?}");
+        let left = with_threads(1, || run_until(&plan, None, &broken, u64::MAX)).unwrap();
         assert!(left > 0 && left < all / 3, "{method:?}: {left} of {all}");
         assert_same(&through, &broken, "rare-estimate.json");
     }
@@ -109,9 +109,9 @@ fn repetitions_are_kept_as_they_end() {
 #[test]
 fn what_is_half_done_is_gone_on_with_by_nothing_else() {
     let (plan, root) = (plan(RareMethod::Importance, 1), tempfile::tempdir().unwrap());
-    assert_eq!(on(1, || made(&plan, None, root.path(), 3000)), None);
-    assert!(root.path().join(PROGRESS).exists());
-    let error = |plan: &RarePlan, resume| plan.in_folder(root.path(), resume).err().map(|error| error.to_string());
+    assert_eq!(with_threads(1, || run_until(&plan, None, root.path(), 3000)), None);
+    assert!(root.path().join(PROGRESS_FILE).exists());
+    let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
     assert!(
         error(&plan, false).unwrap().ends_with("holds a rare-failure estimate already: use --resume, or another --out")
     );
@@ -119,10 +119,10 @@ fn what_is_half_done_is_gone_on_with_by_nothing_else() {
         assert!(error(&other, true).unwrap().ends_with("the rare-failure estimate there was configured otherwise"));
     }
     // What was written by somebody else, and work.json told of it.
-    let kept = plan.in_folder(root.path(), true).unwrap();
-    let text = fs::read_to_string(root.path().join(PROGRESS)).unwrap();
+    let kept = plan.open_folder(root.path(), true).unwrap();
+    let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();
     drop(kept);
-    let path = root.path().join(PROGRESS);
+    let path = root.path().join(PROGRESS_FILE);
     fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
     assert!(error(&plan, true).unwrap().contains("progress.json: not as it was written"));
     fs::write(&path, text).unwrap();

@@ -6,8 +6,8 @@ use rand::seq::SliceRandom;
 
 use super::*;
 use crumple_core::observer::Quiet;
-use crumple_store::shard::{MergeError, Shard};
-use crumple_store::work::{Finished, Found, find};
+use crumple_store::shard::{MergeError, ShardId};
+use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -16,26 +16,26 @@ use crumple_world::scenario::space::built_in_space;
 
 fn plan(seed: u64) -> RarePlan {
     RarePlan {
-        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         method: if seed.is_multiple_of(2) { RareMethod::Splitting } else { RareMethod::Importance },
         seed,
-        effort: Effort { samples: 50, repetitions: 7 },
+        effort: SplittingConfig { samples: 50, repetitions: 7 },
     }
 }
 
-fn read_completed(folder: &std::path::Path) -> Finished {
-    match find(folder).unwrap() {
-        Found::Finished(finished) => finished,
+fn read_completed(folder: &std::path::Path) -> CompletedRun {
+    match read_state(folder).unwrap() {
+        RunState::Complete(finished) => finished,
         other => panic!("{other:?}"),
     }
 }
 
 #[test]
 fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
-    [2, 5].into_iter().for_each(put_together);
+    [2, 5].into_iter().for_each(check_merge);
 }
 
 /// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
@@ -43,16 +43,16 @@ fn check_merge(seed: u64) {
     let (plan, root) = (plan(seed), tempfile::tempdir().unwrap());
     let single = root.path().join("single");
     let pilot = {
-        let mut folder = plan.in_folder(&single, false).unwrap();
-        let pilot = folder.pilot(&plan, &Quiet).unwrap();
-        folder.report(&plan, &pilot, 0, &Quiet).unwrap();
+        let mut folder = plan.open_folder(&single, false).unwrap();
+        let pilot = folder.run_pilot(&plan, &Quiet).unwrap();
+        folder.estimate(&plan, &pilot, 0, &Quiet).unwrap();
         pilot
     };
     let made = |index: u32, of: u32| -> PathBuf {
         let folder = root.path().join(format!("{index}-of-{of}"));
-        let mut part = plan.open_shard_folder(Shard::new(index, of).unwrap(), 0, &folder, true).unwrap();
+        let mut part = plan.open_shard_folder(ShardId::new(index, of).unwrap(), 0, &folder, true).unwrap();
         if !part.is_complete() {
-            part.repeat(&pilot, &Quiet).unwrap();
+            part.run_repetitions(&pilot, &Quiet).unwrap();
         }
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 4);
         folder
@@ -67,8 +67,8 @@ fn check_merge(seed: u64) {
         let Some(first) = folders.first().cloned() else { continue };
         let is_whole = folders.len() as u32 == of + 1;
         folders.shuffle(&mut random);
-        let mut merged = MergedEstimate::of(&first, &finished(&first)).unwrap();
-        folders.iter().for_each(|folder| merged.take(folder, &finished(folder)).unwrap());
+        let mut merged = MergedEstimate::new(&first, &read_completed(&first)).unwrap();
+        folders.iter().for_each(|folder| merged.add_block(folder, &read_completed(folder)).unwrap());
         let out = root.path().join("merged");
         assert_eq!(merged.write_in(&out).unwrap().is_some(), is_whole);
         assert_eq!((merged.missing_part_count() == 0), is_whole);
@@ -81,13 +81,13 @@ fn check_merge(seed: u64) {
     }
     assert!(complete > 5, "{complete}");
 
-    let mut merged = MergedEstimate::of(&made(1, 2), &finished(&made(1, 2))).unwrap();
-    let overlapping = merged.take(&made(2, 7), &finished(&made(2, 7))).unwrap_err();
+    let mut merged = MergedEstimate::new(&made(1, 2), &read_completed(&made(1, 2))).unwrap();
+    let overlapping = merged.add_block(&made(2, 7), &read_completed(&made(2, 7))).unwrap_err();
     assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
     let (other, folder) = (self::plan(3), root.path().join("other"));
-    let mut part = other.open_shard_folder(Shard::new(2, 2).unwrap(), 0, &folder, false).unwrap();
-    let pilot = part.pilot(&Quiet).unwrap();
-    part.repeat(&pilot, &Quiet).unwrap();
-    assert!(matches!(merged.take(&folder, &finished(&folder)), Err(MergeError::Foreign { .. })));
-    assert!(plan.open_shard_folder(Shard::new(1, 8).unwrap(), 0, &folder, false).is_err());
+    let mut part = other.open_shard_folder(ShardId::new(2, 2).unwrap(), 0, &folder, false).unwrap();
+    let pilot = part.run_pilot(&Quiet).unwrap();
+    part.run_repetitions(&pilot, &Quiet).unwrap();
+    assert!(matches!(merged.add_block(&folder, &read_completed(&folder)), Err(MergeError::Foreign { .. })));
+    assert!(plan.open_shard_folder(ShardId::new(1, 8).unwrap(), 0, &folder, false).is_err());
 }

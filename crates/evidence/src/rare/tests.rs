@@ -6,10 +6,10 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::splitting::{Problem, State};
+use super::splitting::{LimitState, RandomInputs};
 use super::*;
 use crate::{RateConfig, RatePlan};
-use crumple_core::observer::{Counter, Quiet, Stopped};
+use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -20,31 +20,31 @@ use crumple_world::sim::NamedController;
 /// A limit state with a closed form.
 struct ClosedFormLimitState {
     dimension: usize,
-    margin: fn(&State) -> f64,
+    margin: fn(&RandomInputs) -> f64,
 }
 
-impl Problem for ClosedFormLimitState {
+impl LimitState for ClosedFormLimitState {
     type Error = Stopped;
 
     fn dimension(&self) -> usize {
         self.dimension
     }
 
-    fn margins(&self, states: &[State]) -> Result<Vec<f64>, Stopped> {
+    fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, Stopped> {
         Ok(states.iter().map(self.margin).collect())
     }
 }
 
-fn counter() -> Counter<'static> {
-    Counter::new(&Quiet, None)
+fn counter() -> ProgressCounter<'static> {
+    ProgressCounter::new(&Quiet, None)
 }
 
-fn estimate(problem: &ClosedFormLimitState, seed: u64) -> Estimate {
+fn estimate(problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
     estimate_by(RareMethod::Splitting, problem, seed)
 }
 
-fn estimate_by(method: RareMethod, problem: &ClosedFormLimitState, seed: u64) -> Estimate {
-    let pilot = Pilot::run(problem, method, Effort::default(), seed, &counter()).unwrap();
+fn estimate_by(method: RareMethod, problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
+    let pilot = Pilot::run(problem, method, SplittingConfig::default(), seed, &counter()).unwrap();
     pilot.estimate(problem, &counter()).unwrap()
 }
 
@@ -53,40 +53,40 @@ fn upper_tail(x: f64) -> f64 {
 }
 
 /// Sum of many numbers beyond five deviations.
-fn linear(state: &State) -> f64 {
+fn linear(state: &RandomInputs) -> f64 {
     5.0 - state.normal.iter().sum::<f64>() / (state.normal.len() as f64).sqrt()
 }
 
 /// Far out in any direction.
-fn sphere(state: &State) -> f64 {
+fn sphere(state: &RandomInputs) -> f64 {
     45.0 - state.normal.iter().map(|x| x * x).sum::<f64>()
 }
 
 /// Two separate ways to fail, of one probability.
-fn either_side(state: &State) -> f64 {
+fn either_side(state: &RandomInputs) -> f64 {
     5.0 - state.normal.first().map_or(0.0, |x| x.abs())
 }
 
 /// Noise takes part: a quarter of the variance.
-fn noisy(state: &State) -> f64 {
-    let noise: f64 = StandardNormal.sample(&mut Stream::seed_from_u64(state.noise));
+fn noisy(state: &RandomInputs) -> f64 {
+    let noise: f64 = StandardNormal.sample(&mut Stream::seed_from_u64(state.noise_seed));
     4.9 - (0.75_f64.sqrt() * state.normal.first().copied().unwrap_or(0.0) + 0.5 * noise)
 }
 
 /// Two conditions at once.
-fn corner(state: &State) -> f64 {
+fn corner(state: &RandomInputs) -> f64 {
     let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
     (3.2 - at(0)).max(3.5 - at(1))
 }
 
 /// One in a hundred: hardly rare.
-fn frequent(state: &State) -> f64 {
+fn frequent(state: &RandomInputs) -> f64 {
     2.326_347_874_040_841 - state.normal.first().copied().unwrap_or(0.0)
 }
 
 /// What comes of a problem with so many seeds: mean over the truth, how many intervals hold it, and most runs.
 fn evaluate_method(method: RareMethod, (name, problem, truth): &(&str, ClosedFormLimitState, f64), seeds: u64) -> (Vec<f64>, usize, u64) {
-    let found: Vec<Estimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
+    let found: Vec<RareEstimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
     let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
     let held = found.iter().filter(|one| {
         let [low, high] = one.interval_95.unwrap();
@@ -115,9 +115,9 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
 #[test]
 fn known_probabilities_below_a_millionth_are_found() {
     const SEEDS: u64 = 24;
-    for problem in known() {
+    for problem in known_problems() {
         assert!(problem.2 < 1e-6);
-        let (ratios, held, most) = found(RareMethod::Splitting, &problem, SEEDS);
+        let (ratios, held, most) = evaluate_method(RareMethod::Splitting, &problem, SEEDS);
         let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
         assert!(ratios.iter().all(|ratio| (0.5..2.0).contains(ratio)), "{name}: {ratios:?}");
         assert!((mean - 1.0).abs() < 0.1, "{name}: {mean}");
@@ -142,8 +142,8 @@ mod tier_2 {
             ("thirty numbers", ClosedFormLimitState { dimension: 30, margin: linear }, upper_tail(5.0)),
             ("frequent", ClosedFormLimitState { dimension: 5, margin: frequent }, 0.01),
         ];
-        for problem in known().into_iter().chain(more) {
-            let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
+        for problem in known_problems().into_iter().chain(more) {
+            let (ratios, held, most) = evaluate_method(RareMethod::Importance, &problem, SEEDS);
             let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
             let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
             assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
@@ -188,7 +188,7 @@ fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     for (problem, at) in problems {
         let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
         let spread = weighed.coefficient_of_variation.unwrap();
-        let of_spread = splitting::interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
+        let of_spread = splitting::lognormal_interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
         assert_eq!((weighed.interval_95, weighed.interval(0.95)), (of_spread, of_spread), "{at}");
         for found in [weighed, split] {
             let [low, high] = found.interval_95.unwrap();
@@ -200,7 +200,7 @@ fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
 /// What nearly always fails has weights whose mean is above 1 as often as not; what is stated is a probability all the same.
 #[test]
 fn no_probability_is_above_one() {
-    let nearly_always = |state: &State| -3.0 - state.normal.first().copied().unwrap_or(0.0);
+    let nearly_always = |state: &RandomInputs| -3.0 - state.normal.first().copied().unwrap_or(0.0);
     let mut above = 0;
     for seed in 0..12 {
         let found = estimate_by(RareMethod::Importance, &ClosedFormLimitState { dimension: 3, margin: nearly_always }, seed);
@@ -234,7 +234,7 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
     for pair in found.levels.windows(2) {
         assert!(pair[0].margin > pair[1].margin && pair[0].probability > pair[1].probability);
     }
-    assert_eq!(found.repetitions.len(), Effort::default().repetitions);
+    assert_eq!(found.repetitions.len(), SplittingConfig::default().repetitions);
 }
 
 /// Margins that lead a small population to where nothing fails: a larger pilot keeps the way open that does, and the estimate is as unbiased as with the
@@ -242,16 +242,16 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
 #[test]
 fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     // A wide valley that ends above 0, and a narrow way to the failures, in which margins are larger at first.
-    let astray = |state: &State| {
+    let astray = |state: &RandomInputs| {
         let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
         let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
         valley.min(if way < 0.0 { way } else { way + 1.0 })
     };
     let (problem, truth) = (ClosedFormLimitState { dimension: 2, margin: astray }, upper_tail(3.1));
-    let effort = Effort { samples: 100, repetitions: 10 };
+    let effort = SplittingConfig { samples: 100, repetitions: 10 };
     let (mut found, mut again) = (Vec::new(), 0);
     for seed in 0..200 {
-        let first = Splitting::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
+        let first = SplittingLevels::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
         again += usize::from(!first.reaches_failure());
         let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
@@ -269,7 +269,7 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
 
 #[test]
 fn what_cannot_fail_is_not_given_a_probability() {
-    let never = [|state: &State| 1.0 + state.normal.iter().sum::<f64>().exp(), |_: &State| 1.0, |_: &State| f64::NAN];
+    let never = [|state: &RandomInputs| 1.0 + state.normal.iter().sum::<f64>().exp(), |_: &RandomInputs| 1.0, |_: &RandomInputs| f64::NAN];
     for margin in never {
         let found = estimate(&ClosedFormLimitState { dimension: 2, margin }, 0);
         assert_eq!((found.probability, found.interval_95), (None, None));
@@ -283,13 +283,13 @@ fn what_cannot_fail_is_not_given_a_probability() {
 #[test]
 fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
-    let controller = NamedController::from(ControllerSpec::named("match-leader").unwrap());
+    let controller = NamedController::from(ControllerSpec::from_name("match-leader").unwrap());
     let space = built_in_space("paper").unwrap();
     let estimator = EstimatorKind::Kalman;
     let count =
         RatePlan::new(RateConfig { seed: 1, estimator, ..RateConfig::new(controller.clone(), space.clone(), COUNTED) })
             .unwrap();
-    let mut tally = count.tally();
+    let mut tally = count.empty_tally();
     while tally.runs < COUNTED {
         count.count_batch(&mut tally).unwrap();
     }
@@ -301,12 +301,12 @@ fn splitting_agrees_with_counting_on_the_road() {
         specification: Specification::NoContact,
         method: RareMethod::Splitting,
         seed: 5,
-        effort: Effort { samples: 200, repetitions: 10 },
+        effort: SplittingConfig { samples: 200, repetitions: 10 },
     };
     let root = tempfile::tempdir().unwrap();
-    let mut folder = plan.in_folder(root.path(), false).unwrap();
-    let pilot = folder.pilot(&plan, &Quiet).unwrap();
-    let report = folder.report(&plan, &pilot, 0, &Quiet).unwrap();
+    let mut folder = plan.open_folder(root.path(), false).unwrap();
+    let pilot = folder.run_pilot(&plan, &Quiet).unwrap();
+    let report = folder.estimate(&plan, &pilot, 0, &Quiet).unwrap();
     let (climbed, variation) =
         (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());
     assert!((0.004..0.02).contains(&counted), "{counted}");

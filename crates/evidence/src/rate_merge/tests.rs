@@ -7,8 +7,8 @@ use rand::{Rng, RngExt};
 use super::*;
 use crate::{RateConfig, RatePlan, COUNT_SHARD_KIND};
 use crumple_core::observer::Quiet;
-use crumple_store::shard::Shard;
-use crumple_store::work::{Finished, Found, find};
+use crumple_store::shard::ShardId;
+use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -17,11 +17,11 @@ use crumple_world::scenario::space::built_in_space;
 const FILES: [&str; 4] = ["registration.json", "progress.json", "certificate.json", "work.json"];
 
 fn plan(seed: u64) -> RatePlan {
-    plan_of("idm", None, seed)
+    plan_with("idm", None, seed)
 }
 
 fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
-    let named = |name: &str| ControllerSpec::named(name).unwrap().into();
+    let named = |name: &str| ControllerSpec::from_name(name).unwrap().into();
     RatePlan::new(RateConfig {
         controller: named(controller),
         against: against.map(named),
@@ -35,28 +35,28 @@ fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
     .unwrap()
 }
 
-fn read_completed(folder: &Path) -> Finished {
-    match find(folder).unwrap() {
-        Found::Finished(finished) => finished,
+fn read_completed(folder: &Path) -> CompletedRun {
+    match read_state(folder).unwrap() {
+        RunState::Complete(finished) => finished,
         other => panic!("{other:?}"),
     }
 }
 
 fn add_shard(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
-    let found = finished(folder);
+    let found = read_completed(folder);
     match merged {
-        Some(merged) => merged.take(folder, &found),
+        Some(merged) => merged.add_block(folder, &found),
         None => {
-            *merged = Some(MergedCount::of(folder, &found)?);
+            *merged = Some(MergedCount::new(folder, &found)?);
             Ok(())
         }
     }
 }
 
-fn count_whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
+fn count_whole(plan: &RatePlan) -> (tempfile::TempDir, CountTally) {
     let folder = tempfile::tempdir().unwrap();
     let mut count = plan.register_in(folder.path(), false).unwrap();
-    count.certificate(&Quiet).unwrap();
+    count.certify(&Quiet).unwrap();
     let tally = count.tally().clone();
     (folder, tally)
 }
@@ -65,7 +65,7 @@ fn count_whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
 struct Shards<'a> {
     plan: &'a RatePlan,
     root: tempfile::TempDir,
-    counted: HashMap<Shard, PathBuf>,
+    counted: HashMap<ShardId, PathBuf>,
 }
 
 impl<'a> Shards<'a> {
@@ -73,9 +73,9 @@ impl<'a> Shards<'a> {
         Self { plan, root: tempfile::tempdir().unwrap(), counted: HashMap::new() }
     }
 
-    fn folder(&mut self, shard: Shard) -> PathBuf {
+    fn folder(&mut self, shard: ShardId) -> PathBuf {
         let make = || {
-            let folder = self.root.path().join(format!("{}-of-{}", shard.index(), shard.of()));
+            let folder = self.root.path().join(format!("{}-of-{}", shard.index(), shard.count()));
             self.plan.register_shard_in(shard, &folder, false).unwrap().count(&Quiet).unwrap();
             folder
         };
@@ -83,16 +83,16 @@ impl<'a> Shards<'a> {
     }
 }
 
-fn shard(index: u32, of: u32) -> Shard {
-    Shard::new(index, of).unwrap()
+fn shard(index: u32, of: u32) -> ShardId {
+    ShardId::new(index, of).unwrap()
 }
 
 /// A random division, some shards of which come twice and some not at all; at times some of another division beside them.
-fn random_shards(random: &mut impl Rng) -> Vec<Shard> {
+fn random_shards(random: &mut impl Rng) -> Vec<ShardId> {
     let of = random.random_range(1..=24);
     let keep = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.3..1.0) };
-    let mut shards: Vec<Shard> = (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
-    let again: Vec<Shard> = shards.iter().copied().filter(|_| random.random_bool(0.2)).collect();
+    let mut shards: Vec<ShardId> = (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
+    let again: Vec<ShardId> = shards.iter().copied().filter(|_| random.random_bool(0.2)).collect();
     shards.extend(again);
     if random.random_bool(0.3) || shards.is_empty() {
         let other = random.random_range(1..=24);
@@ -106,14 +106,14 @@ fn random_shards(random: &mut impl Rng) -> Vec<Shard> {
 #[test]
 fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
     let plan = plan(3);
-    let (single, tally) = whole(&plan);
+    let (single, tally) = count_whole(&plan);
     assert!(tally.failures > 0 && tally.failures < tally.runs, "{}", tally.failures);
-    let (mut shards, mut random) = (Shards::of(&plan), stream(25, Purpose::RareEvents, 0));
+    let (mut shards, mut random) = (Shards::new(&plan), stream(25, Purpose::RareEvents, 0));
     let (mut complete, mut refused) = (0, 0);
     for _ in 0..200 {
         let (mut merged, mut owners, mut duplicates) = (None, vec![None; 24], 0);
-        for shard in drawn(&mut random) {
-            let taken = taken(&mut merged, &shards.folder(shard));
+        for shard in random_shards(&mut random) {
+            let taken = add_shard(&mut merged, &shards.folder(shard));
             let blocks = plan.shard_blocks(shard).unwrap();
             let own = &mut owners[blocks.start as usize..blocks.end as usize];
             if own.iter().all(|owner| *owner == Some(shard)) {
@@ -129,8 +129,8 @@ fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
         }
         let (merged, out) = (merged.unwrap(), tempfile::tempdir().unwrap());
         let there = || (0..24).filter(|&block| owners[block as usize].is_some());
-        let so_far = merged.so_far();
-        let runs: u64 = there().map(|block| length(&plan.runs_of(block))).sum();
+        let so_far = merged.partial_count();
+        let runs: u64 = there().map(|block| range_len(&plan.run_range(block))).sum();
         let failures: u64 = there().map(|block| tally.blocks[block as usize].failures).sum();
         assert_eq!((so_far.runs, so_far.failures, so_far.duplicates), (runs, failures, duplicates));
         let missing: u64 = so_far.missing_runs.iter().map(|[start, end]| end - start).sum();
@@ -158,21 +158,21 @@ fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
 
 #[test]
 fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
-    let plan = plan_of("idm", Some("baseline"), 3);
-    let ((single, _), mut shards) = (whole(&plan), Shards::of(&plan));
+    let plan = plan_with("idm", Some("baseline"), 3);
+    let ((single, _), mut shards) = (count_whole(&plan), Shards::new(&plan));
     // Killed after some blocks were kept.
     let folder = shards.root.path().join("2-of-2");
     let half = tempfile::tempdir().unwrap();
     plan.register_shard_in(shard(2, 2), half.path(), false).unwrap();
-    assert!(matches!(find(half.path()).unwrap(), Found::HalfDone(kind) if kind == COUNT_SHARD_KIND));
+    assert!(matches!(read_state(half.path()).unwrap(), RunState::InProgress(kind) if kind == COUNT_SHARD_KIND));
     plan.register_shard_in(shard(2, 2), half.path(), true).unwrap().count(&Quiet).unwrap();
     let mut merged = None;
-    taken(&mut merged, half.path()).unwrap();
-    taken(&mut merged, &shards.folder(shard(1, 2))).unwrap();
-    taken(&mut merged, &shards.folder(shard(2, 2))).unwrap();
+    add_shard(&mut merged, half.path()).unwrap();
+    add_shard(&mut merged, &shards.folder(shard(1, 2))).unwrap();
+    add_shard(&mut merged, &shards.folder(shard(2, 2))).unwrap();
     assert_eq!(fs::read(folder.join("work.json")).unwrap(), fs::read(half.path().join("work.json")).unwrap());
     let (merged, out) = (merged.unwrap(), tempfile::tempdir().unwrap());
-    assert_eq!(merged.so_far().duplicates, 1);
+    assert_eq!(merged.partial_count().duplicates, 1);
     merged.write_in(out.path()).unwrap().unwrap();
     for name in FILES {
         assert_eq!(fs::read(out.path().join(name)).unwrap(), fs::read(single.path().join(name)).unwrap(), "{name}");
@@ -185,19 +185,19 @@ fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
 #[test]
 fn what_is_foreign_tampered_or_contradicts_is_refused() {
     let (mine, other) = (plan(3), plan(4));
-    let (mut own, mut foreign) = (Shards::of(&mine), Shards::of(&other));
+    let (mut own, mut foreign) = (Shards::new(&mine), Shards::new(&other));
     let mut merged = None;
-    taken(&mut merged, &own.folder(shard(1, 3))).unwrap();
-    let error = taken(&mut merged, &foreign.folder(shard(2, 3))).unwrap_err().to_string();
+    add_shard(&mut merged, &own.folder(shard(1, 3))).unwrap();
+    let error = add_shard(&mut merged, &foreign.folder(shard(2, 3))).unwrap_err().to_string();
     assert!(error.ends_with("configuration.seed differs"), "{error}");
 
     let second = own.folder(shard(2, 3));
-    let is_refused = |merged: &mut Option<MergedCount>| match find(&second) {
-        Ok(Found::Finished(found)) => merged.as_mut().unwrap().take(&second, &found).is_err(),
+    let is_refused = |merged: &mut Option<MergedCount>| match read_state(&second) {
+        Ok(RunState::Complete(found)) => merged.as_mut().unwrap().add_block(&second, &found).is_err(),
         Ok(_) => false,
         Err(_) => true,
     };
-    for name in [SHARD, "progress.json", "work.json"] {
+    for name in [SHARD_FILE, "progress.json", "work.json"] {
         let path = second.join(name);
         let bytes = fs::read(&path).unwrap();
         for place in (0..bytes.len()).step_by(bytes.len() / 40 + 1) {
@@ -210,22 +210,22 @@ fn what_is_foreign_tampered_or_contradicts_is_refused() {
         assert!(is_refused(&mut merged), "{name}");
         fs::write(&path, bytes).unwrap();
     }
-    taken(&mut merged, &second).unwrap();
+    add_shard(&mut merged, &second).unwrap();
 
     // Made anew with another result, manifest and all.
     let forged = tempfile::tempdir().unwrap();
     let progress = fs::read_to_string(second.join("progress.json")).unwrap();
     let hash = progress.rfind("\"sha256\": \"").unwrap() + 11;
     let digit = if progress.as_bytes()[hash] == b'0' { "1" } else { "0" };
-    let forge = |work: &crumple_store::work::Work| {
+    let forge = |work: &crumple_store::run_folder::RunFolder| {
         let changed = format!("{}{digit}{}", &progress[..hash], &progress[hash + 1..]);
         work.write("progress.json", changed).unwrap();
         work.finish().unwrap();
     };
     let begun = mine.register_shard_in(shard(2, 3), forged.path(), false).unwrap();
-    forge(begun.work());
+    forge(begun.run_folder());
     drop(begun);
-    let error = taken(&mut merged, forged.path()).unwrap_err();
+    let error = add_shard(&mut merged, forged.path()).unwrap_err();
     assert!(matches!(error, MergeError::Contradicting { .. }), "{error}");
-    assert_eq!(merged.unwrap().so_far().missing_shards, [3]);
+    assert_eq!(merged.unwrap().partial_count().missing_shards, [3]);
 }

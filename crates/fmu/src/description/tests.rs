@@ -1,7 +1,7 @@
 use std::time::{Duration, Instant};
 
 use super::*;
-use crate::{Conversion, Dimension};
+use crate::{Conversion, UnitDimension};
 
 /// Returns a description of FMI 2 with these definitions and variables.
 fn fmi2_description(definitions: &str, variables: &str) -> String {
@@ -30,20 +30,20 @@ const UNITS: &str = r#"<UnitDefinitions>
     <Unit name="furlong"/><Unit name="m/s2"/>
 </UnitDefinitions>"#;
 
-fn conversion(dimension: Dimension, factor: f64, offset: f64) -> Option<Conversion> {
+fn conversion(dimension: UnitDimension, factor: f64, offset: f64) -> Option<Conversion> {
     Some(Conversion { dimension, factor, offset })
 }
 
 /// Returns the unit of the only variable.
-fn unit(text: &str) -> Option<Unit> {
-    let description = Description::from_xml(text).unwrap_or_else(|error| panic!("{error}"));
+fn unit(text: &str) -> Option<DeclaredUnit> {
+    let description = ModelDescription::from_xml(text).unwrap_or_else(|error| panic!("{error}"));
     description.variables.first().expect("a variable").unit.clone()
 }
 
 #[test]
 fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
-    let speed = conversion(Dimension::motion(1, -1), 0.277_777_777_777_777_8, 0.0);
-    let kelvin = Dimension([0, 0, 0, 0, 1, 0, 0, 0]);
+    let speed = conversion(UnitDimension::metres_seconds(1, -1), 0.277_777_777_777_777_8, 0.0);
+    let kelvin = UnitDimension([0, 0, 0, 0, 1, 0, 0, 0]);
     let types_2 = r#"<TypeDefinitions>
         <SimpleType name="Speed"><Real quantity="Velocity" unit="km/h" displayUnit="mph"/></SimpleType>
         <SimpleType name="Rise"><Real unit="degC" relativeQuantity="true"/></SimpleType>
@@ -53,20 +53,20 @@ fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
     let cases = [
         ("unit=\"km/h\"", Some("km/h"), speed),
         ("declaredType=\"Speed\"", Some("km/h"), speed),
-        ("declaredType=\"Speed\" unit=\"m\"", Some("m"), conversion(Dimension::motion(1, 0), 1.0, 0.0)),
+        ("declaredType=\"Speed\" unit=\"m\"", Some("m"), conversion(UnitDimension::metres_seconds(1, 0), 1.0, 0.0)),
         ("unit=\"degC\"", Some("degC"), conversion(kelvin, 1.0, 273.15)),
         ("unit=\"degC\" relativeQuantity=\"1\"", Some("degC"), conversion(kelvin, 1.0, 0.0)),
         ("declaredType=\"Rise\"", Some("degC"), conversion(kelvin, 1.0, 0.0)),
         ("declaredType=\"Rise\" relativeQuantity=\"false\"", Some("degC"), conversion(kelvin, 1.0, 273.15)),
         ("unit=\"furlong\"", Some("furlong"), None),
         ("unit=\"parsec\"", Some("parsec"), None),
-        ("unit=\"m/s2\"", Some("m/s2"), conversion(Dimension::motion(1, -2), 1.0, 0.0)),
-        ("unit=\"m/s\"", Some("m/s"), conversion(Dimension::motion(1, -1), 1.0, 0.0)),
+        ("unit=\"m/s2\"", Some("m/s2"), conversion(UnitDimension::metres_seconds(1, -2), 1.0, 0.0)),
+        ("unit=\"m/s\"", Some("m/s"), conversion(UnitDimension::metres_seconds(1, -1), 1.0, 0.0)),
         ("displayUnit=\"km/h\"", None, None),
         ("unit=\"\"", None, None),
     ];
     for (attributes, name, conversion) in cases {
-        let expected = name.map(|name| Unit { name: name.to_owned(), conversion });
+        let expected = name.map(|name| DeclaredUnit { name: name.to_owned(), conversion });
         let two = fmi2_description(&format!("{UNITS}{types_2}"), &input(attributes));
         assert_eq!(unit(&two), expected, "FMI 2, {attributes}");
         let variable = format!("<Float64 name=\"x\" valueReference=\"0\" causality=\"input\" {attributes}/>");
@@ -94,7 +94,7 @@ fn what_is_wrong_with_units_is_refused_with_its_line() {
         ),
     ];
     for (text, said) in cases {
-        let error = Description::from_xml(&text).expect_err(said).to_string();
+        let error = ModelDescription::from_xml(&text).expect_err(said).to_string();
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
 }
@@ -102,8 +102,8 @@ fn what_is_wrong_with_units_is_refused_with_its_line() {
 #[test]
 fn texts_that_are_not_well_formed_are_refused_with_their_line() {
     let whole = fmi2_description("", &input(""));
-    assert!(Description::from_xml(&format!("\u{feff}{whole}")).is_ok());
-    assert!(Description::from_xml(&format!("{whole}\n<!-- end -->\n")).is_ok());
+    assert!(ModelDescription::from_xml(&format!("\u{feff}{whole}")).is_ok());
+    assert!(ModelDescription::from_xml(&format!("{whole}\n<!-- end -->\n")).is_ok());
     let cases = [
         (whole.replace("</ModelVariables>", ""), "line 4: "),
         (whole.replace("</fmiModelDescription>", ""), "line 4: the text ends within an element"),
@@ -117,11 +117,11 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
         (String::new(), "there is no root element of a known name"),
     ];
     for (text, said) in cases {
-        let error = Description::from_xml(&text).expect_err(said).to_string();
+        let error = ModelDescription::from_xml(&text).expect_err(said).to_string();
         assert!(error.starts_with("modelDescription.xml, ") && error.contains(said), "{error}\n  should say\n{said}");
     }
     let escaped = whole.replace("name=\"x\"", "name=\"&lt;&#120;&gt;\"");
-    assert_eq!(Description::from_xml(&escaped).unwrap().variables[0].name, "<x>");
+    assert_eq!(ModelDescription::from_xml(&escaped).unwrap().variables[0].name, "<x>");
 }
 
 /// A text of 1 MiB of each kind takes some hundredths of a second, and some tenths without optimisation. Time that grows with the
@@ -166,7 +166,7 @@ fn descriptions_are_read_in_linear_time() {
     ];
     for (what, text, is_read) in texts {
         let start = Instant::now();
-        assert_eq!(Description::from_xml(&text).is_ok(), is_read, "{what}");
+        assert_eq!(ModelDescription::from_xml(&text).is_ok(), is_read, "{what}");
         let took = start.elapsed();
         println!("{what}: {} bytes, {took:?}", text.len());
         assert!(took < Duration::from_secs(20), "{what} took {took:?}");

@@ -141,15 +141,15 @@ mod tests {
         fs::write(in_use.path().join("data.txt"), "data").unwrap();
         assert_eq!(fs::metadata(in_use.path()).unwrap().permissions().mode() & 0o777, 0o700);
         for name in ["1", "2", "3"] {
-            abandoned(temporary.path(), name);
+            create_abandoned(temporary.path(), name);
         }
         let second = UnpackedFolder::new_in(temporary.path()).unwrap();
         let mut expected = [in_use.path(), second.path()].map(|path| path.file_name().unwrap().to_str().unwrap());
         expected.sort_unstable();
-        assert_eq!(names(temporary.path()), expected);
+        assert_eq!(sorted_names(temporary.path()), expected);
         assert_eq!(fs::read_to_string(in_use.path().join("data.txt")).unwrap(), "data");
         drop((in_use, second));
-        assert!(names(temporary.path()).is_empty());
+        assert!(sorted_names(temporary.path()).is_empty());
     }
 
     /// Other users can put anything into a shared temporary folder.
@@ -162,13 +162,13 @@ mod tests {
         symlink(temporary.path().join("nothing"), temporary.path().join(format!("{PREFIX}dangling"))).unwrap();
         fs::write(temporary.path().join(format!("{PREFIX}file")), "file").unwrap();
         fs::create_dir(temporary.path().join("crumple-fmu-Ab12Cd")).unwrap();
-        let inside = abandoned(temporary.path(), "abandoned");
+        let inside = create_abandoned(temporary.path(), "abandoned");
         symlink(precious.path(), inside.join("resources")).unwrap();
-        let before = names(temporary.path());
+        let before = sorted_names(temporary.path());
         drop(UnpackedFolder::new_in(temporary.path()).unwrap());
         let left: Vec<String> = before.into_iter().filter(|name| !name.ends_with("-abandoned")).collect();
-        assert_eq!(names(temporary.path()), left);
-        assert_eq!(names(precious.path()), ["precious"]);
+        assert_eq!(sorted_names(temporary.path()), left);
+        assert_eq!(sorted_names(precious.path()), ["precious"]);
     }
 
     /// Eight starts at once, again and again: none loses its folder to the others.
@@ -187,6 +187,6 @@ mod tests {
                 });
             }
         });
-        assert!(names(temporary.path()).is_empty());
+        assert!(sorted_names(temporary.path()).is_empty());
     }
 }

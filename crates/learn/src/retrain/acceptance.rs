@@ -200,34 +200,34 @@ mod tests {
 
     use super::*;
 
-    fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> Standing {
-        Standing {
+    fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> RegressionResults {
+        RegressionResults {
             paper: paper.iter().map(|&name| name.to_owned()).collect(),
             nominal: nominal.to_vec(),
-            kept_aside: kept_aside.to_vec(),
+            validation_set: kept_aside.to_vec(),
             regression: Vec::new(),
         }
     }
 
     #[test]
     fn each_objection_alone_rejects_and_old_failures_do_not() {
-        let before = standing(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
-        assert_eq!(rule(&before, &before), Acceptance::Accepted, "no worse");
+        let before = results(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
+        assert_eq!(decide_acceptance(&before, &before), Acceptance::Accepted, "no worse");
         assert_eq!(
-            rule(&before, &standing(&[], &[], &[7, 8, 9])),
+            decide_acceptance(&before, &results(&[], &[], &[7, 8, 9])),
             Acceptance::Accepted,
             "others kept aside, but no more"
         );
-        let objections = |after| match rule(&before, &after) {
+        let objections = |after| match decide_acceptance(&before, &after) {
             Acceptance::Accepted => Vec::new(),
             Acceptance::Rejected { objections } => objections,
         };
         let paper = RejectionReason::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
-        assert_eq!(objections(standing(&["paper-1 (kalman)"], &[4], &[])), [paper]);
+        assert_eq!(objections(results(&["paper-1 (kalman)"], &[4], &[])), [paper]);
         // One draw for another is a regression although the count stays.
-        assert_eq!(objections(standing(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
-        assert_eq!(objections(standing(&[], &[], &[1, 2, 3, 4])), [RejectionReason::KeptAside { before: 3, after: 4 }]);
-        assert_eq!(objections(standing(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
+        assert_eq!(objections(results(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
+        assert_eq!(objections(results(&[], &[], &[1, 2, 3, 4])), [RejectionReason::ValidationSet { before: 3, after: 4 }]);
+        assert_eq!(objections(results(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
     }
 
     #[test]
@@ -237,23 +237,23 @@ mod tests {
                 space: name.to_owned(),
                 draws: 100,
                 contacts: contacts.to_vec(),
-                of_no_use,
+                not_useful: of_no_use,
             };
             let traffic = space("traffic", &[], Some(of_no_use.to_vec()));
-            Standing { regression: vec![space("high-risk", high_risk, None), traffic], ..standing(&[], &[], &[1, 2]) }
+            RegressionResults { regression: vec![space("high-risk", high_risk, None), traffic], ..results(&[], &[], &[1, 2]) }
         };
         let before = in_spaces(&[1, 2, 3], &[5]);
-        let ruled = |after: &Standing| match rule(&before, after) {
+        let ruled = |after: &RegressionResults| match decide_acceptance(&before, after) {
             Acceptance::Accepted => Vec::new(),
             Acceptance::Rejected { objections } => objections,
         };
         let better =
-            |high_risk: &[u64], of_no_use: &[u64]| Standing { kept_aside: vec![], ..in_spaces(high_risk, of_no_use) };
+            |high_risk: &[u64], of_no_use: &[u64]| RegressionResults { validation_set: vec![], ..in_spaces(high_risk, of_no_use) };
         assert!(ruled(&better(&[4, 5, 6, 7], &[5, 6])).is_empty(), "within chance");
         let many: Vec<u64> = (10..30).collect();
-        let contacts = Discordant { new: 20, fixed: 3 };
-        assert_eq!(ruled(&better(&many, &[])), [RejectionReason::Worse { space: "high-risk".to_owned(), contacts }]);
-        let drives = Discordant { new: 20, fixed: 1 };
+        let contacts = DiscordantPairs { only_second_fails: 20, only_first_fails: 3 };
+        assert_eq!(ruled(&better(&many, &[])), [RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts }]);
+        let drives = DiscordantPairs { only_second_fails: 20, only_first_fails: 1 };
         assert_eq!(ruled(&better(&[], &many)), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
     }
 
@@ -263,7 +263,7 @@ mod tests {
             let lists = [before, after].map(|set| set.into_iter().collect::<Vec<_>>());
             let change = FailureChange::between(&lists[0], &lists[1]);
             prop_assert_eq!(change.before - change.fixed, change.after - change.regressed);
-            let accepted = rule(&standing(&[], &lists[0], &[]), &standing(&[], &lists[1], &[])).is_accepted();
+            let accepted = decide_acceptance(&results(&[], &lists[0], &[]), &results(&[], &lists[1], &[])).is_accepted();
             prop_assert_eq!(accepted, change.regressed == 0);
         }
     }

@@ -102,7 +102,7 @@ mod tests {
     use super::super::corpus::Corpus;
     use super::super::test_set::witnesses;
     use super::super::plan::{VALIDATION_SET_SEED, training_preset};
-    use super::super::{Acceptance, RejectionReason, Settings, Standing, rule};
+    use super::super::{Acceptance, RejectionReason, RetrainingSettings, RegressionResults, decide_acceptance};
     use super::*;
     use crumple_search::falsify::Method;
     use crumple_world::policy::Policy;
@@ -120,40 +120,40 @@ mod tests {
     fn standing_vehicles_are_not_bought_with_emergencies() {
         let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());
         let plan = RetrainingPlan {
-            first: Arc::clone(&first),
-            first_name: "retrained".to_owned(),
+            initial_policy: Arc::clone(&first),
+            initial_policy_name: "retrained".to_owned(),
             space: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap(),
-            regression: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
+            regression_spaces: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
             training: training_preset().unwrap(),
             method: Method::Uniform,
             seed: 0,
-            settings: Settings { nominal: 20, regression: 60, ..Settings::default() },
-            picture: |_| String::new(),
+            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::default() },
+            render_svg: |_| String::new(),
         };
-        let mut kept_aside = Corpus::begin(&plan.space, VALIDATION_SET_SEED).unwrap();
+        let mut kept_aside = Corpus::empty(&plan.space, VALIDATION_SET_SEED).unwrap();
         while kept_aside.avoidable < 60 {
-            kept_aside.grow(&plan.space, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
+            kept_aside.classify_next(&plan.space, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
         }
         let regression = RegressionSpaces::new(&plan).unwrap();
-        let of = |policy: Arc<Policy>| Standing::of(&policy, &plan, &kept_aside, &regression).unwrap();
+        let of = |policy: Arc<Policy>| RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap();
         let (before, after) = (of(first), of(Policy::reference()));
         assert!(
-            after.kept_aside.len() < before.kept_aside.len(),
+            after.validation_set.len() < before.validation_set.len(),
             "{} {}",
-            after.kept_aside.len(),
-            before.kept_aside.len()
+            after.validation_set.len(),
+            before.validation_set.len()
         );
-        let without = |standing: &Standing| Standing { regression: Vec::new(), ..standing.clone() };
+        let without = |standing: &RegressionResults| RegressionResults { regression: Vec::new(), ..standing.clone() };
         assert_eq!(
-            rule(&without(&before), &without(&after)),
+            decide_acceptance(&without(&before), &without(&after)),
             Acceptance::Accepted,
             "seen from standing vehicles alone"
         );
-        let Acceptance::Rejected { objections } = rule(&before, &after) else { panic!("accepted") };
+        let Acceptance::Rejected { objections } = decide_acceptance(&before, &after) else { panic!("accepted") };
         let is_of_high_risk =
-            |reason: &RejectionReason| matches!(reason, RejectionReason::Worse { space, .. } if space == "high-risk");
+            |reason: &RejectionReason| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
         let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
-        assert!(traffic.of_no_use.as_ref().unwrap().len() > 30, "it is of no use in traffic");
+        assert!(traffic.not_useful.as_ref().unwrap().len() > 30, "it is of no use in traffic");
     }
 }

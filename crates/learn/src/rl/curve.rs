@@ -58,7 +58,7 @@ mod tests {
         let log = "{\"episode\":{\"episode\":1,\"reward\":3}}\n\
                    {\"evaluation\":{\"episode\":5,\"best\":true,\"result\":{\"mean_reward\":22500.0}}}\n\
                    {\"evaluation\":{\"episode\":10,\"best\":false,\"result\":{\"mean_reward\":100.0}}}\n";
-        assert_eq!(evaluations(log), BTreeMap::from([(5, 22_500.0), (10, 100.0)]));
-        assert_eq!(log.lines().map(episode_of).collect::<Vec<_>>(), [Some(1), Some(5), Some(10)]);
+        assert_eq!(parse_evaluations(log), BTreeMap::from([(5, 22_500.0), (10, 100.0)]));
+        assert_eq!(log.lines().map(parse_episode).collect::<Vec<_>>(), [Some(1), Some(5), Some(10)]);
     }
 }

@@ -210,17 +210,17 @@ mod tests {
     use super::*;
     use crate::rl::TrainingConfig;
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::{Driver, LeadProfile, built_in};
+    use crumple_world::scenario::{Driver, LeadProfile, built_in_scenario};
     use crumple_world::sim::RunOptions;
 
     /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
-    fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
-        let scenario = built_in("paper-2").unwrap();
+    fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<StepOutcome>) {
+        let scenario = built_in_scenario("paper-2").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
-        let mut all = vec![episode.decide(action)];
+        let mut all = vec![episode.step(action)];
         while all.last().unwrap().ending == EpisodeEnding::None {
-            all.push(episode.decide(action));
+            all.push(episode.step(action));
         }
         (episode.total_reward(), all)
     }
@@ -233,20 +233,20 @@ mod tests {
     fn a_safe_episode_is_worth_22_500_and_standing_is_credited() {
         // -2.9 m/s² from the start stops behind the leader, and the follower's emergency brake stops behind the ego.
         let action = (-2.9 + 2.25) / 5.25;
-        let (total, all) = drive(&config(), action as f32);
+        let (total, all) = drive_paper_2(&config(), action as f32);
         let last = all.last().unwrap();
         assert_eq!((last.ending, last.continues, total), (EpisodeEnding::AtRest, false, 22_500.0));
         assert!(all.len() < 150, "ended early");
         assert!((f64::from(last.reward) - (1.0 + 0.99 * 100.0)).abs() < 1.0, "{}", last.reward);
-        let end = EnvironmentConfig { time_limit: TimeLimit::End, ..config() };
+        let end = EnvironmentConfig { time_limit: TimeLimit::Termination, ..config() };
         let left = 150.0 - all.len() as f64;
-        let credit = f64::from(drive(&end, action as f32).1.last().unwrap().reward);
+        let credit = f64::from(drive_paper_2(&end, action as f32).1.last().unwrap().reward);
         assert!((credit - (1.0 - 0.99_f64.powf(left + 1.0)) / 0.01).abs() < 1.0, "{credit}");
     }
 
     #[test]
     fn a_contact_costs_3000_and_ends_everything() {
-        let (total, all) = drive(&config(), 1.0);
+        let (total, all) = drive_paper_2(&config(), 1.0);
         let last = all.last().unwrap();
         assert_eq!((last.ending, last.continues), (EpisodeEnding::Contact, false));
         assert_eq!((total + 3000.0) % 15.0, 0.0);
@@ -256,15 +256,15 @@ mod tests {
     #[test]
     fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
         // 0 m/s² behind a leader that holds its speed: no vehicle ever stops.
-        let scenario = built_in("paper-2").unwrap();
+        let scenario = built_in_scenario("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
         let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::End, false)] {
+        for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::Termination, false)] {
             let config = EnvironmentConfig { time_limit, ..config() };
             let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
-            let last = (0..150).map(|_| episode.decide((2.25 / 5.25) as f32)).last().unwrap();
-            assert_eq!((last.ending, last.continues), (EpisodeEnding::TimeOver, continues));
+            let last = (0..150).map(|_| episode.step((2.25 / 5.25) as f32)).last().unwrap();
+            assert_eq!((last.ending, last.continues), (EpisodeEnding::TimeLimit, continues));
         }
     }
 }

@@ -148,14 +148,14 @@ mod tests {
     fn trainings_that_do_not_fit_in_memory_are_refused() {
         for (name, _) in PRESETS {
             let bytes = TrainingConfig::preset(name).unwrap().memory_by_field().map(|(_, bytes)| bytes);
-            assert!(bytes.iter().sum::<u64>() < MOST_BYTES / 16, "{name}: {bytes:?}");
+            assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / 16, "{name}: {bytes:?}");
         }
         let changed = |change: &dyn Fn(&mut TrainingConfig)| {
             let mut config = TrainingConfig::preset("paper").unwrap();
             change(&mut config);
             config.check()
         };
-        let refused = |field: &str, result: Result<(), ConfigError>| {
+        let refused = |field: &str, result: Result<(), TrainingConfigError>| {
             let error = result.unwrap_err().to_string();
             let begins = format!("{field}: training takes about ");
             assert!(error.starts_with(&begins) && error.ends_with(" at most 4096 MiB"), "{error}");

@@ -63,8 +63,8 @@ impl<'s> PrivilegedInfo<'s> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::{Terms, TrainingConfig};
-    use crumple_world::scenario::built_in;
+    use crate::rl::{EpisodeConfig, TrainingConfig};
+    use crumple_world::scenario::built_in_scenario;
     use crumple_world::scenario::space::built_in_space;
     use crumple_world::sim::{Run, RunOptions};
 
@@ -72,27 +72,27 @@ mod tests {
     fn a_critic_knows_the_road_who_drives_and_what_the_leader_will_do() {
         let config = TrainingConfig::preset("fast").unwrap().environment;
         // At 25 m/s throughout, with a leader that brakes at 3 m/s² from 1 s on and a lorry that brakes at 6 m/s².
-        let scenario = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
+        let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
         let privileged = PrivilegedInfo::new(&scenario, 10.0);
         let expected = |soon: f64, later: f64| {
             [1.0, 0.5, 0.5, 0.5, 0.4, 0.0, 1.0, 1.0, soon / 7.5, later / 7.5].map(|number| number as f32)
         };
-        assert_eq!(privileged.at(&episode), expected(0.0, -3.0 * 2.0 / 3.0));
-        (0..5).for_each(|_| _ = episode.decide(0.0));
-        assert_eq!(privileged.at(&episode), expected(-1.5, -3.0 * 2.5 / 3.0));
-        (0..5).for_each(|_| _ = episode.decide(0.0));
-        assert_eq!(privileged.at(&episode), expected(-3.0, -3.0));
+        assert_eq!(privileged.observe(&episode), expected(0.0, -3.0 * 2.0 / 3.0));
+        (0..5).for_each(|_| _ = episode.step(0.0));
+        assert_eq!(privileged.observe(&episode), expected(-1.5, -3.0 * 2.5 / 3.0));
+        (0..5).for_each(|_| _ = episode.step(0.0));
+        assert_eq!(privileged.observe(&episode), expected(-3.0, -3.0));
     }
 
     #[test]
     fn nobody_behind_is_no_brake_no_delay_and_nobody_who_holds_a_speed() {
         let scenario = built_in_space("alone").unwrap().draw(1, 2).unwrap();
-        let [costs, .., behind, delay, is_there, holds] = PrivilegedInfo::new(&scenario, 0.0).of_episode;
+        let [costs, .., behind, delay, is_there, holds] = PrivilegedInfo::new(&scenario, 0.0).episode_constants;
         assert_eq!([costs, behind, delay, is_there, holds], [-2.0, 0.0, 0.0, 0.0, 0.0]);
         let followed = built_in_space("assisted").unwrap().draw(1, 2).unwrap();
-        let [.., behind, _, is_there, holds] = PrivilegedInfo::new(&followed, 1.0).of_episode;
+        let [.., behind, _, is_there, holds] = PrivilegedInfo::new(&followed, 1.0).episode_constants;
         assert!(behind > 0.0);
         assert_eq!([is_there, holds], [1.0, 0.0]);
     }

@@ -251,15 +251,15 @@ mod tests {
     use proptest::prelude::*;
 
     /// Of networks that look back on three decisions.
-    const LAYOUT: TransitionLayout = TransitionLayout { state: 24, privileged: 2 };
-    const STATE_ROW: [f32; LAYOUT.state] = [0.25; LAYOUT.state];
-    const PRIVILEGED_ROW: [f32; 2 * LAYOUT.privileged] = [0.5; 2 * LAYOUT.privileged];
+    const LAYOUT: TransitionLayout = TransitionLayout { state_width: 24, privileged_width: 2 };
+    const STATE_ROW: [f32; LAYOUT.state_width] = [0.25; LAYOUT.state_width];
+    const PRIVILEGED_ROW: [f32; 2 * LAYOUT.privileged_width] = [0.5; 2 * LAYOUT.privileged_width];
 
     fn numbered_transition(number: usize) -> Transition<'static> {
         Transition {
-            state: &SEEN,
-            next_state: &SEEN,
-            privileged: &PRIVILEGED,
+            state: &STATE_ROW,
+            next_state: &STATE_ROW,
+            privileged: &PRIVILEGED_ROW,
             action: 0.5,
             reward: number as f32,
             continues: !number.is_multiple_of(7),
@@ -272,33 +272,33 @@ mod tests {
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
             let mut replay = ReplayBuffer::new(capacity, LAYOUT);
-            (0..count).for_each(|number| replay.push(&numbered(number)));
+            (0..count).for_each(|number| replay.push(&numbered_transition(number)));
             let kept = count.saturating_sub(capacity)..count;
-            let reward = |place: usize| replay.data[place * replay.width + 2 * SEEN.len() + PRIVILEGED.len() + 1] as usize;
+            let reward = |place: usize| replay.data[place * replay.width + 2 * STATE_ROW.len() + PRIVILEGED_ROW.len() + 1] as usize;
             let mut rewards: Vec<usize> = (0..replay.len()).map(reward).collect();
             rewards.sort_unstable();
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());
-            let contacts: Vec<usize> = replay.contacts.iter().map(|&p| reward(p as usize)).collect();
+            let contacts: Vec<usize> = replay.contact_indices.iter().map(|&p| reward(p as usize)).collect();
             prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
             prop_assert_eq!(replay.data.capacity(), capacity * replay.width);
             let (stored, numbers) = replay.as_raw_parts();
             let numbers = numbers.to_vec();
-            prop_assert_eq!(ReplayBuffer::from_numbers(capacity, LAYOUT, stored, numbers), Some(replay));
+            prop_assert_eq!(ReplayBuffer::from_raw_parts(capacity, LAYOUT, stored, numbers), Some(replay));
         }
     }
 
     #[test]
     fn draws_are_uniform_and_contacts_get_their_share() {
         let mut replay = ReplayBuffer::new(70, LAYOUT);
-        (0..70).for_each(|number| replay.push(&numbered(number)));
+        (0..70).for_each(|number| replay.push(&numbered_transition(number)));
         let mut batch = Batch::default();
         let mut counts = [0_u32; 70];
-        replay.sample(&mut stream(1, Purpose::ReplayDraw, 0), 70_000, 0.0, &mut batch);
+        replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 70_000, 0.0, &mut batch);
         batch.rewards.iter().for_each(|&number| counts[number as usize] += 1);
         // χ² with 69 degrees of freedom: 99.9 % lie below 111.
         let chi_squared: f64 = counts.iter().map(|&n| (f64::from(n) - 1000.0).powi(2) / 1000.0).sum();
         assert!(chi_squared < 111.0, "{chi_squared}");
-        replay.sample(&mut stream(1, Purpose::ReplayDraw, 0), 1000, 0.25, &mut batch);
+        replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 1000, 0.25, &mut batch);
         let contacts = batch.rewards.iter().take(250).filter(|&&number| (number as usize).is_multiple_of(7)).count();
         assert_eq!((contacts, batch.len()), (250, 1000));
     }

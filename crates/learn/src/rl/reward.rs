@@ -89,13 +89,13 @@ mod tests {
     use super::*;
     use crate::rl::TrainingConfig;
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions};
 
     /// Paper-1 after one step in which the ego brakes at 4 m/s²: 25 m/s, a gap of 16 m, and a leader that keeps its speed.
     fn relative_step_reward(costs: CostConfig) -> f64 {
         let config = EnvironmentConfig { costs, ..TrainingConfig::preset("fast").unwrap().environment };
-        let scenario = built_in("paper-1").unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
         let mut earnings = RewardTracker::new(&stepper, 0.01, &config.costs);
@@ -105,7 +105,7 @@ mod tests {
             1,
             |_| -4.0,
             |now| {
-                earned = earnings.of_step(now, &config, 0.25);
+                earned = earnings.step_reward(now, &config, 0.25);
                 ControlFlow::Break(())
             },
         );
@@ -115,16 +115,16 @@ mod tests {
     #[test]
     fn each_term_by_hand() {
         let none = CostConfig::default;
-        assert_eq!(earned(none()), 1.0);
+        assert_eq!(relative_step_reward(none()), 1.0);
         let near = |found: f64, by_hand: f64| assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
-        near(earned(CostConfig { near: 1.0, ..none() }), (34.5 - 16.0) / 34.5);
-        near(earned(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }), (16.0 - 13.5) / 13.5);
-        near(earned(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
-        near(earned(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
-        near(earned(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);
+        near(relative_step_reward(CostConfig { near: 1.0, ..none() }), (34.5 - 16.0) / 34.5);
+        near(relative_step_reward(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }), (16.0 - 13.5) / 13.5);
+        near(relative_step_reward(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
+        near(relative_step_reward(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
+        near(relative_step_reward(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);
         // The reference driver wants 42 m, and brakes at 0.73 (42 / 16)² m/s²: more than 4.
-        near(earned(CostConfig { needless: 1.0, ..none() }), 0.0);
-        near(earned(CostConfig { imposed: 1.0, ..none() }), 0.0);
-        near(earned(CostConfig { departure: 2.0, ..none() }), 0.5);
+        near(relative_step_reward(CostConfig { unnecessary_braking: 1.0, ..none() }), 0.0);
+        near(relative_step_reward(CostConfig { induced_braking: 1.0, ..none() }), 0.0);
+        near(relative_step_reward(CostConfig { residual: 2.0, ..none() }), 0.5);
     }
 }

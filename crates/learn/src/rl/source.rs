@@ -184,11 +184,11 @@ pub fn unsuitability(scenario: &Scenario) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
 
     #[test]
     fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
-        let cases = vec![built_in("paper-1").unwrap(), built_in("paper-2").unwrap()];
+        let cases = vec![built_in_scenario("paper-1").unwrap(), built_in_scenario("paper-2").unwrap()];
         let mixed = CaseMixture::new(cases.clone(), 0.3, Arc::new(PaperSource));
         let mut counts = [0_u32; 2];
         for index in 0..4000 {
@@ -228,7 +228,7 @@ mod tests {
     #[test]
     fn a_source_is_known_by_its_cases_and_their_share() {
         let of = |name: &str, share| {
-            CaseMixture::new(vec![built_in(name).unwrap()], share, Arc::new(PaperSource)).identity().unwrap()
+            CaseMixture::new(vec![built_in_scenario(name).unwrap()], share, Arc::new(PaperSource)).identity().unwrap()
         };
         assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
         assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
@@ -237,9 +237,9 @@ mod tests {
 
     #[test]
     fn scenarios_that_the_agent_cannot_drive_are_known() {
-        assert_eq!(unsuited(&PaperSource.draw(0, 0).unwrap()), None);
-        assert!(unsuited(&built_in("paper-3").unwrap()).unwrap().contains("found [1, 2, 3]"));
-        let coarse = built_in("paper-1").unwrap().edited(|spec| spec.step_s = 0.02).unwrap();
-        assert!(unsuited(&coarse).unwrap().contains("found 0.02"));
+        assert_eq!(unsuitability(&PaperSource.draw(0, 0).unwrap()), None);
+        assert!(unsuitability(&built_in_scenario("paper-3").unwrap()).unwrap().contains("found [1, 2, 3]"));
+        let coarse = built_in_scenario("paper-1").unwrap().edited(|spec| spec.step_s = 0.02).unwrap();
+        assert!(unsuitability(&coarse).unwrap().contains("found 0.02"));
     }
 }

@@ -164,16 +164,16 @@ pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn Scenar
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::{Terms, TrainingConfig};
+    use crate::rl::{EpisodeConfig, TrainingConfig};
 
-    fn training_space(space: &str, weight: f64) -> SpaceShare {
-        SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 }
+    fn training_space(space: &str, weight: f64) -> TrainingSpace {
+        TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 }
     }
 
     #[test]
     fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
         let blend =
-            SpaceMixture::new(&[share("traffic", 3.0), share("paper", 1.0), share("high-risk", 4.0)]).unwrap();
+            SpaceMixture::new(&[training_space("traffic", 3.0), training_space("paper", 1.0), training_space("high-risk", 4.0)]).unwrap();
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
@@ -190,19 +190,19 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let refused = |shares: &[SpaceShare]| SpaceMixture::new(shares).unwrap_err().to_string();
-        let found = refused(&[share("paper", 1.0), share("nowhere", 1.0)]);
+        let refused = |shares: &[TrainingSpace]| SpaceMixture::new(shares).unwrap_err().to_string();
+        let found = refused(&[training_space("paper", 1.0), training_space("nowhere", 1.0)]);
         assert!(found.starts_with("spaces[1].space: `nowhere` is neither a built-in space"), "{found}");
         for weight in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            let found = refused(&[share("steady", 1.0), share("paper", weight)]);
+            let found = refused(&[training_space("steady", 1.0), training_space("paper", weight)]);
             assert!(found.starts_with("spaces[1].weight: must be between 0.000001 and 1000000, found "), "{found}");
         }
-        assert!(refused(&vec![share("paper", 1.0); 33]).starts_with("spaces: 32 are the most, found 33"));
+        assert!(refused(&vec![training_space("paper", 1.0); 33]).starts_with("spaces: 32 are the most, found 33"));
         for costs_times in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MAX_COST_MULTIPLIER] {
-            let found = refused(&[SpaceShare { costs_times, ..share("paper", 1.0) }]);
+            let found = refused(&[TrainingSpace { cost_multiplier: costs_times, ..training_space("paper", 1.0) }]);
             assert!(found.starts_with("spaces[0].costs_times: must be between 0 and 10000, found "), "{found}");
         }
-        let found = refused(&[share("paper", 1.0), share("steady", 1.0), share("paper", 2.0)]);
+        let found = refused(&[training_space("paper", 1.0), training_space("steady", 1.0), training_space("paper", 2.0)]);
         assert_eq!(found, "spaces[2].space: `paper` is named twice: give it one weight");
     }
 
@@ -214,7 +214,7 @@ mod tests {
         let shares = ["one.toml", "other.toml"].map(|name| {
             let path = folder.path().join(name);
             std::fs::write(&path, &text).unwrap();
-            share(path.to_str().unwrap(), 1.0)
+            training_space(path.to_str().unwrap(), 1.0)
         });
         let refused = SpaceMixture::new(&shares).unwrap_err().to_string();
         assert!(refused.starts_with("spaces[1].space: `"), "{refused}");
@@ -224,18 +224,18 @@ mod tests {
     /// In the episodes of its space, and in no others; and a training of other costs is another one.
     #[test]
     fn costs_count_as_often_as_the_space_says() {
-        let ten = SpaceShare { costs_times: 10.0, ..share("traffic", 1.0) };
-        let blend = SpaceMixture::new(&[ten, share("paper", 1.0)]).unwrap();
+        let ten = TrainingSpace { cost_multiplier: 10.0, ..training_space("traffic", 1.0) };
+        let blend = SpaceMixture::new(&[ten, training_space("paper", 1.0)]).unwrap();
         let config = TrainingConfig::preset("road").unwrap().environment;
         let weight = config.costs.jerk;
-        let terms = Terms::new(config, 0.99);
+        let terms = EpisodeConfig::new(config, 0.99);
         assert!(weight > 0.0);
         let mut counts = [0; 2];
         for index in 0..100 {
             let is_traffic = blend.spaces().position(|space| space.draw(3, index) == blend.draw(3, index)) == Some(0);
             counts[usize::from(is_traffic)] += 1;
             let times = if is_traffic { 10.0 } else { 1.0 };
-            assert_eq!(terms.of_episode(&blend, 3, index).config().costs.jerk, times * weight);
+            assert_eq!(terms.for_episode(&blend, 3, index).environment().costs.jerk, times * weight);
         }
         assert!(counts.iter().all(|count| *count > 20), "{counts:?}");
         let identity = blend.identity().unwrap().unwrap();

@@ -145,11 +145,11 @@ mod tests {
     #[test]
     fn idm_is_of_use_and_the_reference_policy_is_not() {
         let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
-        let idm = traffic.driven_by(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
-        assert_eq!((idm.contacts, idm.hard, idm.left_behind), (0, 0, 0));
+        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
+        assert_eq!((idm.contacts, idm.hard_braking, idm.left_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
-        assert!(idm.fault() < 0.02, "{idm:?}");
-        let policy = traffic.driven_by(&ControllerKind::Policy(Policy::reference())).unwrap();
-        assert!(policy.fault() > 0.3 && policy.left_behind > 0, "{policy:?}");
+        assert!(idm.penalty() < 0.02, "{idm:?}");
+        let policy = traffic.evaluate(&ControllerKind::Policy(Policy::reference())).unwrap();
+        assert!(policy.penalty() > 0.3 && policy.left_behind > 0, "{policy:?}");
     }
 }

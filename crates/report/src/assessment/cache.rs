@@ -282,7 +282,7 @@ mod tests {
     use super::*;
 
     fn get(store: &EvidenceCache, inputs: &str, value: f64) -> f64 {
-        store.get::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
+        store.get_or_gather::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
     }
 
     #[test]
@@ -294,7 +294,7 @@ mod tests {
             assert!(matches!(EvidenceCache::open(folder.path(), "program", false), Err(CacheError::InUse(_))));
             assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
             assert_eq!(get(&store, "other inputs", 0.3), 0.3);
-            assert_eq!((store.reused(), store.damaged().len()), ((3, 1), 0));
+            assert_eq!((store.reuse_counts(), store.damaged_files().len()), ((3, 1), 0));
         }
         assert_eq!(get(&open("other program", false), "inputs", 0.4), 0.4);
         for file in fs::read_dir(folder.path()).unwrap() {
@@ -302,11 +302,11 @@ mod tests {
             fs::write(&path, fs::read_to_string(&path).unwrap().replace("0.1", "0.9")).unwrap();
         }
         assert_eq!(get(&open("program", false), "inputs", 0.5), 0.5, "altered evidence is not believed");
-        assert_eq!(get(&EvidenceCache::none(), "inputs", 0.6), 0.6);
+        assert_eq!(get(&EvidenceCache::disabled(), "inputs", 0.6), 0.6);
         assert_eq!(get(&open("program", true), "inputs", 0.7), 0.7);
         let store = open("program", false);
         let [one, other] = ["inputs", "other inputs"].map(|inputs| {
-            folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(text(&inputs).unwrap()))))
+            folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(to_json(&inputs).unwrap()))))
         });
         fs::copy(&other, &one).unwrap();
         assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
@@ -320,15 +320,15 @@ mod tests {
         let names = ["a piece", "another", "a third"];
         let gather = |name: &str| {
             let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
-            let value = store.get::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
+            let value = store.get_or_gather::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
             assert_eq!(value, format!("says {name}"));
-            store.reused() == (1, 1)
+            store.reuse_counts() == (1, 1)
         };
         names.into_iter().for_each(|name| assert!(!gather(name)));
         names.into_iter().for_each(|name| assert!(gather(name)));
         let path = |name: &str| {
             let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
-            folder.path().join(store.file_stem(name, &sha256(text(&"inputs").unwrap())) + ".json")
+            folder.path().join(store.file_stem(name, &sha256(to_json(&"inputs").unwrap())) + ".json")
         };
         let genuine = names.map(|name| fs::read(path(name)).unwrap());
         for (name, bytes) in names.into_iter().zip(&genuine) {

@@ -14,7 +14,7 @@ pub(super) fn prose_to_html(text: &str) -> Markup {
 mod tests {
     #[test]
     fn code_is_marked_and_the_rest_is_escaped() {
-        let html = super::prose("a < `b`").into_string();
+        let html = super::prose_to_html("a < `b`").into_string();
         assert_eq!(html, "a &lt; <code>b</code>");
     }
 }

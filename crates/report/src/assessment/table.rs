@@ -155,10 +155,10 @@ mod tests {
     #[test]
     fn what_cells_hold_can_break_neither_form() {
         let mut table = ReportTable::new(&["name", "n"]);
-        table.row(vec![ReportCell::text("a|b<script>\nc"), ReportCell::number(3)]);
+        table.push_row(vec![ReportCell::text("a|b<script>\nc"), ReportCell::number(3)]);
         let mut text = Markdown::default();
-        table.markdown(&mut text);
+        table.write_markdown(&mut text);
         assert_eq!(text.into_string(), "| name | n |\n| --- | ---: |\n| a\\|b\\<script> c | 3 |\n");
-        assert!(table.html().into_string().contains("a|b&lt;script&gt;"));
+        assert!(table.to_html().into_string().contains("a|b&lt;script&gt;"));
     }
 }

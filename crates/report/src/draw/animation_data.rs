@@ -227,14 +227,14 @@ fn round_to_digits(value: f64, digits: i32) -> f64 {
 mod tests {
     use super::*;
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::num::f64::ANY as ANY_NUMBER;
     use proptest::prelude::*;
 
     fn simulate_built_in(name: &str, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
-        let scenario = built_in(name).unwrap();
-        let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_after_contact(after_contact);
+        let scenario = built_in_scenario(name).unwrap();
+        let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap()).with_after_contact(after_contact);
         let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         (simulated.trace.unwrap(), simulated.impacts)
     }
@@ -242,14 +242,14 @@ mod tests {
     #[test]
     fn samples_are_the_trace_at_even_steps_and_end_with_it() {
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
-            let (trace, impacts) = run("paper-2", after_contact);
-            let data = AnimationData::of(&trace, &impacts);
-            let json: serde_json::Value = serde_json::from_str(&data.json()).unwrap();
+            let (trace, impacts) = simulate_built_in("paper-2", after_contact);
+            let data = AnimationData::new(&trace, &impacts);
+            let json: serde_json::Value = serde_json::from_str(&data.to_json()).unwrap();
             let mut compared = 0;
             for (index, track) in trace.vehicles.iter().enumerate() {
                 let read = |name: &str| json["vehicles"][index][name].as_array().unwrap().clone();
                 let (positions, speeds) = (read("position_m"), read("speed_mps"));
-                assert_eq!(positions.len(), data.samples());
+                assert_eq!(positions.len(), data.sample_count());
                 for (sample, (x, v)) in positions.iter().zip(&speeds).enumerate() {
                     let time_s = (sample as f64 * STEP_S).min(*trace.time_s.last().unwrap());
                     // The simulator's steps divide those of the animation, so most samples are samples of the trace.
@@ -261,16 +261,16 @@ mod tests {
                 let last = positions.last().unwrap().as_f64().unwrap();
                 assert!((last - track.position_m.last().unwrap()).abs() <= 0.005 + 1e-9);
             }
-            assert!(compared > 3 * (data.samples() - 2), "{compared} of {}", 3 * data.samples());
-            assert!(data.event(data.end_s()).contains(" hits ") && data.event(0.0) == "no contact");
+            assert!(compared > 3 * (data.sample_count() - 2), "{compared} of {}", 3 * data.sample_count());
+            assert!(data.event_text(data.end_s()).contains(" hits ") && data.event_text(0.0) == "no contact");
         }
     }
 
     #[test]
     fn vehicles_touch_where_the_run_ends_in_contact() {
-        let (trace, impacts) = run("paper-2", AfterContact::Stop);
-        let data = AnimationData::of(&trace, &impacts);
-        let (last, impact) = (data.samples() - 1, data.impacts()[0]);
+        let (trace, impacts) = simulate_built_in("paper-2", AfterContact::Stop);
+        let data = AnimationData::new(&trace, &impacts);
+        let (last, impact) = (data.sample_count() - 1, data.impacts()[0]);
         assert!(data.gap_m(impact.rear, last).unwrap().abs() <= 0.021);
         assert!((0..last).all(|sample| data.gap_m(impact.rear, sample).unwrap() > 0.0));
         assert!(impact.time_s <= data.end_s() + 1e-9);
@@ -291,9 +291,9 @@ mod tests {
                 in_lane_s: Track::THROUGHOUT_S,
             };
             let trace = Trace { time_s: times, vehicles: values.iter().map(track).collect() };
-            let data = AnimationData::of(&trace, &[]);
-            prop_assert!(data.window_m().is_finite() && !data.json().is_empty());
-            prop_assert!(!data.json().contains("null") && !data.json().contains('<'));
+            let data = AnimationData::new(&trace, &[]);
+            prop_assert!(data.window_m().is_finite() && !data.to_json().is_empty());
+            prop_assert!(!data.to_json().contains("null") && !data.to_json().contains('<'));
         }
     }
 }

@@ -210,7 +210,7 @@ mod tests {
     proptest! {
         #[test]
         fn spread_labels_keep_their_distance_and_order(wanted in proptest::collection::vec(-50.0..350.0f64, 1..20)) {
-            let placed = spread(&wanted, 14.0, (0.0, 280.0));
+            let placed = spread_evenly(&wanted, 14.0, (0.0, 280.0));
             for (i, a) in placed.iter().enumerate() {
                 prop_assert!((-1e-9..=280.0 + 1e-9).contains(a));
                 for (j, b) in placed.iter().enumerate().skip(i + 1) {
@@ -225,15 +225,15 @@ mod tests {
             heights in proptest::collection::vec(proptest::collection::vec(0.0..240.0f64, 2..30), 1..20),
         ) {
             let frame = PixelRect { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
-            let lines: Vec<Vec<Place>> = heights
+            let lines: Vec<Vec<PixelPoint>> = heights
                 .iter()
                 .map(|line| line.iter().enumerate().map(|(i, &y)| (i as f64 * 6.0, y)).collect())
                 .collect();
             let sizes = vec![(16.0, 14.0); lines.len()];
             let corner = PixelRect { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
             let mut taken = vec![corner];
-            let places = on_lines(&lines, &sizes, frame, &mut taken);
-            let labels: Vec<PixelRect> = places.iter().flatten().map(|&at| PixelRect::around(at, 16.0, 14.0)).collect();
+            let places = place_line_labels(&lines, &sizes, frame, &mut taken);
+            let labels: Vec<PixelRect> = places.iter().flatten().map(|&at| PixelRect::from_center(at, 16.0, 14.0)).collect();
             for (i, label) in labels.iter().enumerate() {
                 prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
                 prop_assert!(labels.iter().skip(i + 1).all(|other| !other.overlaps(label)));
@@ -243,14 +243,14 @@ mod tests {
 
     #[test]
     fn labels_that_want_their_place_keep_it() {
-        assert_eq!(spread(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)), [10.0, 90.0, 50.0]);
-        assert_eq!(spread(&[50.0, 50.0], 10.0, (0.0, 100.0)), [45.0, 55.0]);
-        assert_eq!(spread(&[], 10.0, (0.0, 100.0)), Vec::<f64>::new());
+        assert_eq!(spread_evenly(&[10.0, 90.0, 50.0], 14.0, (0.0, 100.0)), [10.0, 90.0, 50.0]);
+        assert_eq!(spread_evenly(&[50.0, 50.0], 10.0, (0.0, 100.0)), [45.0, 55.0]);
+        assert_eq!(spread_evenly(&[], 10.0, (0.0, 100.0)), Vec::<f64>::new());
     }
 
     #[test]
     fn long_names_end_in_an_ellipsis() {
-        assert_eq!(shortened("ego", 12.0, 100.0), "ego");
-        assert_eq!(shortened("a follower with a long name", 12.0, 90.0), "a follower w\u{2026}");
+        assert_eq!(truncate_to_width("ego", 12.0, 100.0), "ego");
+        assert_eq!(truncate_to_width("a follower with a long name", 12.0, 90.0), "a follower w\u{2026}");
     }
 }

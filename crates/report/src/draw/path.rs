@@ -129,7 +129,7 @@ mod tests {
             let last = heights.len() as f64;
             let points: Vec<PixelPoint> =
                 heights.iter().enumerate().map(|(i, &y)| (i as f64 / last * width, y)).collect();
-            let kept = simplified(&points);
+            let kept = simplify(&points);
             prop_assert_eq!(kept.first(), points.first());
             prop_assert_eq!(kept.last(), points.last());
             for &point in &points {
@@ -143,8 +143,8 @@ mod tests {
     #[test]
     fn a_long_straight_line_needs_two_points() {
         let points: Vec<PixelPoint> = (0..1500).map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0)).collect();
-        assert_eq!(simplified(&points).len(), 2);
-        assert_eq!(open(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]), "M0 0 10 2.3");
-        assert_eq!(open(&[]), "");
+        assert_eq!(simplify(&points).len(), 2);
+        assert_eq!(polyline_data(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]), "M0 0 10 2.3");
+        assert_eq!(polyline_data(&[]), "");
     }
 }

@@ -132,8 +132,8 @@ mod tests {
         #[test]
         fn ticks_are_few_round_and_inside(low in -1e6..1e6f64, exponent in -3.0..6.0f64, most in 0usize..20) {
             let domain = (low, low + 10f64.powf(exponent));
-            let Ticks { values, decimals } = Ticks::within(domain, most);
-            let (low, high) = drawable(domain);
+            let Ticks { values, decimals } = Ticks::new(domain, most);
+            let (low, high) = drawable_interval(domain);
             prop_assert!((2..=10).contains(&values.len()), "{values:?}");
             prop_assert!(values.iter().all(|v| (low..=high).contains(v)), "{values:?}");
             let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -141,7 +141,7 @@ mod tests {
             prop_assert!(steps.iter().all(|other| (other / step - 1.0).abs() < 1e-3), "{values:?}");
             let mantissa = step / 10f64.powf((step * 1.000_1).log10().floor());
             prop_assert!([1.0, 2.0, 5.0].iter().any(|nice| (mantissa / nice - 1.0).abs() < 1e-3), "{values:?}");
-            let mut labels: Vec<String> = values.iter().map(|v| signed(*v, decimals)).collect();
+            let mut labels: Vec<String> = values.iter().map(|v| format_number(*v, decimals)).collect();
             labels.dedup();
             prop_assert_eq!(labels.len(), values.len());
         }
@@ -149,19 +149,19 @@ mod tests {
         #[test]
         fn any_interval_can_be_drawn(low in ANY_NUMBER, high in ANY_NUMBER, value in ANY_NUMBER) {
             let scale = LinearScale::new((low, high), (10.0, 110.0));
-            prop_assert!(scale.px(value).is_finite());
-            prop_assert!((scale.px(scale.domain.0) - 10.0).abs() < 1e-9);
-            prop_assert!((scale.px(scale.domain.1) - 110.0).abs() < 1e-9);
-            prop_assert!((2..=10).contains(&Ticks::within((low, high), 6).values.len()));
+            prop_assert!(scale.to_px(value).is_finite());
+            prop_assert!((scale.to_px(scale.domain.0) - 10.0).abs() < 1e-9);
+            prop_assert!((scale.to_px(scale.domain.1) - 110.0).abs() < 1e-9);
+            prop_assert!((2..=10).contains(&Ticks::new((low, high), 6).values.len()));
         }
     }
 
     #[test]
     fn the_usual_axes_get_the_usual_ticks() {
-        assert_eq!(Ticks::within((0.0, 15.0), 6).values, [0.0, 5.0, 10.0, 15.0]);
-        assert_eq!(Ticks::within((0.0, 26.5), 6).values, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]);
-        assert_eq!(Ticks::within((-0.2, 0.31), 6).values, [-0.2, -0.1, 0.0, 0.1, 0.2, 0.3]);
-        assert_eq!(signed(-0.04, 1), "0.0");
-        assert_eq!(signed(-2.5, 1), "\u{2212}2.5");
+        assert_eq!(Ticks::new((0.0, 15.0), 6).values, [0.0, 5.0, 10.0, 15.0]);
+        assert_eq!(Ticks::new((0.0, 26.5), 6).values, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]);
+        assert_eq!(Ticks::new((-0.2, 0.31), 6).values, [-0.2, -0.1, 0.0, 0.1, 0.2, 0.3]);
+        assert_eq!(format_number(-0.04, 1), "0.0");
+        assert_eq!(format_number(-2.5, 1), "\u{2212}2.5");
     }
 }

@@ -8,7 +8,7 @@ use resvg::{tiny_skia, usvg};
 
 use super::*;
 use crumple_world::control::{AebSettings, ControllerSpec};
-use crumple_world::scenario::{Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario};
 use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate};
 
 /// The paper's first scenario with these vehicles, 16 m apart.
@@ -16,7 +16,7 @@ use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, Run
 /// Behind the leader they brake fully below a time to collision of `ttc_s`, or, without one, as the leader does and 0.1 s
 /// after the vehicle ahead.
 fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
-    let scenario = built_in("paper-1").unwrap().edited(|spec| {
+    let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
         let mut position_m = 36.0;
         let vehicle = |(rank, &heavy): (usize, &bool)| {
             let class = if heavy { VehicleClass::Heavy } else { VehicleClass::Light };
@@ -37,24 +37,24 @@ fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact
     (simulated.trace.unwrap(), simulated.impacts)
 }
 
-const LAYOUTS: [Layout; 3] = [Layout::Wide, Layout::Stacked, Layout::Column];
+const LAYOUTS: [PanelArrangement; 3] = [PanelArrangement::Wide, PanelArrangement::Stacked, PanelArrangement::Column];
 
 fn vehicle_labels(count: usize) -> Vec<String> {
     (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
 }
 
-fn draw_figure(trace: &Trace, impacts: &[Impact], layout: Layout) -> Svg {
-    let labels = names(trace.vehicles.len());
+fn draw_figure(trace: &Trace, impacts: &[Impact], layout: PanelArrangement) -> Svg {
+    let labels = vehicle_labels(trace.vehicles.len());
     let title = "Scenario 1 & others <with a long title>, vehicles stick together";
-    motion(&MotionFigure { prefix: "fig", title, labels: &labels, trace, impacts }, layout)
+    draw_motion(&MotionFigure { prefix: "fig", title, labels: &labels, trace, impacts }, layout)
 }
 
 fn parse_tree(svg: &Svg) -> usvg::Tree {
-    usvg::Tree::from_str(&svg.document(), &png::options()).expect("valid SVG")
+    usvg::Tree::from_str(&svg.document(), &png::usvg_options()).expect("valid SVG")
 }
 
 /// The boxes of all words of a figure, each with its words.
-fn collect_text_boxes(group: &usvg::ProcessGroup, found: &mut Vec<(String, Frame)>) {
+fn collect_text_boxes(group: &usvg::ProcessGroup, found: &mut Vec<(String, PixelRect)>) {
     for node in group.children() {
         match node {
             usvg::Node::ProcessGroup(group) => collect_text_boxes(group, found),
@@ -62,7 +62,7 @@ fn collect_text_boxes(group: &usvg::ProcessGroup, found: &mut Vec<(String, Frame
                 let area = text.abs_bounding_box();
                 let [left, top, width, height] = [area.left(), area.top(), area.width(), area.height()].map(f64::from);
                 let words = text.chunks().iter().map(usvg::TextChunk::text).collect();
-                found.push((words, Frame { left, top, width, height }));
+                found.push((words, PixelRect { left, top, width, height }));
             }
             _ => {}
         }
@@ -81,7 +81,7 @@ fn track(length_m: f64, position_m: Vec<f64>, speed_mps: Vec<f64>) -> Track {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(8))]
+    #![proptest_config(crumple_cases::with_cases(8))]
 
     #[test]
     fn no_words_of_a_figure_overlap_and_all_lie_inside(
@@ -89,21 +89,21 @@ proptest! {
         go_on in any::<bool>(), layout in proptest::sample::select(LAYOUTS.to_vec()),
     ) {
         let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
-        let (trace, impacts) = line(&heavy, ttc_s, after_contact);
-        let svg = drawn(&trace, &impacts, layout);
+        let (trace, impacts) = simulate_line(&heavy, ttc_s, after_contact);
+        let svg = draw_figure(&trace, &impacts, layout);
         let mut words = Vec::new();
-        collect_text_boxes(tree(&svg).root(), &mut words);
+        collect_text_boxes(parse_tree(&svg).root(), &mut words);
         prop_assert!(words.len() > 20);
         let (width, height) = svg.size();
-        let whole = Frame { left: 0.0, top: 0.0, width, height };
+        let whole = PixelRect { left: 0.0, top: 0.0, width, height };
         for (rank, (text, area)) in words.iter().enumerate() {
             prop_assert!(whole.encloses(area), "{text:?} leaves the figure: {area:?}");
             // Boxes go from the highest ascender to the lowest descender of the font, which the words hardly use.
             let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
-            let core = Frame::around(middle, area.width, area.height * 0.7);
+            let core = PixelRect::from_center(middle, area.width, area.height * 0.7);
             for (other, other_area) in words.iter().skip(rank + 1) {
                 let middle = (other_area.left + other_area.width / 2.0, other_area.top + other_area.height / 2.0);
-                let other_core = Frame::around(middle, other_area.width, other_area.height * 0.7);
+                let other_core = PixelRect::from_center(middle, other_area.width, other_area.height * 0.7);
                 prop_assert!(!core.overlaps(&other_core), "{text:?} and {other:?} overlap: {area:?} {other_area:?}");
             }
         }
@@ -129,8 +129,8 @@ proptest! {
         let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0, beside: Vec::new() };
         let impacts: Vec<Impact> = (front_vehicle < 4).then_some(impact).into_iter().collect();
         let trace = Trace { time_s: times, vehicles };
-        let svg = drawn(&trace, &impacts, layout);
-        tree(&svg);
+        let svg = draw_figure(&trace, &impacts, layout);
+        parse_tree(&svg);
     }
 }
 
@@ -143,15 +143,15 @@ fn plain_traces_give_figures() {
     let empty = Trace { time_s: vec![], vehicles: vec![] };
     for trace in [constant, single, empty] {
         for layout in LAYOUTS {
-            assert!(drawn(&trace, &[], layout).to_png(1.0).is_ok());
+            assert!(draw_figure(&trace, &[], layout).to_png(1.0).is_ok());
         }
     }
 }
 
 #[test]
 fn the_contact_is_written_and_drawn_in_every_panel() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
-    let svg = drawn(&trace, &impacts, Layout::Wide);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let document = svg.document();
     let impact_speed_mps = impacts[0].contact.impact_speed_mps;
     let at = format!("contact 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
@@ -161,18 +161,18 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
     assert_eq!(document.matches(&star).count(), 4);
 
-    let (trace, impacts) = line(&[false, false, true], None, AfterContact::Stop);
-    let document = drawn(&trace, &impacts, Layout::Wide).document();
+    let (trace, impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
+    let document = draw_figure(&trace, &impacts, PanelArrangement::Wide).document();
     assert!(document.contains(">no contact<") && document.contains(">smallest gap "));
     assert!(!document.contains(Ink::Alert.hex()));
 }
 
 #[test]
 fn figures_are_the_same_every_time_and_share_no_identifier() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
-    let labels = names(3);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let labels = vehicle_labels(3);
     let figure = MotionFigure { prefix: "a b\"", title: "t", labels: &labels, trace: &trace, impacts: &impacts };
-    let page = |prefix| motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
+    let page = |prefix| draw_motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
     assert_eq!(page("one"), page("one"));
     assert!(page("one").len() < 45_000, "thirty figures are to stay well under 2 MB: {}", page("one").len());
 
@@ -187,8 +187,8 @@ fn figures_are_the_same_every_time_and_share_no_identifier() {
 
 #[test]
 fn a_png_has_its_size_and_shows_every_ink() {
-    let (trace, impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
-    let svg = drawn(&trace, &impacts, Layout::Wide);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let (width, height) = svg.size();
     let picture = tiny_skia::Pixmap::decode_png(&svg.to_png(PNG_SCALE).expect("drawn")).expect("a PNG");
     assert_eq!((picture.width(), picture.height()), ((2.0 * width).round() as u32, (2.0 * height).round() as u32));
@@ -209,12 +209,12 @@ fn a_png_has_its_size_and_shows_every_ink() {
 
 #[test]
 fn runs_beside_each_other_are_drawn_on_the_same_axes() {
-    let (crash, crash_impacts) = line(&[false, false, true], Some(1.4), AfterContact::Stop);
-    let (safe, safe_impacts) = line(&[false, false, true], None, AfterContact::Stop);
-    let labels = names(3);
+    let (crash, crash_impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (safe, safe_impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
+    let labels = vehicle_labels(3);
     let figure = |prefix, trace, impacts| MotionFigure { prefix, title: "t", labels: &labels, trace, impacts };
     let figures = [figure("one", &crash, &crash_impacts), figure("two", &safe, &safe_impacts)];
-    let axes = MotionAxes::of_all([&crash, &safe]);
+    let axes = MotionAxes::from_traces([&crash, &safe]);
     let labels_of = |svg: Svg| -> Vec<String> {
         let document = svg.document();
         let texts = document.split("<text ").skip(1).filter_map(|rest| rest.split("</text>").next());
@@ -223,23 +223,23 @@ fn runs_beside_each_other_are_drawn_on_the_same_axes() {
             .map(str::to_owned)
             .collect()
     };
-    let together = figures.map(|figure| labels_of(motion_on(&figure, &axes, Layout::Column)));
+    let together = figures.map(|figure| labels_of(draw_motion_on_axes(&figure, &axes, PanelArrangement::Column)));
     assert_eq!(together[0], together[1]);
     assert!(together[0].len() > 12);
-    let alone = figures.map(|figure| labels_of(motion(&figure, Layout::Column)));
+    let alone = figures.map(|figure| labels_of(draw_motion(&figure, PanelArrangement::Column)));
     assert_ne!(alone[0], alone[1], "the runs differ too little to tell");
 
-    let page = motion_beside(&figures).into_string();
+    let page = draw_motions_side_by_side(&figures).into_string();
     assert_eq!(page.matches("<svg").count(), 4);
 }
 
 #[test]
 fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
-    let scenario = built_in("paper-2").unwrap();
-    let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
+    let scenario = built_in_scenario("paper-2").unwrap();
+    let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap());
     let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
     let (trace, impacts) = (simulated.trace.unwrap(), simulated.impacts);
-    let block = |id| animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
+    let block = |id| draw_animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
     let text = block("a") + &block("b");
     let Contact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, .. } = impacts[0].contact;
     assert!(text.contains(&format!("{rear_vehicle} hits {front_vehicle} at {time_s:.2} s, {impact_speed_mps:.1} m/s")));

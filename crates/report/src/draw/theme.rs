@@ -192,13 +192,13 @@ mod tests {
         let inks = INKS.iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
         for (ink, name) in inks.zip(names) {
             assert!(contrast(ink.hex(), Ink::Paper.hex()) >= 4.5, "{ink:?} on white");
-            assert!(contrast(dark(&format!("--draw-{name}")), dark("--draw-paper")) >= 4.5, "{ink:?} in the dark");
+            assert!(contrast(dark_value(&format!("--draw-{name}")), dark_value("--draw-paper")) >= 4.5, "{ink:?} in the dark");
         }
     }
 
     #[test]
     fn twenty_series_look_different() {
-        let looks: std::collections::HashSet<_> = (0..20).map(|i| (Ink::Series(i).hex(), dash(i))).collect();
+        let looks: std::collections::HashSet<_> = (0..20).map(|i| (Ink::Series(i).hex(), series_dash(i))).collect();
         assert_eq!(looks.len(), 20);
     }
 }

@@ -77,17 +77,17 @@ mod tests {
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use ::parquet::record::RowAccessor;
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn both_formats_hold_the_same_numbers_as_the_trace() {
-        let scenario = built_in("paper-1").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("baseline").unwrap())).unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("baseline").unwrap())).unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
-        let csv = csv(&trace).unwrap();
+        let csv = to_csv(&trace).unwrap();
         let mut reader = csv::Reader::from_reader(csv.as_slice());
-        let parquet = SerializedFileReader::new(bytes::Bytes::from(parquet(&trace).unwrap())).unwrap();
+        let parquet = SerializedFileReader::new(bytes::Bytes::from(to_parquet(&trace).unwrap())).unwrap();
         let mut count = 0;
         for (index, (from_csv, from_parquet)) in reader.records().zip(parquet.get_row_iter(None).unwrap()).enumerate() {
             let (from_csv, from_parquet) = (from_csv.unwrap(), from_parquet.unwrap());

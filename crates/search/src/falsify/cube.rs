@@ -144,7 +144,7 @@ mod tests {
             values in prop::collection::vec(0.0..1.0f64, 75),
         ) {
             let cube = UnitCube::new(lengths).unwrap();
-            let coarse = cube.coarse(pieces);
+            let coarse = cube.with_max_pieces(pieces);
             let point = &values[..coarse.dimension()];
             let refined = cube.refine(&coarse, point);
             prop_assert_eq!(refined.len(), cube.dimension());

@@ -205,7 +205,7 @@ impl FailureCriterionRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::built_in_scenario;
 
     #[test]
     fn relations_survive_their_texts() {
@@ -219,7 +219,7 @@ mod tests {
 
     #[test]
     fn partners_differ_in_what_the_relation_says_alone() {
-        let scenario = built_in("paper-1").unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap();
         let nearer = MetamorphicRelation::LargerGap { by_m: 2.0 }.partner(&scenario).unwrap();
         let positions = |scenario: &Scenario| scenario.vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
         let (own, partner) = (positions(&scenario), positions(&nearer));
@@ -235,7 +235,7 @@ mod tests {
     #[test]
     fn a_failure_counts_where_the_partner_holds() {
         let judged = |own: f64, partner: Option<f64>| {
-            FailureCriterion::verdict(RunVerdict::new(own), partner.map(RunVerdict::new)).robustness
+            FailureCriterion::combine_verdicts(RunVerdict::new(own), partner.map(RunVerdict::new)).robustness
         };
         assert_eq!(judged(-3.0, Some(1.0)), -1.0);
         assert_eq!(judged(-0.5, Some(1.0)), -0.5);
@@ -251,12 +251,12 @@ mod tests {
 
     #[test]
     fn a_partner_without_an_answer_neither_holds_nor_fails() {
-        let silent = RunVerdict { failed: Some((1.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        let silent = RunVerdict { failure: Some((1.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
         for own in [RunVerdict::new(-3.0), RunVerdict::new(3.0), silent] {
-            let beside = FailureCriterion::verdict(own, Some(silent));
-            assert_eq!((beside.robustness, beside.failed), (f64::INFINITY, Some((1.5, 1))));
+            let beside = FailureCriterion::combine_verdicts(own, Some(silent));
+            assert_eq!((beside.robustness, beside.failure), (f64::INFINITY, Some((1.5, 1))));
         }
-        let own = FailureCriterion::verdict(silent, Some(RunVerdict::new(2.0)));
-        assert_eq!((own.robustness, own.failed), (-2.0, Some((1.5, 1))));
+        let own = FailureCriterion::combine_verdicts(silent, Some(RunVerdict::new(2.0)));
+        assert_eq!((own.robustness, own.failure), (-2.0, Some((1.5, 1))));
     }
 }

@@ -266,7 +266,7 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
-    use crumple_store::shard::Shard;
+    use crumple_store::shard::ShardId;
     use crumple_world::control::ControllerSpec;
     use crumple_world::observation::EstimatorKind;
     use crumple_world::scenario::space::built_in_space;
@@ -292,7 +292,7 @@ mod tests {
             method: Method::Custom(CustomMethod::new(name, start).unwrap()),
             budget: 10,
             seed: 7,
-            ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+            ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
         }
     }
 
@@ -321,14 +321,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
         assert!(matches!(outside, Err(CampaignError::InvalidPoints(_))), "{outside:?}");
-        let shard = Shard::new(1, 2).unwrap();
+        let shard = ShardId::new(1, 2).unwrap();
         let divided = campaign("mine", 0.5).run_shard(shard, &folder.path().join("b"), false, &Quiet);
-        assert!(matches!(divided, Err(CampaignError::CustomInShards(_))), "{divided:?}");
+        assert!(matches!(divided, Err(CampaignError::CustomMethodInShards(_))), "{divided:?}");
     }
 
     proptest! {
         // Each case runs all methods twice.
-        #![proptest_config(crumple_cases::cases(100))]
+        #![proptest_config(crumple_cases::with_cases(100))]
 
         /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
         #[test]
@@ -358,7 +358,7 @@ mod tests {
                 20,
             ),
         ) {
-            let cube = UnitCube::new(lengths).unwrap().with_leader(leader);
+            let cube = UnitCube::new(lengths).unwrap().with_leader_coordinates(leader);
             for method in Method::ALL {
                 prop_assert_eq!(&method.name().parse::<Method>().unwrap(), &method);
                 let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));

@@ -140,7 +140,7 @@ mod tests {
             plateaus.add(point.to_vec(), value);
         }
         let mut random = stream(3, Purpose::Search, 0);
-        let segments: Vec<Segment> = (0..200).filter_map(|_| plateaus.segment(&cube, &mut random)).collect();
+        let segments: Vec<Segment> = (0..200).filter_map(|_| plateaus.next_segment(&cube, &mut random)).collect();
         assert_eq!(segments.len(), 6);
         for (place, one) in segments.iter().enumerate() {
             assert!(
@@ -157,11 +157,11 @@ mod tests {
         let mut plateaus = Plateaus::default();
         let mut halvings = |beyond: f64| {
             let (inside, outside) = (vec![0.0], vec![1.0]);
-            let mut segment = Some(Segment { plateau: 1.0, inside, outside, outside_value: beyond, halvings: 0 });
+            let mut segment = Some(Segment { plateau_value: 1.0, inside, outside, outside_value: beyond, halvings: 0 });
             let mut halvings = 0;
             while let Some(one) = segment {
-                let value = if one.middle() < vec![0.3] { 1.0 } else { beyond };
-                segment = plateaus.halved(one, value);
+                let value = if one.midpoint() < vec![0.3] { 1.0 } else { beyond };
+                segment = plateaus.halve(one, value);
                 halvings += 1;
             }
             halvings

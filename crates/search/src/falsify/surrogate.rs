@@ -188,9 +188,9 @@ mod tests {
         let (known, unknown) = data.split_at(60);
         let mut chosen = MetricSelection::default();
         let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
-        assert!(chosen.metric.horizon > 0 && chosen.metric.reading != SignalFeature::Values, "{chosen:?}");
+        assert!(chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values, "{chosen:?}");
 
-        let plain = Metric::all(&cube).filter(|metric| metric.horizon == 0 && metric.reading == SignalFeature::Values);
+        let plain = Metric::candidates(&cube).filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
         let scores = DVector::from_vec(scores(known));
         let plain = plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();

@@ -154,7 +154,7 @@ mod tests {
         // Lowest at (0.2, 0.9); the third variable has no say and stays.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
         let limits = VariableBounds { low: 0.0, high: 0.9 };
-        let pace = StepSchedule { nudge: 1e-3, region: [0.25, 1e-4] };
+        let pace = StepSchedule { finite_difference: 1e-3, trust_region: [0.25, 1e-4] };
         let start = vec![0.6, 0.1, 0.3];
         let first = value(&start);
         let mut descent = TrustRegionDescent::new(limits, pace, start, first);
@@ -164,16 +164,16 @@ mod tests {
             descent.tell(&asked.iter().map(|x| value(x)).collect::<Vec<_>>());
         }
         assert!(descent.ask().is_empty(), "it ends");
-        assert!((descent.at()[0] - 0.2).abs() < 2e-3 && descent.at()[1] > 0.899, "{descent:?}");
+        assert!((descent.point()[0] - 0.2).abs() < 2e-3 && descent.point()[1] > 0.899, "{descent:?}");
         // But for the tolerance of the solver, step after step.
-        assert!((descent.at()[2] - 0.3).abs() < 1e-3);
-        assert_eq!(descent.value(), value(descent.at()));
+        assert!((descent.point()[2] - 0.3).abs() < 1e-3);
+        assert_eq!(descent.value(), value(descent.point()));
     }
 
     #[test]
     fn what_cannot_be_compared_ends_it() {
         let limits = VariableBounds { low: 0.0, high: 1.0 };
-        let pace = StepSchedule { nudge: 0.01, region: [0.25, 0.01] };
+        let pace = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.01] };
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut descent = TrustRegionDescent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);

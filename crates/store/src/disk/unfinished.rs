@@ -99,14 +99,14 @@ fn lock_if_abandoned(path: &Path) -> Option<File> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::disk::Files;
+    use crate::disk::StagedFiles;
 
     /// A file of a writer that was killed carries no lock.
     #[test]
     fn the_next_writer_removes_what_no_process_writes_any_more() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        let mut writing = Files::default();
+        let mut writing = StagedFiles::default();
         writing.stage(&at("other.json"), "alive").unwrap();
         for name in ["file-a1B2c3", "a1B2c3", "7"] {
             fs::write(at(&format!("{PREFIX}{name}")), "dead").unwrap();

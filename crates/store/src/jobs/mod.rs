@@ -104,7 +104,7 @@ mod tests {
 
     fn jobs(controller: &str, folder: &str) -> Jobs {
         let words = ["verify", "rate", "--controller", controller].map(str::to_owned).to_vec();
-        Jobs { words, shards: 8, cores: 2, most_minutes: 30, folder: folder.to_owned() }
+        Jobs { arguments: words, shards: 8, cores: 2, max_minutes: 30, folder: folder.to_owned() }
     }
 
     /// What a shell makes of the script, with a program in place of crumple that prints its arguments.
@@ -128,7 +128,7 @@ mod tests {
 
     #[cfg(unix)]
     proptest! {
-        #![proptest_config(crumple_cases::cases(40))]
+        #![proptest_config(crumple_cases::with_cases(40))]
 
         /// Whatever somebody calls a controller or a folder, a shell reads it as that word, and nothing else is run.
         #[test]
@@ -136,7 +136,7 @@ mod tests {
             controller in "[a-z $`\"'\\\\;&|<>(){}*?!#~\n\u{202e}é=-]{1,20}",
             folder in "[a-z $`\"'\\\\;&|<>(){}*?!#~\n=-]{1,20}",
         ) {
-            let found = arguments(&jobs(&controller, &folder).task(), TASK_SCRIPT, "HQ_TASK_ID");
+            let found = arguments(&jobs(&controller, &folder).task_script(), TASK_SCRIPT, "HQ_TASK_ID");
             let out = format!("--out={folder}/shards/3");
             let expected =
                 ["--quiet", "verify", "rate", "--controller", &controller, "--shard", "3/8", &out, "--resume"];
@@ -148,12 +148,12 @@ mod tests {
     #[test]
     fn files_for_engines_are_filled_in() {
         for engine in Engine::ALL {
-            let (name, text) = jobs("idm", "plan; rm -rf x").file(engine);
+            let (name, text) = jobs("idm", "plan; rm -rf x").engine_file(engine);
             assert!(!text.contains('@') || engine == Engine::Ray, "{name}: {text}");
             assert!(!text.contains("@SHARDS@") && !text.contains("@CORES@") && !text.contains("idm"), "{name}");
             assert!(engine == Engine::Slurm || text.contains("SHARDS = 8\nCORES = 2\n"), "{name}");
         }
-        let slurm = jobs("idm", "plan; rm -rf x").file(Engine::Slurm).1;
+        let slurm = jobs("idm", "plan; rm -rf x").engine_file(Engine::Slurm).1;
         assert!(slurm.contains("--array=1-8\n") && slurm.ends_with("exec sh -- 'plan; rm -rf x/task.sh'\n"), "{slurm}");
     }
 }

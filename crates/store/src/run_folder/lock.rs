@@ -82,17 +82,17 @@ mod tests {
     #[test]
     fn a_folder_is_locked_once_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
-        let lock = FolderLock::of(folder.path()).unwrap().unwrap();
-        assert!(FolderLock::of(folder.path()).unwrap().is_none());
+        let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
+        assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none());
         // As a child has it that is about to become another program.
         let held = lock.file.try_clone().unwrap();
         drop(lock);
-        assert!(FolderLock::of(folder.path()).unwrap().is_some());
+        assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());
         drop(held);
-        let lock = FolderLock::of(folder.path()).unwrap().unwrap();
+        let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         fs::remove_file(folder.path().join(LOCK_FILE)).unwrap();
-        assert!(FolderLock::of(folder.path()).unwrap().is_none(), "the folder itself is locked");
+        assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none(), "the folder itself is locked");
         drop(lock);
-        assert!(FolderLock::of(folder.path()).unwrap().is_some());
+        assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());
     }
 }

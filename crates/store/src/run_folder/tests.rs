@@ -2,50 +2,50 @@ use std::fs;
 
 use super::*;
 
-const OPTIONS: Asked<'_> =
-    Asked { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true, outputs: &[] };
+const OPTIONS: RunFolderOptions<'_> =
+    RunFolderOptions { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true, outputs: &[] };
 
 /// A folder with three files, one of which was changed and one removed.
 fn finished_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
-    work.changes().write("a.json", "first").write("deep/b.json", "b").write("c.json", "c").commit().unwrap();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
+    work.transaction().write("a.json", "first").write("deep/b.json", "b").write("c.json", "c").commit().unwrap();
     work.write("a.json", "second").unwrap();
-    work.changes().remove("c.json").commit().unwrap();
+    work.transaction().remove("c.json").commit().unwrap();
     work.finish().unwrap();
     folder
 }
 
 #[test]
 fn what_was_written_is_read_and_nothing_else_is() {
-    let folder = worked();
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    let folder = finished_folder();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
     assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
-    assert_eq!(work.locked().names(), ["a.json", "deep/b.json"]);
+    assert_eq!(work.lock_manifest().file_names(), ["a.json", "deep/b.json"]);
     fs::write(work.path("c.json"), "left over").unwrap();
     let said = work.read("c.json").unwrap_err().to_string();
     assert!(said.contains("c.json: work.json knows no such file"), "{said}");
-    assert!(matches!(Work::open(folder.path(), OPTIONS), Err(WorkError::InUse { .. })));
+    assert!(matches!(RunFolder::open(folder.path(), OPTIONS), Err(RunFolderError::InUse { .. })));
 }
 
 #[test]
 fn another_folders_work_is_refused() {
-    let folder = worked();
-    let open = |asked| Work::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
-    assert!(open(Asked { resume: false, ..OPTIONS }).contains("holds a count already"));
-    assert!(open(Asked { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training"));
-    assert!(open(Asked { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
+    let folder = finished_folder();
+    let open = |asked| RunFolder::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
+    assert!(open(RunFolderOptions { resume: false, ..OPTIONS }).contains("holds a count already"));
+    assert!(open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training"));
+    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
 }
 
 /// A bit of every byte of every file, every length of it, its absence, and the place of each file with that of another: never believed.
 #[test]
 fn any_damage_names_its_file() {
-    let folder = worked();
-    let names = [MANIFEST, "a.json", "deep/b.json"];
+    let folder = finished_folder();
+    let names = [MANIFEST_FILE, "a.json", "deep/b.json"];
     let whole = names.map(|name| fs::read(folder.path().join(name)).unwrap());
     let refused = |name: &str| {
-        let error = Work::open(folder.path(), OPTIONS).err().map(|error| error.to_string());
+        let error = RunFolder::open(folder.path(), OPTIONS).err().map(|error| error.to_string());
         let seen = examine(folder.path());
         let is_seen = seen.is_err()
             || seen.is_ok_and(|seen| seen.files.iter().any(|(file, found)| file == name && found.is_err()));
@@ -70,12 +70,12 @@ fn any_damage_names_its_file() {
             says(refused(name));
         }
         fs::remove_file(&path).unwrap();
-        if *name != MANIFEST {
+        if *name != MANIFEST_FILE {
             says(refused(name));
         }
         fs::write(&path, bytes).unwrap();
     }
-    Work::open(folder.path(), OPTIONS).unwrap();
+    RunFolder::open(folder.path(), OPTIONS).unwrap();
 }
 
 /// Wherever the process ends once a change was announced, whoever comes next makes what is left of it; and of what belongs to
@@ -83,32 +83,32 @@ fn any_damage_names_its_file() {
 #[test]
 fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
     let announced = || {
-        let folder = worked();
+        let folder = finished_folder();
         let before = ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
         {
-            let work = Work::open(folder.path(), OPTIONS).unwrap();
-            let mut manifest = work.locked();
+            let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
+            let mut manifest = work.lock_manifest();
             for ((name, contents), unfinished) in
                 [("a.json", "third"), ("new/c.json", "third")].into_iter().zip(manifest.unfinished_names())
             {
                 fs::write(folder.path().join(&unfinished), contents).unwrap();
-                manifest.place(name, unfinished, FileState::of(contents.as_bytes()));
+                manifest.add_pending_move(name, unfinished, FileState::from_contents(contents.as_bytes()));
             }
-            manifest.remove("deep/b.json");
+            manifest.add_pending_removal("deep/b.json");
             manifest.program = Some(work.program.to_owned());
             manifest.write(folder.path()).unwrap();
         }
         (folder, before)
     };
     let is_new = |folder: &Path| {
-        let work = Work::open(folder, OPTIONS).unwrap();
+        let work = RunFolder::open(folder, OPTIONS).unwrap();
         assert!(!work.is_complete());
         let read = |name| String::from_utf8(work.read_required(name).unwrap()).unwrap();
         assert_eq!((read("a.json"), read("new/c.json")), ("third".to_owned(), "third".to_owned()));
         assert_eq!(work.read("deep/b.json").unwrap(), None);
         work.write("a.json", "fourth").unwrap();
         drop(work);
-        assert_eq!(Work::open(folder, OPTIONS).unwrap().read_required("a.json").unwrap(), b"fourth");
+        assert_eq!(RunFolder::open(folder, OPTIONS).unwrap().read_required("a.json").unwrap(), b"fourth");
     };
     for made in 0..=3 {
         let (folder, _) = announced();
@@ -130,18 +130,18 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
     // Once it is made, what was before is damage, as is what was never announced.
     for (name, contents) in [("a.json", "second"), ("a.json", "fourth"), ("new/c.json", "")] {
         let (folder, _) = announced();
-        drop(Work::open(folder.path(), OPTIONS).unwrap());
+        drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join(name), contents).unwrap();
-        let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+        let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
         assert!(said.contains(&format!("{name}: not as it was written")), "{said}");
     }
     let (folder, _) = announced();
     fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
-    let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
     assert!(said.contains("new/c.json: the file is missing"), "{said}");
     let (folder, before) = announced();
     fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
-    let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
     assert!(said.contains("deep/b.json: not as it was written"), "{said}");
 }
 
@@ -150,15 +150,15 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
 fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("journal");
-    let open = || Work::open(folder.path(), OPTIONS);
+    let open = || RunFolder::open(folder.path(), OPTIONS);
     let work = open().unwrap();
-    work.changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+    work.transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
     fs::write(&path, "first").unwrap();
-    work.grew("journal", Prefix { bytes: 5, sha256: sha256("first") }).unwrap();
+    work.record_prefix("journal", Prefix { bytes: 5, sha256: sha256("first") }).unwrap();
     drop(work);
     for whole in ["first", "first, second"] {
         fs::write(&path, whole).unwrap();
-        open().unwrap().changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+        open().unwrap().transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
     }
     for (damaged, said) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
         fs::write(&path, damaged).unwrap();
@@ -174,11 +174,11 @@ fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
 fn strangers_are_named_and_nothing_goes_on_beside_them() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let asked = Asked { outputs: &["result.json", "parts/"], ..OPTIONS };
+    let asked = RunFolderOptions { outputs: &["result.json", "parts/"], ..OPTIONS };
     let named = |strangers: &[&str]| {
         let found = examine(root).unwrap();
-        assert!(found.strangers == strangers && found.is_whole() == strangers.is_empty(), "{found:?}");
-        match (strangers.first(), Work::open(root, asked).err()) {
+        assert!(found.unlisted_files == strangers && found.is_intact() == strangers.is_empty(), "{found:?}");
+        match (strangers.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
             (Some(name), error) => {
                 let said = error.unwrap().to_string();
@@ -189,7 +189,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
             }
         }
     };
-    Work::open(root, asked).unwrap().write("plan.json", "plan").unwrap();
+    RunFolder::open(root, asked).unwrap().write("plan.json", "plan").unwrap();
     fs::create_dir(root.join("parts")).unwrap();
     fs::write(root.join("notes.txt"), "beside the work").unwrap();
     named(&[]);
@@ -199,13 +199,13 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         fs::remove_file(root.join(stranger)).unwrap();
     }
     // Work within the work is its own once it is done, and nobody else has anything to do in there.
-    let inner = Work::open(&root.join("inner"), OPTIONS).unwrap();
+    let inner = RunFolder::open(&root.join("inner"), OPTIONS).unwrap();
     inner.write("a", "a").unwrap();
     inner.finish().unwrap();
     drop(inner);
-    let work = Work::open(root, asked).unwrap();
+    let work = RunFolder::open(root, asked).unwrap();
     work.include("inner").unwrap();
-    work.changes().write("result.json", "result").write("parts/a", "a").commit().unwrap();
+    work.transaction().write("result.json", "result").write("parts/a", "a").commit().unwrap();
     work.finish().unwrap();
     drop(work);
     named(&[]);
@@ -227,7 +227,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
 /// A manifest that somebody made names nothing outside its folder.
 #[test]
 fn nothing_outside_of_the_folder_is_moved_or_removed() {
-    let folder = worked();
+    let folder = finished_folder();
     let outside = folder.path().join("outside");
     fs::write(&outside, "mine").unwrap();
     let inner = folder.path().join("inner");
@@ -235,9 +235,9 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
     {
         fs::create_dir_all(&inner).unwrap();
         let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(OPTIONS.configuration), &[]);
-        manifest.place(name, unfinished.to_owned(), FileState::of(b"mine"));
+        manifest.add_pending_move(name, unfinished.to_owned(), FileState::from_contents(b"mine"));
         manifest.write(&inner).unwrap();
-        let said = Work::open(&inner, OPTIONS).err().unwrap().to_string();
+        let said = RunFolder::open(&inner, OPTIONS).err().unwrap().to_string();
         assert!(said.contains("work.json: sha256: not as it was written"), "{said}");
         assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
         fs::remove_dir_all(&inner).unwrap();
@@ -251,10 +251,10 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     for name in ["notes.txt", "a.json", "parts/7"] {
         fs::write(folder.path().join(name), "mine").unwrap();
     }
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
         let said = work.write(name, "ours").unwrap_err().to_string();
-        assert!(said.contains(&format!("{left_over}: {UNKNOWN}")), "{said}");
+        assert!(said.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")), "{said}");
     }
     work.write("b.json", "ours").unwrap();
     drop(work);
@@ -262,28 +262,28 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
         assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), "mine");
     }
     fs::remove_dir_all(folder.path().join("parts")).unwrap();
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("parts/1", "ours").unwrap();
     drop(work);
     let unfinished = folder.path().join("parts/.crumple-unfinished-x");
     fs::write(&unfinished, "half").unwrap();
-    drop(Work::open(folder.path(), OPTIONS).unwrap());
+    drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
     assert!(!unfinished.exists());
     fs::write(folder.path().join("parts/2"), "mine").unwrap();
-    let said = Work::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    let said = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
     assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
 }
 
 /// Half done, it is its build's; complete, it is anybody's to read.
 #[test]
 fn half_done_work_of_another_build_is_refused() {
-    let folder = worked();
-    let path = folder.path().join(MANIFEST);
+    let folder = finished_folder();
+    let path = folder.path().join(MANIFEST_FILE);
     let mut manifest = Manifest::read(&path).unwrap().unwrap();
-    assert!(Work::open(folder.path(), OPTIONS).unwrap().is_complete());
+    assert!(RunFolder::open(folder.path(), OPTIONS).unwrap().is_complete());
     manifest.program = Some("0".repeat(64));
     manifest.write(folder.path()).unwrap();
-    let said = Work::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    let said = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
     assert!(said.ends_with(OTHER_BUILD_MESSAGE), "{said}");
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }
@@ -292,34 +292,34 @@ fn half_done_work_of_another_build_is_refused() {
 #[test]
 fn a_folder_with_older_copies_is_examined_and_resumed() {
     let folder = tempfile::tempdir().unwrap();
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
-    work.changes().write("log", "2").write("previous/log", "1").commit().unwrap();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
+    work.transaction().write("log", "2").write("previous/log", "1").commit().unwrap();
     drop(work);
-    fs::copy(folder.path().join(MANIFEST), folder.path().join("previous").join(MANIFEST)).unwrap();
+    fs::copy(folder.path().join(MANIFEST_FILE), folder.path().join("previous").join(MANIFEST_FILE)).unwrap();
     let seen = examine(folder.path()).unwrap();
-    assert!(seen.is_whole() && seen.beside.is_empty(), "{seen:?}");
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    assert!(seen.is_intact() && seen.unrelated_files.is_empty(), "{seen:?}");
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("log", "3").unwrap();
     work.finish().unwrap();
     drop(work);
-    assert!(examine(folder.path()).unwrap().is_whole());
-    assert!(matches!(find(folder.path()).unwrap(), Found::Finished(_)));
+    assert!(examine(folder.path()).unwrap().is_intact());
+    assert!(matches!(read_state(folder.path()).unwrap(), RunState::Complete(_)));
 }
 
 /// Of work that lies in other work, every file and the manifest belong to both.
 #[test]
 fn damage_in_what_is_included_is_damage() {
-    for name in ["a.json", "deep/b.json", MANIFEST] {
+    for name in ["a.json", "deep/b.json", MANIFEST_FILE] {
         let folder = tempfile::tempdir().unwrap();
-        let work = Work::open(folder.path(), OPTIONS).unwrap();
-        let inner = Work::open(&folder.path().join("rounds/01"), OPTIONS).unwrap();
-        inner.changes().write("a.json", "a").write("deep/b.json", "b").commit().unwrap();
+        let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
+        let inner = RunFolder::open(&folder.path().join("rounds/01"), OPTIONS).unwrap();
+        inner.transaction().write("a.json", "a").write("deep/b.json", "b").commit().unwrap();
         inner.finish().unwrap();
         drop(inner);
         work.include("rounds/01").unwrap();
         work.write("rounds/found.json", "beside it").unwrap();
         drop(work);
-        let open = || Work::open(folder.path(), OPTIONS).map(|_| ()).map_err(|error| error.to_string());
+        let open = || RunFolder::open(folder.path(), OPTIONS).map(|_| ()).map_err(|error| error.to_string());
         open().unwrap();
         fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
         assert!(open().unwrap_err().contains(&format!("rounds/01/{name}: ")));
@@ -334,7 +334,7 @@ fn what_was_not_finished_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
     let left = folder.path().join(".crumple-unfinished-a");
     fs::write(&left, "{").unwrap();
-    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("state", "1").unwrap();
     assert!(!left.exists());
 }
@@ -350,21 +350,21 @@ fn what_cannot_be_what_was_written_is_not_even_read() {
         |path| fs::create_dir(path).unwrap(),
         |path| assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success()),
     ];
-    for name in [MANIFEST, "a.json", "deep/b.json", "deep/left-over.json"] {
+    for name in [MANIFEST_FILE, "a.json", "deep/b.json", "deep/left-over.json"] {
         for replace in replaced {
-            let folder = worked();
+            let folder = finished_folder();
             let path = folder.path().join(name);
             let _ = fs::remove_file(&path);
             replace(&path);
             if name.ends_with("left-over.json") && path.is_dir() {
                 continue;
             }
-            let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+            let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
             assert!(said.contains(name), "{name}: {said}");
             match examine(folder.path()) {
                 Ok(seen) => {
                     let is_damaged = seen.files.iter().any(|(file, state)| file == name && state.is_err());
-                    assert!(is_damaged || seen.strangers == [name], "{name}");
+                    assert!(is_damaged || seen.unlisted_files == [name], "{name}");
                 }
                 Err(error) => assert!(error.to_string().contains(name)),
             }

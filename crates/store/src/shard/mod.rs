@@ -275,7 +275,7 @@ mod tests {
 
     #[test]
     fn numbers_in_a_row_are_one_range() {
-        assert_eq!(as_array(&[]), "");
-        assert_eq!(as_array(&[1, 3, 4, 5, 8, 9]), "1,3-5,8-9");
+        assert_eq!(format_ranges(&[]), "");
+        assert_eq!(format_ranges(&[1, 3, 4, 5, 8, 9]), "1,3-5,8-9");
     }
 }

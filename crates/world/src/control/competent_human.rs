@@ -139,7 +139,7 @@ impl Controller for CompetentHuman {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, behind, stopping_distance_m};
+    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
     use super::*;
 
     fn start(settings: &CompetentHumanSettings) -> CompetentHuman {
@@ -165,7 +165,7 @@ mod tests {
                 let expected_m =
                     v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
                 let found_m =
-                    stopping_distance_m(start(&settings), v, |speed_mps| behind(speed_mps, 90.0, 10.0, -5.01));
+                    stopping_distance_m(start(&settings), v, |speed_mps| leader_observation(speed_mps, 90.0, 10.0, -5.01));
                 assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
             }
         }
@@ -176,9 +176,9 @@ mod tests {
         let settings = CompetentHumanSettings::default();
         let mut driver = start(&settings);
         for _ in 0..1000 {
-            assert_eq!(driver.decide(&behind(20.0, 25.0, 20.0, -5.0)).unwrap(), 0.0, "not harder than 5 m/s²");
+            assert_eq!(driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.0)).unwrap(), 0.0, "not harder than 5 m/s²");
         }
-        let commands = [0; 200].map(|_| driver.decide(&behind(20.0, 25.0, 20.0, -5.1)).unwrap());
+        let commands = [0; 200].map(|_| driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.1)).unwrap());
         assert_eq!(commands[..75], [-0.4; 75]);
         assert_eq!(commands[199], -settings.brake_mps2);
         assert!(commands.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401));
@@ -191,13 +191,13 @@ mod tests {
             let mut driver = start(&CompetentHumanSettings::default());
             seen.iter().map(|seen| driver.decide(seen).unwrap()).any(|command| command < 0.0)
         };
-        let steady = |gap_m: f64| behind(20.0, gap_m, 20.0, 0.0);
-        assert!(!reacts(&[steady(300.0), behind(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
-        assert!(reacts(&[steady(300.0), behind(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
-        assert!(reacts(&[steady(40.0), behind(20.0, 200.0, 0.0, 0.0)]), "cuts out before a vehicle that stands");
-        assert!(!reacts(&[steady(45.0), behind(20.0, 200.0, 0.0, 0.0)]), "was followed at more than 2 s");
-        assert!(!reacts(&[steady(40.0), behind(20.0, 200.0, 19.8, 0.0)]), "reveals a vehicle about as fast");
-        assert!(!reacts(&[behind(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
+        let steady = |gap_m: f64| leader_observation(20.0, gap_m, 20.0, 0.0);
+        assert!(!reacts(&[steady(300.0), leader_observation(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
+        assert!(reacts(&[steady(300.0), leader_observation(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
+        assert!(reacts(&[steady(40.0), leader_observation(20.0, 200.0, 0.0, 0.0)]), "cuts out before a vehicle that stands");
+        assert!(!reacts(&[steady(45.0), leader_observation(20.0, 200.0, 0.0, 0.0)]), "was followed at more than 2 s");
+        assert!(!reacts(&[steady(40.0), leader_observation(20.0, 200.0, 19.8, 0.0)]), "reveals a vehicle about as fast");
+        assert!(!reacts(&[leader_observation(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
     }
 
     /// A vehicle ahead that brakes softly is a risk once it has lost 0.5 m/s beyond coasting; one that only coasts is none.
@@ -208,7 +208,7 @@ mod tests {
             let mut has_reacted = false;
             for step in 0..600 {
                 let front_mps = 20.0 + mps2 * 0.01 * f64::from(step);
-                has_reacted |= driver.decide(&behind(20.0, 40.0, front_mps, mps2)).unwrap() < 0.0;
+                has_reacted |= driver.decide(&leader_observation(20.0, 40.0, front_mps, mps2)).unwrap() < 0.0;
             }
             assert_eq!(has_reacted, reacts, "{mps2} m/s²");
         }
@@ -224,7 +224,7 @@ mod tests {
             let mut driver = start(&CompetentHumanSettings::default());
             while own > 0.0 {
                 let front_mps2 = if front > 0.0 { -brake_mps2 } else { 0.0 };
-                let command = driver.decide(&behind(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
+                let command = driver.decide(&leader_observation(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
                 let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);

@@ -133,7 +133,7 @@ impl Controller for FuzzySafety {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, behind, stopping_distance_m};
+    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
     use super::*;
 
     fn ahead(gap_m: f64, speed_mps: f64) -> Neighbour {
@@ -153,7 +153,7 @@ mod tests {
             let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
             let expected_m = v * tau + ramp_m - held_m + v2 * v2 / (2.0 * b);
             let driver = FuzzySafety::start(&settings, &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| behind(speed_mps, -1.0, -1.0, 0.0));
+            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, -1.0, -1.0, 0.0));
             assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
         }
     }
@@ -201,7 +201,7 @@ mod tests {
             let (mut own, mut front, mut command, mut hardest) = (v, v, 0.0, 0.0_f64);
             let mut driver = FuzzySafety::start(&settings, &EGO, 0);
             for _ in 0..3500 {
-                let mut seen = behind(own, gap_m, front, -brake_mps2);
+                let mut seen = leader_observation(own, gap_m, front, -brake_mps2);
                 seen.acceleration_mps2 = command;
                 command = driver.decide(&seen).unwrap();
                 hardest = hardest.max(-command);

@@ -45,7 +45,7 @@ mod tests {
             (HistoryPadding::Zeros, false, [[0, 0, 0, 0, 1, 2], [0, 0, 1, 2, 3, 4]]),
             (HistoryPadding::Zeros, true, [[1, 2, 0, 0, 0, 0], [3, 4, 1, 2, 0, 0]]),
         ] {
-            let own = Mapping::own();
+            let own = Mapping::native();
             let inputs = own.inputs.iter().take(2).cloned().collect();
             let mapping = Mapping { history: 3, history_padding: padding, newest_first, inputs, ..own };
             let mut history = InputHistory::default();

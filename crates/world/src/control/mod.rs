@@ -222,8 +222,8 @@ pub(crate) mod tests {
     #[test]
     fn every_built_in_controller_answers_an_empty_road_with_a_finite_command() {
         let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
-        for spec in ControllerSpec::built_in() {
-            let command = AnyController::built_in(&spec, &EGO, 0).decide(&alone).unwrap();
+        for spec in ControllerSpec::all() {
+            let command = AnyController::from_spec(&spec, &EGO, 0).decide(&alone).unwrap();
             assert!(command.is_finite(), "{}: {command}", spec.name());
             assert!(
                 spec.role() > Role::Reference || command >= 0.0,
@@ -236,15 +236,15 @@ pub(crate) mod tests {
     /// What the table says of a controller is read back from its words and from a file, whatever its settings.
     #[test]
     fn words_and_files_stand_for_one_specification() {
-        for mut spec in ControllerSpec::built_in() {
-            let plain = (spec.identity(), spec.words());
+        for mut spec in ControllerSpec::all() {
+            let plain = (spec.identity(), spec.to_arg());
             assert_eq!(plain.1, spec.name());
             let fields = spec.fields();
             for (index, field) in fields.iter().enumerate() {
-                *spec.get_mut(index).unwrap() = 0.3 * field.usual[0] + 0.7 * field.usual[1];
+                *spec.get_mut(index).unwrap() = 0.3 * field.typical_range[0] + 0.7 * field.typical_range[1];
             }
-            assert_eq!(ControllerSpec::parse(&spec.words()), Some(Ok(spec.clone())));
-            assert_eq!(fields.is_empty(), plain == (spec.identity(), spec.words()), "{}", spec.words());
+            assert_eq!(ControllerSpec::parse(&spec.to_arg()), Some(Ok(spec.clone())));
+            assert_eq!(fields.is_empty(), plain == (spec.identity(), spec.to_arg()), "{}", spec.to_arg());
         }
     }
 

@@ -66,14 +66,14 @@ impl Controller for R157Simple {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, behind, stopping_distance_m};
+    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
     use super::*;
 
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
         for v in [3.0_f64, 14.0, 36.1] {
             let driver = R157Simple::start(&R157SimpleSettings::default(), &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| behind(speed_mps, 90.0, 10.0, -2.0));
+            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, 90.0, 10.0, -2.0));
             let expected_m = v * 0.35 + v * v / 12.0;
             assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
         }
@@ -87,7 +87,7 @@ mod tests {
             let (mut gap_m, mut speed_mps) = (300.0, v);
             let mut driver = R157Simple::start(&settings, &EGO, 0);
             while speed_mps > 0.0 {
-                let a = driver.decide(&behind(speed_mps, gap_m, 0.0, 0.0)).unwrap();
+                let a = driver.decide(&leader_observation(speed_mps, gap_m, 0.0, 0.0)).unwrap();
                 let next_mps = speed_mps + a * EGO.step_s;
                 gap_m -= if next_mps > 0.0 {
                     0.5 * (speed_mps + next_mps) * EGO.step_s

@@ -74,14 +74,14 @@ impl Controller for Rss {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, behind, stopping_distance_m};
+    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
     use super::*;
 
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
         for v in [3.0_f64, 14.0, 36.1] {
             let driver = Rss::start(&RssSettings::default(), &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| behind(speed_mps, -1.0, 0.0, 0.0));
+            let found_m = stopping_distance_m(driver, v, |speed_mps| leader_observation(speed_mps, -1.0, 0.0, 0.0));
             let expected_m = v * 0.75 + v * v / 12.0;
             assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
         }
@@ -109,7 +109,7 @@ mod tests {
             let (mut gap_m, mut own, mut front) = (settings.safe_distance_m(v, ahead), v, ahead);
             let mut driver = Rss::start(&settings, &EGO, 0);
             for _ in 0..3000 {
-                let a = driver.decide(&behind(own, gap_m, front, -7.5)).unwrap();
+                let a = driver.decide(&leader_observation(own, gap_m, front, -7.5)).unwrap();
                 let (next_own, next_front) = ((own + a * 0.01).max(0.0), (front - 0.075).max(0.0));
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);

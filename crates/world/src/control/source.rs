@@ -218,7 +218,7 @@ impl Controller for ZeroOrderHold {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::tests::behind;
+    use super::super::tests::leader_observation;
     use super::*;
     use crate::scenario::PaperDistribution;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
@@ -234,11 +234,11 @@ mod tests {
     #[test]
     fn decides_once_an_interval_and_fails_at_an_answer_that_is_no_number() {
         let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
-        let answers = [0; 7].map(|_| held.decide(&behind(20.0, 20.0, 20.0, 0.0)));
+        let answers = [0; 7].map(|_| held.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
         assert_eq!(answers, [Ok(1.0), Ok(1.0), Ok(1.0), Ok(2.0), Ok(2.0), Ok(2.0), failed]);
         let mut at_every_step = ZeroOrderHold::new(Box::new(CountingController(0.0)), None, 0.01);
-        let answers = [0; 2].map(|_| at_every_step.decide(&behind(20.0, 20.0, 20.0, 0.0)));
+        let answers = [0; 2].map(|_| at_every_step.decide(&leader_observation(20.0, 20.0, 20.0, 0.0)));
         assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
     }
 
@@ -250,7 +250,7 @@ mod tests {
     }
     impl MinGapController {
         fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
-            let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.least_gap_m);
+            let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.min_gap_m);
             let ahead = ahead.ok_or(ControllerFailure::Died { message: "too close".to_owned() })?;
             Ok(ahead.speed_mps - seen.speed_mps)
         }
@@ -261,8 +261,8 @@ mod tests {
         }
     }
     impl BatchController for MinGapController {
-        fn decide_all(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
-            self.most_together.fetch_max(seen.len(), Ordering::Relaxed);
+        fn decide_batch(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+            self.max_batch_size.fetch_max(seen.len(), Ordering::Relaxed);
             answers_mps2.iter_mut().zip(seen).try_for_each(|(answer_mps2, seen)| {
                 *answer_mps2 = self.answer_mps2(seen)?;
                 Ok(())
@@ -276,7 +276,7 @@ mod tests {
         fn interval_s(&self) -> Option<f64> {
             Some(0.1)
         }
-        fn batch(&self) -> Option<&dyn BatchController> {
+        fn batch_controller(&self) -> Option<&dyn BatchController> {
             Some(self)
         }
         fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
@@ -289,7 +289,7 @@ mod tests {
         let draws: Vec<_> = (0..60).map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap()).collect();
         let most_together = Arc::new(AtomicUsize::new(0));
         let sources =
-            [0.0, 12.0].map(|least_gap_m| Arc::new(MinGapController { least_gap_m, most_together: most_together.clone() }));
+            [0.0, 12.0].map(|least_gap_m| Arc::new(MinGapController { min_gap_m: least_gap_m, max_batch_size: most_together.clone() }));
         let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
         let runs: Vec<_> = (0..60).map(|index| Run::new(&draws[index], options(index)).unwrap()).collect();
         let two_threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
@@ -297,7 +297,7 @@ mod tests {
         for (run, together) in runs.iter().zip(&together) {
             assert_eq!(simulate(run, RecordingLevel::Summary), *together);
         }
-        let failed = together.iter().filter(|simulated| simulated.outcome.failed().is_some()).count();
+        let failed = together.iter().filter(|simulated| simulated.outcome.failed_controller().is_some()).count();
         assert!((1..=30).contains(&failed), "{failed}");
         assert!(most_together.load(Ordering::Relaxed) >= 5);
     }

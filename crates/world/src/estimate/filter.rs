@@ -265,22 +265,22 @@ mod tests {
     fn the_steady_covariance_is_where_the_recursion_ends() {
         for (step, noise, bandwidth) in [(0.01, 0.03, 5.0), (0.001, 1e-4, 5.0), (0.1, 2.0, 3.0), (1.0, 10.0, 5.0)] {
             let tuning = Tuning::new(step, noise, bandwidth);
-            let once_more = tuning.predicted(&tuning.corrected(&tuning.steady));
-            assert!((once_more - tuning.steady).amax() <= 1e-9 * tuning.steady.amax(), "step {step}");
-            let mut from_afar = tuning.steady * 4.0;
+            let once_more = tuning.predict_covariance(&tuning.correct_covariance(&tuning.steady_covariance));
+            assert!((once_more - tuning.steady_covariance).amax() <= 1e-9 * tuning.steady_covariance.amax(), "step {step}");
+            let mut from_afar = tuning.steady_covariance * 4.0;
             for _ in 0..(20.0 / step) as usize + 100 {
-                from_afar = tuning.predicted(&tuning.corrected(&from_afar));
+                from_afar = tuning.predict_covariance(&tuning.correct_covariance(&from_afar));
             }
-            assert!((from_afar - tuning.steady).amax() <= 1e-6 * tuning.steady.amax(), "step {step}");
+            assert!((from_afar - tuning.steady_covariance).amax() <= 1e-6 * tuning.steady_covariance.amax(), "step {step}");
         }
     }
 
     #[test]
     fn a_steady_filter_without_loss_equals_the_full_recursion() {
         let tuning = Tuning::new(0.01, 0.03, 5.0);
-        let mut steady = Filter::running(&tuning, 16.0, 0.0, [0.3, -1.0, 0.5]);
+        let mut steady = Filter::new_steady(&tuning, 16.0, 0.0, [0.3, -1.0, 0.5]);
         let mut full = steady.clone();
-        full.covariance = Some(tuning.steady);
+        full.covariance = Some(tuning.steady_covariance);
         for k in 0..2000 {
             let measured = Some(16.0 + (k as f64 * 0.1).sin());
             let (a, b) = (steady.update(&tuning, measured), full.update(&tuning, measured));
@@ -291,7 +291,7 @@ mod tests {
     #[test]
     fn lost_measurements_widen_the_expected_innovation_until_they_return() {
         let tuning = Tuning::new(0.01, 0.03, 5.0);
-        let mut filter = Filter::running(&tuning, 16.0, 0.0, [0.0; 3]);
+        let mut filter = Filter::new_steady(&tuning, 16.0, 0.0, [0.0; 3]);
         let steady = filter.innovation(&tuning, 16.0).variance_m2;
         for _ in 0..50 {
             filter.update(&tuning, None);

@@ -187,41 +187,41 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven, impact, trace};
+    use crate::measure::testing::{driven_track, impact, trace};
 
     #[test]
     fn the_smallest_gap_between_samples_is_found() {
         // Gap 10 m, rear 20 m/s brakes at 5 m/s² behind a steady 15 m/s: equal speeds after 1 s, 5² / (2 * 5) = 2.5 m
         // closer. Samples at 0, 0.8 and 1.6 s miss that instant.
-        let front = driven(2.0, 12.0, 15.0, &[(1.6, 0.0)], 0.8);
-        let rear = driven(2.0, 0.0, 20.0, &[(1.6, -5.0)], 0.8);
-        let approach = Approach::of(&trace(vec![front, rear], 0.8), &[], 1).unwrap();
+        let front = driven_track(2.0, 12.0, 15.0, &[(1.6, 0.0)], 0.8);
+        let rear = driven_track(2.0, 0.0, 20.0, &[(1.6, -5.0)], 0.8);
+        let approach = Approach::from_trace(&trace(vec![front, rear], 0.8), &[], 1).unwrap();
         assert!((approach.min_gap_m().unwrap() - 7.5).abs() < 1e-12);
-        assert!(!approach.touched());
+        assert!(!approach.has_contact());
         assert_eq!(approach.standstill_gap_m(), None, "both still move");
     }
 
     #[test]
     fn an_approach_ends_at_the_contact_and_not_before_or_after() {
         // Gap 10 m closes at 4 m/s: contact after 2.5 s, between the samples at 2 and 3 s.
-        let front = driven(2.0, 12.0, 10.0, &[(5.0, 0.0)], 1.0);
-        let rear = driven(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
+        let front = driven_track(2.0, 12.0, 10.0, &[(5.0, 0.0)], 1.0);
+        let rear = driven_track(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
         let trace = trace(vec![front, rear], 1.0);
-        let approach = Approach::of(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
+        let approach = Approach::from_trace(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
         assert_eq!(approach.states().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
-        assert_eq!((approach.touched(), approach.min_gap_m()), (true, Some(0.0)));
+        assert_eq!((approach.has_contact(), approach.min_gap_m()), (true, Some(0.0)));
 
-        let told_by_the_gap_alone = Approach::of(&trace, &[], 1).unwrap();
+        let told_by_the_gap_alone = Approach::from_trace(&trace, &[], 1).unwrap();
         assert_eq!(told_by_the_gap_alone.states().count(), 4, "ends at the first sample without a gap");
-        assert_eq!((told_by_the_gap_alone.touched(), told_by_the_gap_alone.min_gap_m()), (true, Some(0.0)));
+        assert_eq!((told_by_the_gap_alone.has_contact(), told_by_the_gap_alone.min_gap_m()), (true, Some(0.0)));
     }
 
     #[test]
     fn standstill_gaps_are_those_at_rest() {
         // 10 m/s at 5 m/s² takes 10 m, 12 m/s at 6 m/s² takes 12 m: 8 m become 6 m.
-        let front = driven(2.0, 10.0, 10.0, &[(3.0, -5.0)], 0.5);
-        let rear = driven(2.0, 0.0, 12.0, &[(3.0, -6.0)], 0.5);
-        let approach = Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let front = driven_track(2.0, 10.0, 10.0, &[(3.0, -5.0)], 0.5);
+        let rear = driven_track(2.0, 0.0, 12.0, &[(3.0, -6.0)], 0.5);
+        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
         assert!((approach.standstill_gap_m().unwrap() - 6.0).abs() < 1e-12);
     }
 
@@ -236,9 +236,9 @@ mod tests {
         ) {
             let pieces = |a: &[f64]| a.iter().map(|&a| (0.5, a)).collect::<Vec<_>>();
             let min_gap = |step_s: f64| {
-                let front = driven(4.0, gap_m + 4.0, speeds[0], &pieces(&front), step_s);
-                let rear = driven(4.0, 0.0, speeds[1], &pieces(&rear), step_s);
-                Approach::of(&trace(vec![front, rear], step_s), &[], 1).unwrap().min_gap_m().unwrap()
+                let front = driven_track(4.0, gap_m + 4.0, speeds[0], &pieces(&front), step_s);
+                let rear = driven_track(4.0, 0.0, speeds[1], &pieces(&rear), step_s);
+                Approach::from_trace(&trace(vec![front, rear], step_s), &[], 1).unwrap().min_gap_m().unwrap()
             };
             let (coarse, fine) = (min_gap(0.5), min_gap(0.005));
             prop_assert!((coarse - fine).abs() < 1e-9, "{coarse} against {fine}");

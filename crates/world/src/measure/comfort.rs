@@ -76,10 +76,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven, trace};
+    use crate::measure::testing::{driven_track, trace};
 
     fn jerk_of(pieces: &[(f64, f64)], step_s: f64, window_s: f64) -> f64 {
-        let trace = trace(vec![driven(4.0, 0.0, 100.0, pieces, step_s)], step_s);
+        let trace = trace(vec![driven_track(4.0, 0.0, 100.0, pieces, step_s)], step_s);
         peak_jerk_mps3(&trace.time_s, &trace.vehicles[0], window_s).unwrap()
     }
 
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn jerk_is_undefined_without_a_step_or_a_window() {
-        let track = driven(4.0, 0.0, 10.0, &[(1.0, -1.0)], 0.5);
+        let track = driven_track(4.0, 0.0, 10.0, &[(1.0, -1.0)], 0.5);
         assert_eq!(peak_jerk_mps3(&[], &track, 0.1), None);
         assert_eq!(peak_jerk_mps3(&[0.0], &track, 0.1), None);
         assert_eq!(peak_jerk_mps3(&[0.0, 0.5, 1.0], &track, 0.0), None);

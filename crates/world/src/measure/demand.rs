@@ -116,7 +116,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven, impact, trace};
+    use crate::measure::testing::{driven_track, impact, trace};
 
     #[test]
     fn deceleration_rate_to_avoid_a_crash_by_hand() {
@@ -144,18 +144,18 @@ mod tests {
         // 20² / (2 * (9 + 16)) = 8. DRAC then: 4² / (2 * 9) = 8 / 9.
         // From then on the follower brakes harder than required, and required deceleration falls. DRAC: speeds
         // 16 - 8 s and 20 - 10 s, closing 4 - 2 s, gap 9 - 4 s + s², at s = 1.5: 1² / (2 * 5.25); at s = 0 largest.
-        let front = driven(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
-        let rear = driven(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
+        let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
+        let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
         let mut trace = trace(vec![front, rear], 0.5);
-        let imposed = InducedBraking::of(&trace, &[], 0).unwrap();
+        let imposed = InducedBraking::from_trace(&trace, &[], 0).unwrap();
         assert_eq!(imposed.peak_brake_mps2, Some(10.0));
         assert!((imposed.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
         assert!((imposed.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
-        assert_eq!(InducedBraking::of(&trace, &[], 1), None, "nobody behind the last");
+        assert_eq!(InducedBraking::from_trace(&trace, &[], 1), None, "nobody behind the last");
 
         // Had they touched at 0.4 s, braking after that would not count, and no deceleration would have been enough.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
-        let touched = InducedBraking::of(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
+        let touched = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
         assert_eq!(touched, InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None });
     }
 
@@ -171,9 +171,9 @@ mod tests {
             let required_mps2 = required_brake_mps2(gap_m, front_speed_mps, front_brake_mps2, rear_speed_mps).unwrap();
             prop_assume!(required_mps2 > 0.2, "comes to rest within the time simulated");
             let min_gap_m = |rear_brake_mps2: f64| {
-                let front = driven(4.0, gap_m + 4.0, front_speed_mps, &[(200.0, -front_brake_mps2)], 0.5);
-                let rear = driven(4.0, 0.0, rear_speed_mps, &[(200.0, -rear_brake_mps2)], 0.5);
-                Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap().min_gap_m().unwrap()
+                let front = driven_track(4.0, gap_m + 4.0, front_speed_mps, &[(200.0, -front_brake_mps2)], 0.5);
+                let rear = driven_track(4.0, 0.0, rear_speed_mps, &[(200.0, -rear_brake_mps2)], 0.5);
+                Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap().min_gap_m().unwrap()
             };
             prop_assert!(min_gap_m(required_mps2) < 1e-6, "no harder than needed");
             prop_assert!(min_gap_m(1.001 * required_mps2) > 0.0, "hard enough");

@@ -107,9 +107,9 @@ mod tests {
         for text in DrivingRule::EXAMPLES {
             assert_eq!(text.parse::<DrivingRule>().unwrap().to_string(), text);
         }
-        for unit in UNIT {
+        for unit in UNITS {
             let text = format!("imposed braking at most 4 {unit}");
-            assert_eq!(text.parse(), Ok(DrivingRule::ImposedBraking { at_most_mps2: 4.0 }), "{text}");
+            assert_eq!(text.parse(), Ok(DrivingRule::InducedBraking { max_mps2: 4.0 }), "{text}");
         }
         for text in [
             "",
@@ -128,7 +128,7 @@ mod tests {
         let scenario = built_in("paper-1").unwrap();
         let judged = |rule: &str, controller: &str| {
             let rule = Specification::parse(rule, &scenario).unwrap();
-            let options = RunOptions::new(ControllerSpec::named(controller).unwrap());
+            let options = RunOptions::new(ControllerSpec::from_name(controller).unwrap());
             rule.judge_scenario(&scenario, options).unwrap().robustness
         };
         assert!(judged(NO_UNNECESSARY_BRAKING, "idm") >= 0.0);
@@ -137,21 +137,21 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(crumple_cases::cases(40))]
+        #![proptest_config(crumple_cases::with_cases(40))]
         /// The sign is that of the measures which assessments count.
         #[test]
         fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
             let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
-            let options = RunOptions::new(ControllerSpec::named(name).unwrap());
+            let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
             let run = Run::new(&scenario, options.with_after_contact(AfterContact::Continue)).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
             let trace = result.trace.as_ref().unwrap();
-            let needless = UnnecessaryBraking::of(trace, &result.impacts, 1).unwrap();
-            let margin = DrivingRule::NoBrakingWithoutCause.robustness(&scenario, &result).unwrap();
-            prop_assert_eq!(margin < 0.0, !needless.is_none(), "{} {:?}", margin, needless);
-            let imposed = InducedBraking::of(trace, &result.impacts, 1).and_then(|imposed| imposed.peak_brake_mps2);
-            let left = DrivingRule::ImposedBraking { at_most_mps2: 4.0 }.robustness(&scenario, &result).unwrap();
+            let needless = UnnecessaryBraking::from_trace(trace, &result.impacts, 1).unwrap();
+            let margin = DrivingRule::NoUnnecessaryBraking.robustness(&scenario, &result).unwrap();
+            prop_assert_eq!(margin < 0.0, !needless.is_empty(), "{} {:?}", margin, needless);
+            let imposed = InducedBraking::from_trace(trace, &result.impacts, 1).and_then(|imposed| imposed.peak_brake_mps2);
+            let left = DrivingRule::InducedBraking { max_mps2: 4.0 }.robustness(&scenario, &result).unwrap();
             prop_assert_eq!(left < 0.0, imposed.is_some_and(|peak| peak > 4.0));
         }
     }

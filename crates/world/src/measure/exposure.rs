@@ -73,21 +73,21 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven, impact, trace};
+    use crate::measure::testing::{driven_track, impact, trace};
     use crate::sim::Trace;
 
     #[test]
     fn a_steady_approach_by_hand() {
         // Gap 20 m closes at 5 m/s: TTC = 4 - t, contact at t = 4 s, between samples (0.7 s apart). Below 3 s from
         // t = 1 on: TET = 3 s. The shortfall grows from 0 to 3 s over these 3 s: TIT = 3 * 3 / 2 s².
-        let front = driven(2.0, 22.0, 10.0, &[(4.9, 0.0)], 0.7);
-        let rear = driven(2.0, 0.0, 15.0, &[(4.9, 0.0)], 0.7);
-        let approach = Approach::of(&trace(vec![front, rear], 0.7), &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
-        let Exposure { tet_s, tit_s2 } = approach.exposure(3.0);
+        let front = driven_track(2.0, 22.0, 10.0, &[(4.9, 0.0)], 0.7);
+        let rear = driven_track(2.0, 0.0, 15.0, &[(4.9, 0.0)], 0.7);
+        let approach = Approach::from_trace(&trace(vec![front, rear], 0.7), &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
+        let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(3.0);
         assert!((tet_s - 3.0).abs() < 1e-12 && (tit_s2 - 4.5).abs() < 1e-12, "{tet_s} {tit_s2}");
-        let Exposure { tet_s, tit_s2 } = approach.exposure(1.0);
+        let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(1.0);
         assert!((tet_s - 1.0).abs() < 1e-12 && (tit_s2 - 0.5).abs() < 1e-12, "{tet_s} {tit_s2}");
-        assert_eq!(approach.exposure(0.0), Exposure::default());
+        assert_eq!(approach.ttc_exposure(0.0), TtcExposure::default());
     }
 
     #[test]
@@ -95,25 +95,25 @@ mod tests {
         // Threshold 2 s. Gap 17 m closes at 10 m/s: TTC 1.7, shortfall 0.3, excess 2 * 10 - 17 = 3 m. The rear vehicle
         // brakes at 8 m/s² for 0.5 s: gap 13 m closes at 6 m/s, excess 2 * 6 - 13 = -1 m. Exposed for 3 / 4 of the step:
         // TET = 0.375 s, TIT = 0.375 * 0.3 / 2 s².
-        let front = driven(2.0, 19.0, 10.0, &[(0.5, 0.0)], 0.5);
-        let rear = driven(2.0, 0.0, 20.0, &[(0.5, -8.0)], 0.5);
-        let approach = Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
-        let Exposure { tet_s, tit_s2 } = approach.exposure(2.0);
+        let front = driven_track(2.0, 19.0, 10.0, &[(0.5, 0.0)], 0.5);
+        let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, -8.0)], 0.5);
+        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(2.0);
         assert!((tet_s - 0.375).abs() < 1e-12 && (tit_s2 - 0.05625).abs() < 1e-12, "{tet_s} {tit_s2}");
     }
 
     #[test]
     fn an_opening_gap_exposes_nobody() {
-        let front = driven(2.0, 3.0, 15.0, &[(5.0, 0.0)], 0.5);
-        let rear = driven(2.0, 0.0, 15.0, &[(5.0, -1.0)], 0.5);
-        let approach = Approach::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
-        assert_eq!(approach.exposure(TTC_THRESHOLD_S), Exposure::default());
+        let front = driven_track(2.0, 3.0, 15.0, &[(5.0, 0.0)], 0.5);
+        let rear = driven_track(2.0, 0.0, 15.0, &[(5.0, -1.0)], 0.5);
+        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        assert_eq!(approach.ttc_exposure(TTC_THRESHOLD_S), TtcExposure::default());
     }
 
     /// Both brake in turn, so that time to collision falls below the threshold and recovers.
     fn near_miss_trace(gap_m: f64, speed_mps: f64, brakes_mps2: [f64; 2], step_s: f64) -> Trace {
-        let front = driven(4.0, gap_m + 4.0, speed_mps, &[(1.0, -brakes_mps2[0]), (5.0, 0.0)], step_s);
-        let rear = driven(4.0, 0.0, speed_mps, &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)], step_s);
+        let front = driven_track(4.0, gap_m + 4.0, speed_mps, &[(1.0, -brakes_mps2[0]), (5.0, 0.0)], step_s);
+        let rear = driven_track(4.0, 0.0, speed_mps, &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)], step_s);
         trace(vec![front, rear], step_s)
     }
 
@@ -126,15 +126,15 @@ mod tests {
             threshold_s in 1.0..4.0f64,
         ) {
             let exposure = |step_s| {
-                let trace = avoided(gap_m, speed_mps, brakes_mps2, step_s);
-                Approach::of(&trace, &[], 1).unwrap().exposure(threshold_s)
+                let trace = near_miss_trace(gap_m, speed_mps, brakes_mps2, step_s);
+                Approach::from_trace(&trace, &[], 1).unwrap().ttc_exposure(threshold_s)
             };
             // A contact cuts the approach at its next sample, and just short of one time to collision recovers within a
             // single coarse step.
-            let fine = Approach::of(&avoided(gap_m, speed_mps, brakes_mps2, 0.001), &[], 1).unwrap();
+            let fine = Approach::from_trace(&near_miss_trace(gap_m, speed_mps, brakes_mps2, 0.001), &[], 1).unwrap();
             prop_assume!(fine.min_gap_m() > Some(0.5));
             let (coarse, fine) = (exposure(0.02), exposure(0.001));
-            for Exposure { tet_s, tit_s2 } in [coarse, fine] {
+            for TtcExposure { tet_s, tit_s2 } in [coarse, fine] {
                 prop_assert!((0.0..=6.0).contains(&tet_s));
                 prop_assert!(tit_s2 >= 0.0 && tit_s2 <= threshold_s * tet_s + 1e-12);
             }
@@ -149,10 +149,10 @@ mod tests {
             speed_mps in 10.0..30.0f64,
             brakes_mps2 in prop::array::uniform2(1.0..8.0f64),
         ) {
-            let fine = Approach::of(&avoided(gap_m, speed_mps, brakes_mps2, 0.0005), &[], 1).unwrap();
+            let fine = Approach::from_trace(&near_miss_trace(gap_m, speed_mps, brakes_mps2, 0.0005), &[], 1).unwrap();
             let ttcs = fine.states().filter_map(|s| super::super::ttc_s(s.gap_m, s.closing_mps()));
             let short: Vec<f64> = ttcs.filter(|&ttc_s| ttc_s < TTC_THRESHOLD_S).collect();
-            let Exposure { tet_s, tit_s2 } = fine.exposure(TTC_THRESHOLD_S);
+            let TtcExposure { tet_s, tit_s2 } = fine.ttc_exposure(TTC_THRESHOLD_S);
             prop_assert!((tet_s - 0.0005 * short.len() as f64).abs() < 0.002);
             let sum_s2: f64 = short.iter().map(|ttc_s| 0.0005 * (TTC_THRESHOLD_S - ttc_s)).sum();
             prop_assert!((tit_s2 - sum_s2).abs() < 0.005);

@@ -135,13 +135,13 @@ impl LeadMeasures {
 mod tests {
     use proptest::prelude::*;
 
-    use super::testing::{driven, impact, trace};
+    use super::testing::{driven_track, impact, trace};
     use super::*;
     use crate::sim::Track;
 
     /// The measures of every vehicle, front to rear.
     fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
-        (0..trace.vehicles.len()).filter_map(|index| Measures::of(trace, impacts, index)).collect()
+        (0..trace.vehicles.len()).filter_map(|index| Measures::from_trace(trace, impacts, index)).collect()
     }
 
     #[test]
@@ -158,17 +158,17 @@ mod tests {
 
         let empty = Trace { time_s: vec![], vehicles: vec![nothing(0), nothing(0)] };
         let [leader, follower] = measure_all(&empty, &[])[..] else { panic!("one entry a vehicle") };
-        assert_eq!((leader.ahead, follower.imposed), (None, None));
+        assert_eq!((leader.ahead, follower.induced), (None, None));
         assert_eq!(follower.ahead.unwrap().min_gap_m, None);
         assert_eq!((follower.peak_brake_mps2, follower.peak_jerk_mps3, follower.max_delta_v_mps), (None, None, None));
-        assert_eq!(Measures::of(&empty, &[], 2), None);
-        assert_eq!(Measures::of(&empty, &[], usize::MAX), None);
+        assert_eq!(Measures::from_trace(&empty, &[], 2), None);
+        assert_eq!(Measures::from_trace(&empty, &[], usize::MAX), None);
     }
 
     #[test]
     fn measures_survive_json() {
-        let front = driven(2.0, 12.0, 10.0, &[(5.0, -1.0)], 1.0);
-        let rear = driven(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
+        let front = driven_track(2.0, 12.0, 10.0, &[(5.0, -1.0)], 1.0);
+        let rear = driven_track(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
         for measures in measure_all(&trace(vec![front, rear], 1.0), &[impact(1.7, 0, 8.3, 14.0)]) {
             let json = serde_json::to_string(&measures).unwrap();
             assert_eq!(serde_json::from_str::<Measures>(&json).unwrap(), measures, "{json}");
@@ -206,7 +206,7 @@ mod tests {
             let at = |shift_m: f64| {
                 let vehicle = |i: usize| {
                     let place_m = shift_m - 20.0 * i as f64;
-                    driven(4.0, place_m, 20.0, &[(0.5, 0.0), (2.0, 0.5 * f64::from(halves[i])), (4.0, -4.0)], 0.125)
+                    driven_track(4.0, place_m, 20.0, &[(0.5, 0.0), (2.0, 0.5 * f64::from(halves[i])), (4.0, -4.0)], 0.125)
                 };
                 measure_all(&trace((0..3).map(vehicle).collect(), 0.125), &[])
             };

@@ -24,33 +24,33 @@ fn varint_field(number: u8, value: u8) -> Vec<u8> {
 /// A constant of single precision.
 fn constant(name: &str, shape: &[u8], numbers: &[f32]) -> Vec<u8> {
     let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-    let dims: Vec<u8> = shape.iter().flat_map(|&size| small(1, size)).collect();
-    [dims, small(2, 1), field(8, name.as_bytes()), field(9, &raw)].concat()
+    let dims: Vec<u8> = shape.iter().flat_map(|&size| varint_field(1, size)).collect();
+    [dims, varint_field(2, 1), bytes_field(8, name.as_bytes()), bytes_field(9, &raw)].concat()
 }
 
 /// A node whose name is that of its operator in small letters.
 fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -> Vec<u8> {
-    let inputs: Vec<u8> = inputs.iter().flat_map(|name| field(1, name.as_bytes())).collect();
-    let attributes: Vec<u8> = attributes.iter().flat_map(|one| field(5, one)).collect();
+    let inputs: Vec<u8> = inputs.iter().flat_map(|name| bytes_field(1, name.as_bytes())).collect();
+    let attributes: Vec<u8> = attributes.iter().flat_map(|one| bytes_field(5, one)).collect();
     let name = operator.to_lowercase();
-    [inputs, field(2, output.as_bytes()), field(3, name.as_bytes()), field(4, operator.as_bytes()), attributes].concat()
+    [inputs, bytes_field(2, output.as_bytes()), bytes_field(3, name.as_bytes()), bytes_field(4, operator.as_bytes()), attributes].concat()
 }
 
 fn integer_attribute(name: &str, value: u8) -> Vec<u8> {
-    [field(1, name.as_bytes()), small(3, value)].concat()
+    [bytes_field(1, name.as_bytes()), varint_field(3, value)].concat()
 }
 
 fn value_info(name: &str, shape: &[u8]) -> Vec<u8> {
-    let dims: Vec<u8> = shape.iter().flat_map(|&size| field(1, &small(1, size))).collect();
-    [field(1, name.as_bytes()), field(2, &field(1, &field(2, &dims)))].concat()
+    let dims: Vec<u8> = shape.iter().flat_map(|&size| bytes_field(1, &varint_field(1, size))).collect();
+    [bytes_field(1, name.as_bytes()), bytes_field(2, &bytes_field(1, &bytes_field(2, &dims)))].concat()
 }
 
 /// A model that makes `y` of `x`.
 fn model(opset: u8, shape: &[u8], nodes: &[Vec<u8>], constants: &[Vec<u8>]) -> Vec<u8> {
-    let nodes: Vec<u8> = nodes.iter().flat_map(|one| field(1, one)).collect();
-    let constants: Vec<u8> = constants.iter().flat_map(|one| field(5, one)).collect();
-    let graph = [nodes, constants, field(11, &shaped("x", shape)), field(12, &shaped("y", &[1]))].concat();
-    [field(8, &small(2, opset)), field(7, &graph)].concat()
+    let nodes: Vec<u8> = nodes.iter().flat_map(|one| bytes_field(1, one)).collect();
+    let constants: Vec<u8> = constants.iter().flat_map(|one| bytes_field(5, one)).collect();
+    let graph = [nodes, constants, bytes_field(11, &value_info("x", shape)), bytes_field(12, &value_info("y", &[1]))].concat();
+    [bytes_field(8, &varint_field(2, opset)), bytes_field(7, &graph)].concat()
 }
 
 fn refusal(bytes: &[u8]) -> String {
@@ -59,7 +59,7 @@ fn refusal(bytes: &[u8]) -> String {
 
 fn answer(bytes: &[u8], inputs: &[f32]) -> Vec<f32> {
     let file = NetworkFile::from_onnx(bytes).unwrap_or_else(|error| panic!("{error}"));
-    file.network.answers(inputs, 1, &mut Workspace::default()).to_vec()
+    file.network.forward(inputs, 1, &mut Workspace::default()).to_vec()
 }
 
 /// As the official network of the ARCH benchmark is written: opset 6, four dimensions into Gemm, 1 subtracted first.
@@ -82,7 +82,7 @@ fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
 #[test]
 fn a_convolution_over_the_whole_input_is_a_product() {
     let convolved = |shape: &[u8], pads: u8| {
-        let pads = [field(1, b"pads"), small(8, pads), small(8, 0)].concat();
+        let pads = [bytes_field(1, b"pads"), varint_field(8, pads), varint_field(8, 0)].concat();
         let nodes = [node("Conv", &["x", "w", "b"], "a", &[pads]), node("Flatten", &["a"], "y", &[])];
         let w = constant("w", &[2, 1, 1, 3], &[1.0, 10.0, 100.0, -1.0, -2.0, -3.0]);
         model(8, shape, &nodes, &[w, constant("b", &[2], &[0.5, 0.25])])
@@ -182,13 +182,13 @@ fn answers_lie_in_their_ranges() {
     let numbers = |count| prop::collection::vec(-2.0..2.0_f32, count);
     let question = (0..each.len(), numbers(6), numbers(3), numbers(2), numbers(2), 0.0..1.0_f32);
     proptest!(|((which, weights, biases, low, width, share) in question)| {
-        let steps = vec![Step::Linear(Linear { weights, biases }), Step::Each(each[which].clone())];
+        let steps = vec![NetworkStep::Linear(Linear { weights, biases }), NetworkStep::Elementwise(each[which].clone())];
         let network = FeedForward::new(2, steps).unwrap();
         let limits: Vec<[f64; 2]> =
             low.iter().zip(&width).map(|(&low, width)| [f64::from(low), f64::from(low + width.abs())]).collect();
         let at: Vec<f32> = low.iter().zip(&width).map(|(low, width)| low + share * width.abs()).collect();
         let ranges = network.answer_ranges(&limits).unwrap();
-        for (answer, [low, high]) in network.answers(&at, 1, &mut Workspace::default()).iter().zip(ranges) {
+        for (answer, [low, high]) in network.forward(&at, 1, &mut Workspace::default()).iter().zip(ranges) {
             prop_assert!((low - 1e-5..=high + 1e-5).contains(&f64::from(*answer)), "{answer} {low} {high}");
         }
     });
@@ -202,7 +202,7 @@ fn pickles_are_read_and_not_run() {
     let evil = b"\x80\x02cos\nsystem\nX\x04\x00\x00\x00echo\x85R.";
     let read = pickle::Pickle::read(evil).unwrap();
     let call = read.call(read.top).unwrap();
-    assert_eq!(read.global(call.of), Some(("os", "system")));
+    assert_eq!(read.global(call.callee), Some(("os", "system")));
     let circle = b"\x80\x02]q\x00h\x00a.";
     assert!(pickle::Pickle::read(circle).is_ok());
 }

@@ -337,7 +337,7 @@ mod tests {
         let [m, k, n] = [523, 241, 127];
         let (a, b) = (numbers(1, m * k), numbers(2, k * n));
         assert!(m * k * n > 3 * MIN_PARALLEL_MULTIPLICATIONS);
-        let panels = PackedPanels::of(Rhs::Rows(&b), None, [k, n]);
+        let panels = PackedPanels::new(Rhs::Rows(&b), None, [k, n]);
         let product = |left: Lhs<'_>, threads| {
             let mut out = vec![f32::NAN; m * n];
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -365,7 +365,7 @@ mod tests {
                 .collect();
             let (a_columns, b_columns) = (transposed(&a, m, k), transposed(&b, k, n));
             for right in [Rhs::Rows(&b), Rhs::Columns(&b_columns)] {
-                let panels = PackedPanels::of(right, Some(&start), [k, n]);
+                let panels = PackedPanels::new(right, Some(&start), [k, n]);
                 for left in [Lhs::Rows(&a), Lhs::Columns(&a_columns)] {
                     for path in available_archs() {
                         let mut out = vec![f32::NAN; m * n];

@@ -120,7 +120,7 @@ mod tests {
 
     fn bounds(dead_zone: f64) -> ActionBounds {
         let departs_from = Some(ResidualControl { dead_zone, rate_per_s: 4.0, idm: IdmSettings::default() });
-        ActionBounds { departs_from, ..ActionBounds::default() }
+        ActionBounds { residual_over: departs_from, ..ActionBounds::default() }
     }
 
     proptest! {
@@ -137,9 +137,9 @@ mod tests {
             let law_mps2 = idm.decide(&seen).unwrap().clamp(-7.5, 3.0);
             let mut held = HeldAction::default();
             let mut after = |action, steps| {
-                held.turn_to(action);
+                held.set(action);
                 let of_each = (0..steps).map(|_| held.acceleration_mps2(&bounds, &seen, 0.01)).collect::<Vec<_>>();
-                (of_each, held.departure())
+                (of_each, held.residual())
             };
             let calm = (f64::from(action) * dead_zone * 0.999) as f32;
             prop_assert_eq!(after(calm, 2), (vec![law_mps2; 2], 0.0));

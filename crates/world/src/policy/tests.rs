@@ -8,7 +8,7 @@ use crate::observation::{EstimatorKind, Neighbour};
 
 /// A policy with random weights.
 pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
-    looking_back([1, 1], hidden, decision_interval_s, seed)
+    policy_with_history([1, 1], hidden, decision_interval_s, seed)
 }
 
 /// A policy with random weights that sees some of its past.
@@ -26,7 +26,7 @@ fn policy_with_history([history, history_every]: [usize; 2], hidden: &[usize], d
         episode: 3,
         training: serde_json::json!({ "preset": "none", "rate": 0.1 }),
     };
-    let mut network = Network::zeros(&file::sizes(&header));
+    let mut network = Network::zeros(&file::layer_sizes(&header));
     for parameter in network.parameters_mut() {
         *parameter = stream.random_range(-0.3..0.3);
     }
@@ -46,22 +46,22 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 
 /// The acceleration that a policy chooses at once, in m/s².
 fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
-    let mut held = Held::default();
-    held.turn_to(policy.choose(policy.look(seen, &mut FrameStack::default()), &mut Workspace::default()));
+    let mut held = HeldAction::default();
+    held.set(policy.choose(policy.observe(seen, &mut FrameStack::default()), &mut Workspace::default()));
     held.acceleration_mps2(&policy.header().action, seen, 0.01)
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(64))]
+    #![proptest_config(crumple_cases::with_cases(64))]
 
     #[test]
     fn one_state_and_many_get_the_same_bits(
         seen in proptest::collection::vec(any_observation(), 1..40), history in [1..5_usize, 1..5_usize], seed: u64,
     ) {
-        let policy = looking_back(history, &[33, 16], 0.1, seed);
+        let policy = policy_with_history(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
         let mut past = FrameStack::default();
-        let rows: Vec<_> = seen.iter().map(|seen| policy.look(seen, &mut past).to_vec()).collect();
+        let rows: Vec<_> = seen.iter().map(|seen| policy.observe(seen, &mut past).to_vec()).collect();
         let mut together = vec![0.0; seen.len()];
         policy.choose_batch(&rows.concat(), &mut space, &mut together);
         for ((seen, row), together) in seen.iter().zip(&rows).zip(together) {
@@ -155,8 +155,8 @@ fn refusals_name_the_reason() {
 fn no_number_at_all_means_full_braking() {
     let seen = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
     let meant = |raw| {
-        let mut held = Held::default();
-        held.turn_to(ActionBounds::action(raw));
+        let mut held = HeldAction::default();
+        held.set(ActionBounds::squash(raw));
         held.acceleration_mps2(&ActionBounds::default(), &seen, 0.01)
     };
     assert_eq!([f32::NAN, f32::INFINITY].map(meant), [-7.5, 3.0]);
@@ -169,10 +169,10 @@ proptest! {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
         let layer = network.layers().nth(layer).unwrap();
         let factor = 10.0_f32.powi(exponent);
-        network.parameters_mut()[layer.from..layer.biases().end].iter_mut().for_each(|value| *value *= factor);
+        network.parameters_mut()[layer.offset..layer.biases().end].iter_mut().for_each(|value| *value *= factor);
         match Policy::new(header, network) {
             Ok(policy) => {
-                let raw = policy.acting.forward(&policy.header.observation.state(&seen), 1, &mut Workspace::default())[0];
+                let raw = policy.packed.forward(&policy.header.observation.state(&seen), 1, &mut Workspace::default())[0];
                 prop_assert!(raw.is_finite());
             }
             Err(error) => prop_assert!(exponent > 30 && error.to_string().contains("overflow"), "{}", error),

@@ -179,9 +179,9 @@ mod tests {
 
     #[test]
     fn answers_that_are_none_are_told_apart() {
-        let problem = |line: &str| decision(line.as_bytes(), 7).unwrap_err();
-        assert_eq!(decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
-        assert_eq!(problem("{\"id\":6,\"acceleration_mps2\":1}"), ProcessProblem::OtherQuestion { found: 6, asked: 7 });
+        let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
+        assert_eq!(parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
+        assert_eq!(problem("{\"id\":6,\"acceleration_mps2\":1}"), ProcessProblem::WrongRequestId { found: 6, asked: 7 });
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
             assert_eq!(
                 problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")),
@@ -191,19 +191,19 @@ mod tests {
         }
         for rest in ["", "\"acceleration_mps2\":null}", "\"acceleration_mps2\":1,\"x\":2}", "\"x\":2}"] {
             let line = format!("{{\"id\":7,{rest}");
-            assert!(matches!(problem(&line), ProcessProblem::NoAnswer { .. }), "{line}");
+            assert!(matches!(problem(&line), ProcessProblem::InvalidReply { .. }), "{line}");
         }
         for line in ["", "[1.0]", "{}", "{\"acceleration_mps2\":1}", "{\"id\":7.0,\"acceleration_mps2\":1}"] {
-            assert!(matches!(problem(line), ProcessProblem::NoAnswer { .. }), "{line}");
+            assert!(matches!(problem(line), ProcessProblem::InvalidReply { .. }), "{line}");
         }
-        let all = |line: &str| decisions(line.as_bytes(), 7, 2);
+        let all = |line: &str| parse_decisions(line.as_bytes(), 7, 2);
         assert_eq!(all("{\"id\":7,\"acceleration_mps2\":[1,2.5]}"), Ok(vec![1.0, 2.5]));
         assert_eq!(all("{\"id\":7,\"acceleration_mps2\":[1]}"), Err(ProcessProblem::Answers { found: 1, asked: 2 }));
-        let is_ready = |line: &str| ready(line.as_bytes(), 7).is_ok();
+        let is_ready = |line: &str| parse_reset_reply(line.as_bytes(), 7).is_ok();
         assert!(!is_ready("{\"id\":7,\"ready\":false}") && is_ready("{\"id\":7,\"ready\":true}"));
-        let version = greeting(b"{\"crumple\":2,\"whatever\":0}").unwrap_err();
+        let version = parse_hello_reply(b"{\"crumple\":2,\"whatever\":0}").unwrap_err();
         assert_eq!(version, ProcessProblem::Version { found: "2".to_owned() });
-        assert!(greeting(b"{\"crumple\":1,\"name\":\"a\"}").is_err(), "says not whether it is deterministic");
-        assert!(greeting(b"{\"crumple\":1,\"name\":\"a\",\"deterministic\":true,\"interval\":1}").is_err());
+        assert!(parse_hello_reply(b"{\"crumple\":1,\"name\":\"a\"}").is_err(), "says not whether it is deterministic");
+        assert!(parse_hello_reply(b"{\"crumple\":1,\"name\":\"a\",\"deterministic\":true,\"interval\":1}").is_err());
     }
 }

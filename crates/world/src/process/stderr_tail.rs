@@ -37,7 +37,7 @@ impl StderrTail {
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::MOST_CHARACTERS;
+    use super::super::problem::MAX_CHARACTERS;
     use super::*;
 
     #[test]
@@ -45,13 +45,13 @@ mod tests {
         let mut words = StderrTail::default();
         assert!(words.lines().is_empty());
         for number in 0..20_000 {
-            words.hear(format!("line {number}\u{1b}\n\n").as_bytes());
+            words.push(format!("line {number}\u{1b}\n\n").as_bytes());
             assert!(words.0.len() <= 2 * TAIL_BYTES + 64);
         }
         assert_eq!(words.lines().first().map(String::as_str), Some("line 19992\\u001b"));
-        assert_eq!(words.lines().len(), MOST_LINES);
-        words.hear(&vec![b'x'; 1 << 20]);
-        assert_eq!(words.lines(), [format!("{}…", "x".repeat(MOST_CHARACTERS))]);
+        assert_eq!(words.lines().len(), MAX_LINES);
+        words.push(&vec![b'x'; 1 << 20]);
+        assert_eq!(words.lines(), [format!("{}…", "x".repeat(MAX_CHARACTERS))]);
         words.clear();
         assert!(words.lines().is_empty());
     }

@@ -119,12 +119,12 @@ mod tests {
         let recording = platoon();
         // Between 600 samples lie 59.9 s, in the last of which no braking can begin; where the second spacing is missing, 1.1 s of its pair and
         // of those ahead of it are not counted.
-        let seconds = |leaders, followers| followed(&recording, leaders, followers).hours * 3600.0;
+        let seconds = |leaders, followers| following_exposure(&recording, leaders, followers).hours * 3600.0;
         for (leaders, followers, wanted) in [
-            (Leaders::Any, 1, 3.0 * 58.9 - 1.1),
-            (Leaders::Any, 2, 2.0 * 57.8),
-            (Leaders::Any, 3, 57.8),
-            (Leaders::First, 3, 57.8),
+            (LeaderSelection::Any, 1, 3.0 * 58.9 - 1.1),
+            (LeaderSelection::Any, 2, 2.0 * 57.8),
+            (LeaderSelection::Any, 3, 57.8),
+            (LeaderSelection::First, 3, 57.8),
         ] {
             assert!(
                 (seconds(leaders, followers) - wanted).abs() < 1e-6,
@@ -132,9 +132,9 @@ mod tests {
                 seconds(leaders, followers)
             );
         }
-        let driven = followed(&recording, Leaders::First, 1);
+        let driven = following_exposure(&recording, LeaderSelection::First, 1);
         assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
-        let found = episodes(&recording, MinBrake::default(), Leaders::Any).episodes;
-        assert_eq!((found.len(), waves(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
+        let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+        assert_eq!((found.len(), braking_clusters(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
     }
 }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use proptest::prelude::*;
 
 use super::map::RecordingMap;
-use super::motion_tests::{Motion, motion};
+use super::motion_tests::{PlatoonMotion, motion};
 use super::tests::read_text;
 use super::*;
 
@@ -47,7 +47,7 @@ fn read_with(text: &str, by: &str) -> Recording {
 
 /// What makes each scenario: when it starts and how long it lasts, when and how the leader drives, and who starts where.
 fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
-    let found = episodes(recording, MinBrake::default(), Leaders::Any).episodes;
+    let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
     let mut told: Vec<_> = found
         .into_iter()
         .map(|one| {
@@ -59,7 +59,7 @@ fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     told
 }
 
-fn as_tracks(motion: &Motion) -> String {
+fn as_tracks(motion: &PlatoonMotion) -> String {
     let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
     for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
         let mut front_m = 50.0 * k as f64;
@@ -72,7 +72,7 @@ fn as_tracks(motion: &Motion) -> String {
     text
 }
 
-fn as_pairs(motion: &Motion) -> String {
+fn as_pairs(motion: &PlatoonMotion) -> String {
     let mut text = "ms\tego\tclosing\trange\n".to_owned();
     for (k, (speeds, gaps)) in motion.speeds.iter().zip(&motion.gaps).enumerate() {
         let [leader, follower] = [0, 1].map(|index| speeds[index].expect("known") / 0.447_04);
@@ -91,15 +91,15 @@ proptest! {
         for value in motion.speeds.iter_mut().chain(&mut motion.gaps).flatten().flatten() {
             *value = (*value * 1000.0).round() / 1000.0;
         }
-        let expected = told(&read_text(&motion.written()).expect("readable"));
-        prop_assert_eq!(&told(&read_with(&as_tracks(&motion), TRACKS)), &expected);
-        let pair = Motion {
+        let expected = episode_data(&read_text(&motion.written()).expect("readable"));
+        prop_assert_eq!(&episode_data(&read_with(&as_tracks(&motion), TRACKS)), &expected);
+        let pair = PlatoonMotion {
             first: 1,
             speeds: motion.speeds.iter().map(|row| row[..2].to_vec()).collect(),
             gaps: motion.gaps.iter().map(|row| row[..1].to_vec()).collect(),
         };
-        let expected = told(&read_text(&pair.written()).expect("readable"));
-        prop_assert_eq!(&told(&read_with(&as_pairs(&pair), PAIRS)), &expected);
+        let expected = episode_data(&read_text(&pair.to_csv()).expect("readable"));
+        prop_assert_eq!(&episode_data(&read_with(&as_pairs(&pair), PAIRS)), &expected);
     }
 }
 
@@ -118,9 +118,9 @@ fn vehicles_come_go_and_change_lanes() {
     let recording = read_with(&text, TRACKS);
     assert_eq!(recording.dropped, []);
     let behind = |id: usize, at: usize| {
-        let leads = recording.leads();
-        let lead = leads.iter().find(|lead| lead.placed(0.0).number == id).expect("recorded");
-        let sample = lead.runs()[0][at];
+        let leads = recording.lead_vehicles();
+        let lead = leads.iter().find(|lead| lead.episode_vehicle(0.0).number == id).expect("recorded");
+        let sample = lead.segments()[0][at];
         let followers = lead.followers_at(&sample);
         assert!(followers.iter().all(|one| one.speed_mps == 20.0 && one.length_m == Some(5.0)));
         followers.into_iter().map(|one| (one.number, one.gap_ahead_m)).collect::<Vec<_>>()
@@ -146,7 +146,7 @@ fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
         }
     }
     let recording = read_with(&text, &TRACKS.replace("centre", "front"));
-    let found = episodes(&recording, MinBrake::default(), Leaders::First).episodes;
+    let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::First).episodes;
     let scenario = found[0].scenario("a".to_owned(), "a.csv").expect("valid");
     let built: Vec<_> = scenario.vehicles().iter().map(|one| (one.class.name(), one.length_m())).collect();
     assert_eq!(built, [("light", 4.2), ("heavy", 12.5), ("light", 5.0)]);
@@ -159,7 +159,7 @@ fn what_no_road_has_is_left_out_and_said() {
     let row = |frame: u32, id: u32, metres: f64| format!("{frame};{id};1;{};72;500\n", metres / 0.3048);
     let rows = [row(0, 1, 50.0), row(0, 2, 47.0), row(0, 1, 51.0), row(1, 1, 52.0), row(4, 1, 58.0), row(1, 2, 49.0)];
     let text = format!("made up\nframe;id;lane;y;v;length\n{}", rows.concat());
-    let said = |by: &str| read_with(&text, by).dropped.iter().map(Dropped::to_string).collect::<Vec<_>>();
+    let said = |by: &str| read_with(&text, by).dropped.iter().map(DroppedItem::to_string).collect::<Vec<_>>();
     let twice = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
     let overlap =
         "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then";
@@ -206,10 +206,10 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
         })
     };
     let behind = |recording: &Recording| -> Vec<Vec<usize>> {
-        let leads = recording.leads();
-        let first = leads.iter().find(|lead| lead.placed(0.0).number == 1).expect("recorded");
+        let leads = recording.lead_vehicles();
+        let first = leads.iter().find(|lead| lead.episode_vehicle(0.0).number == 1).expect("recorded");
         let numbers = |sample| first.followers_at(sample).into_iter().map(|one| one.number).collect();
-        first.runs()[0].iter().map(numbers).collect()
+        first.segments()[0].iter().map(numbers).collect()
     };
     assert_eq!(behind(&read_with(&text(&whole), TRACKS)), [[2, 3], [2, 3], [2, 3]]);
     let cannot = "times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then";
@@ -230,7 +230,7 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
     ] {
         let recording = read_with(&damaged(field, with), TRACKS);
         assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]], "{field} {with}");
-        let dropped: Vec<_> = recording.dropped.iter().map(Dropped::to_string).collect();
+        let dropped: Vec<_> = recording.dropped.iter().map(DroppedItem::to_string).collect();
         assert_eq!(dropped, [said.to_owned(), format!("a.csv:7: 1 {cannot}")]);
         // The map may say that such holes are filled.
         let recording = read_with(&damaged(field, with), &filled);
@@ -362,10 +362,10 @@ fn the_hardest_braking_is_found_whatever_the_threshold() {
     let rows: String =
         (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
     let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);
-    assert_eq!(episodes(&recording, MinBrake::default(), Leaders::Any).episodes, []);
-    let Hardest::Braking(hardest) = hardest_braking(&recording) else { panic!("it brakes") };
+    assert_eq!(find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes, []);
+    let HardestBrakingResult::Braking(hardest) = hardest_braking(&recording) else { panic!("it brakes") };
     assert!((hardest.drop_mps - 0.5 * 0.447_04).abs() < 2e-3 && (2.0..=2.5).contains(&hardest.from_s), "{hardest:?}");
     let seen = preview(&recording).expect("speeds are known");
-    assert_eq!((seen.leads, seen.samples, seen.step_s), (1, 60, Some(0.1)));
+    assert_eq!((seen.lead_vehicles, seen.samples, seen.step_s), (1, 60, Some(0.1)));
     assert_eq!((seen.time_s, seen.lines.len()), ([0.0, 5.9], 1));
 }

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::tests::{HEADER, read_text};
 use super::*;
-use crate::scenario::{Driver, LeadProfile, Recorded};
+use crate::scenario::{Driver, LeadProfile, RecordedSpeeds};
 
 /// A platoon's motion: the number of its first vehicle, and speeds and gaps of each row, some of them missing.
 #[derive(Debug, Clone)]
@@ -14,7 +14,7 @@ pub(super) struct PlatoonMotion {
     pub(super) gaps: Vec<Vec<Option<f64>>>,
 }
 
-pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = Motion> {
+pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = PlatoonMotion> {
     let pieces = prop::collection::vec((-8.0..3.0_f64, 1..40_usize), 2..12);
     (1..4_usize, 2..5_usize, pieces).prop_flat_map(move |(first, vehicles, pieces)| {
         let mut speed = 25.0_f64;
@@ -36,13 +36,13 @@ pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = Motion> {
             move |(known, followers, gaps)| {
                 let leads = lead.iter().zip(known).map(|(&speed, known)| known.then_some(speed));
                 let speeds = leads.zip(followers).map(|(lead, rest)| [vec![lead], rest].concat()).collect();
-                Motion { first, speeds, gaps }
+                PlatoonMotion { first, speeds, gaps }
             },
         )
     })
 }
 
-impl Motion {
+impl PlatoonMotion {
     /// The text of a file with carriage returns and a blank line, so that samples begin on line 8.
     pub(super) fn to_csv(&self) -> String {
         let vehicles = self.speeds[0].len();
@@ -62,19 +62,19 @@ impl Motion {
 }
 
 /// The largest loss of speed over one second that starts at a sample.
-fn largest_drop_mps(lead: &Recorded) -> f64 {
+fn largest_drop_mps(lead: &RecordedSpeeds) -> f64 {
     let drop = |&t: &f64| lead.speed_at_mps(t) - lead.speed_at_mps(t + 1.0);
     lead.time_s.iter().map(drop).fold(f64::NEG_INFINITY, f64::max)
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(96))]
+    #![proptest_config(crumple_cases::with_cases(96))]
 
     /// What was written is read, and every episode is a valid scenario that starts as recorded, whose leader drops
     /// speed faster than the threshold and can do what was recorded.
     #[test]
-    fn recordings_survive_the_way_into_scenarios(motion in motion(0.05), threshold in 0.5..5.0_f64) {
-        let recording = read_text(&motion.written()).expect("well formed");
+    fn recordings_survive_the_way_into_scenarios(motion in any_motion(0.05), threshold in 0.5..5.0_f64) {
+        let recording = read_text(&motion.to_csv()).expect("well formed");
         let platoon = &recording.platoons[0];
         for (index, vehicle) in platoon.vehicles().iter().enumerate() {
             prop_assert_eq!(vehicle.number(), motion.first + index);
@@ -85,7 +85,7 @@ proptest! {
                 prop_assert_eq!(platoon.gap_ahead_m(index), written);
             }
         }
-        for episode in episodes(&recording, MinBrake::new(threshold).expect("in range"), Leaders::Any).episodes {
+        for episode in find_episodes(&recording, MinBrake::new(threshold).expect("in range"), LeaderSelection::Any).episodes {
             let scenario = episode.scenario("drawn".to_owned(), "a.csv").expect("valid");
             let row = usize::try_from(episode.line).expect("small") - 8;
             for (index, vehicle) in scenario.vehicles().iter().enumerate() {
@@ -111,9 +111,9 @@ proptest! {
 
     /// Every second over which a fully recorded leader brakes lies in exactly one episode, and no episode is empty.
     #[test]
-    fn every_braking_is_in_one_episode(motion in motion(0.0), threshold in 0.5..5.0_f64) {
-        let recording = read_text(&motion.written()).expect("well formed");
-        let found = episodes(&recording, MinBrake::new(threshold).expect("in range"), Leaders::First);
+    fn every_braking_is_in_one_episode(motion in any_motion(0.0), threshold in 0.5..5.0_f64) {
+        let recording = read_text(&motion.to_csv()).expect("well formed");
+        let found = find_episodes(&recording, MinBrake::new(threshold).expect("in range"), LeaderSelection::First);
         prop_assert_eq!(&found.dropped, &[]);
         let lead: Vec<f64> = motion.speeds.iter().map(|row| row[0].expect("known")).collect();
         for (k, pair) in lead.windows(11).enumerate() {

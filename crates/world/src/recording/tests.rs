@@ -19,7 +19,7 @@ fn error_of(text: &str) -> String {
 }
 
 fn dropped_of(text: &str) -> Vec<String> {
-    read_text(text).expect("readable").dropped.iter().map(Dropped::to_string).collect()
+    read_text(text).expect("readable").dropped.iter().map(DroppedItem::to_string).collect()
 }
 
 /// A platoon of which the leader brakes from 20 to 11 m/s from 5 s to 8 s.
@@ -34,8 +34,8 @@ fn braking_platoon(vehicles: usize) -> String {
     text
 }
 
-fn only_episode(recording: &Recording) -> Episode {
-    let mut found = episodes(recording, MinBrake::default(), Leaders::First);
+fn only_episode(recording: &Recording) -> BrakingEpisode {
+    let mut found = find_episodes(recording, MinBrake::default(), LeaderSelection::First);
     assert_eq!((found.episodes.len(), &found.dropped[..]), (1, &[][..]));
     found.episodes.remove(0)
 }
@@ -67,7 +67,7 @@ fn holes_in_the_numbering_split_the_platoon() {
     let text = format!("{HEADER}Time,Speed2,Speed3,Speed5,Speed6,Speed7,IVS2,IVS3,IVS5,IVS7\n{rows}");
     let recording = read_text(&text).expect("readable");
     let numbers: Vec<Vec<_>> =
-        recording.platoons.iter().map(|p| p.vehicles().iter().map(Vehicle::number).collect()).collect();
+        recording.platoons.iter().map(|p| p.vehicles().iter().map(RecordedVehicle::number).collect()).collect();
     assert_eq!(numbers, [[2, 3], [5, 6]]);
     assert_eq!(recording.platoons[1].gap_ahead_m(1), [Some(12.0), Some(12.0)]);
     assert_eq!(recording.platoons[1].vehicles()[1].speed_mps(), [Some(4.0), Some(4.0)]);
@@ -196,7 +196,7 @@ impl Read for EndlessRows {
 fn each_car_following_event_is_a_platoon_of_two() {
     let rows = "7,0.0,5,10,1,11\n7,0.1,5,,1,11\n7,0.2,5,10,1,\n7,0.3,5,10,1,13\n9,0.0,-1,10,,11\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(recording.platoons.iter().map(Platoon::event).collect::<Vec<_>>(), [Some("7"), Some("9")]);
+    assert_eq!(recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(), [Some("7"), Some("9")]);
     let [leader, follower] = recording.platoons[0].vehicles() else { panic!("not a pair") };
     assert_eq!(leader.speed_mps(), [Some(11.0), Some(11.0), Some(11.0), None], "the relative speed supplies it");
     assert_eq!(follower.speed_mps(), [Some(10.0), Some(10.0), Some(10.0), None]);
@@ -211,7 +211,7 @@ fn each_car_following_event_is_a_platoon_of_two() {
 fn an_event_that_begins_anew_is_another_one() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(recording.platoons.iter().map(Platoon::event).collect::<Vec<_>>(), [Some("1"), Some("2"), Some("1")]);
+    assert_eq!(recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(), [Some("1"), Some("2"), Some("1")]);
 }
 
 #[test]
@@ -256,7 +256,7 @@ fn a_start_is_where_most_followers_are_known() {
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
     // The first follower is never known: no vehicle follows.
     let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
-    let found = episodes(&nobody, MinBrake::default(), Leaders::First);
+    let found = find_episodes(&nobody, MinBrake::default(), LeaderSelection::First);
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
     assert!(said.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
@@ -268,11 +268,11 @@ fn the_first_recorded_vehicle_leads() {
         fields[2] = fields[1].clone();
         fields[1] = "20".to_owned();
     });
-    let none = episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), Leaders::First);
+    let none = find_episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), LeaderSelection::First);
     assert_eq!(none, FoundEpisodes::default(), "a follower's braking is its own affair");
     let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
     let episode = only_episode(&read_text(&first_lost).expect("readable"));
-    assert_eq!((episode.vehicles[0].number, episode.ahead), (2, Ahead::NotRecorded(1)));
+    assert_eq!((episode.vehicles[0].number, episode.ahead), (2, VehicleAhead::NotRecorded(1)));
     let scenario = episode.scenario("a".to_owned(), "a.csv").expect("valid");
     assert!(scenario.spec().about.contains("Vehicle 1, ahead of it, was not recorded at the time."));
 }
@@ -289,13 +289,13 @@ fn every_car_that_brakes_leads_those_behind_it() {
     });
     let recording = read_text(&growing).expect("readable");
     let of = |leaders| {
-        let found = episodes(&recording, MinBrake::default(), leaders);
+        let found = find_episodes(&recording, MinBrake::default(), leaders);
         assert_eq!(found.dropped, []);
         let leads = found.episodes.into_iter().map(|one| (one.vehicles[0].number, one.vehicles.len(), one.ahead));
         leads.collect::<Vec<_>>()
     };
-    assert_eq!(of(Leaders::First), [], "the first brakes at 1 m/s² only");
-    assert_eq!(of(Leaders::Any), [(2, 3, Ahead::Recorded(1)), (3, 2, Ahead::Recorded(2))]);
+    assert_eq!(of(LeaderSelection::First), [], "the first brakes at 1 m/s² only");
+    assert_eq!(of(LeaderSelection::Any), [(2, 3, VehicleAhead::Recorded(1)), (3, 2, VehicleAhead::Recorded(2))]);
 }
 
 #[test]
@@ -307,7 +307,7 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
             let more = 2.0 * (number(&fields[0]) - at_s).clamp(0.0, 1.0);
             fields[1] = format!("{:.3}", number(&fields[1]) - more);
         });
-        let found = episodes(&read_text(&text).expect("readable"), MinBrake::default(), Leaders::First).episodes;
+        let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First).episodes;
         found.iter().map(|episode| (episode.start_s, episode.duration_s)).collect::<Vec<_>>()
     };
     assert_eq!(again_at(13.0), [(3.5, 20.8)]);
@@ -317,7 +317,7 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
 #[test]
 fn a_leap_of_the_speed_is_no_braking() {
     let text = edited(&braking_platoon(2), 60..62, |fields| fields[1] = "9".to_owned());
-    let found = episodes(&read_text(&text).expect("readable"), MinBrake::default(), Leaders::First);
+    let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First);
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
     assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle does"), "{said}");

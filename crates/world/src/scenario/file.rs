@@ -339,7 +339,7 @@ fn locate_in_json(text: &str, field: &str) -> Range<usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{built_in, built_in_names};
+    use super::super::{built_in_scenario, built_in_scenario_names};
     use super::*;
 
     fn error_of(text: &str) -> String {
@@ -365,8 +365,8 @@ driver = "under-test"
 
     #[test]
     fn files_round_trip_through_both_formats() {
-        for (name, _) in built_in_names() {
-            let scenario = built_in(name).unwrap();
+        for (name, _) in built_in_scenario_names() {
+            let scenario = built_in_scenario(name).unwrap();
             let toml = to_toml(&scenario).unwrap();
             assert_eq!(from_toml(&toml, Path::new("a.toml")).unwrap(), scenario, "{toml}");
             let json = serde_json::to_string_pretty(scenario.spec()).unwrap();
@@ -396,7 +396,7 @@ driver = "under-test"
 
     #[test]
     fn json_errors_name_line_and_field() {
-        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
         let bad = json.replacen("\"speed_mps\": 25.0", "\"speed_mps\": -25.0", 1);
         let message = from_json(&bad, Path::new("bad.json")).expect_err("negative speed").to_string();
         let line = 1 + bad.lines().position(|l| l.contains("-25.0")).unwrap();
@@ -406,7 +406,7 @@ driver = "under-test"
     /// A text that breaks off names the line, and no field that nobody can look for; one that is not UTF-8 names the line as well.
     #[test]
     fn errors_name_the_line_of_what_is_no_text_or_breaks_off() {
-        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
         for at in (1..json.len()).filter(|&at| json.is_char_boundary(at)) {
             let cut = &json[..at];
             let said = from_json(cut, Path::new("cut.json")).unwrap_err().to_string();
@@ -449,11 +449,11 @@ driver = "under-test"
         assert!(said.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{said}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("long.json");
-        fs::write(&path, " ".repeat(MOST_BYTES as usize + 1)).unwrap();
+        fs::write(&path, " ".repeat(MAX_BYTES as usize + 1)).unwrap();
         assert!(load(&path).unwrap_err().to_string().ends_with("holds more than 8 MiB, too much for such a file"));
         let many = folder.path().join("many");
         fs::create_dir(&many).unwrap();
-        (0..=MOST_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
+        (0..=MAX_FILES).for_each(|number| fs::write(many.join(format!("{number}.toml")), "").unwrap());
         assert!(load_all(&many).unwrap_err().to_string().contains("more than 10000 scenario files"));
     }
 
@@ -488,8 +488,8 @@ driver = "under-test"
             all
         }
         let mut tried = 0;
-        for (name, _) in built_in_names() {
-            let whole = serde_json::to_value(built_in(name).unwrap().spec()).unwrap();
+        for (name, _) in built_in_scenario_names() {
+            let whole = serde_json::to_value(built_in_scenario(name).unwrap().spec()).unwrap();
             for (index, changed) in lists(&whole).into_iter().enumerate() {
                 let found = from_json(&changed.to_string(), Path::new("list.json"));
                 assert!(found.is_err(), "{name}, list {index} is read: {changed}");
@@ -500,7 +500,7 @@ driver = "under-test"
             }
         }
         assert!(tried >= 20, "{tried}");
-        let json = serde_json::to_string_pretty(built_in("paper-1").unwrap().spec()).unwrap();
+        let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
         let bad = json.replacen("\"vehicles\": [\n    {", "\"vehicles\": [\n    [1, 2], {", 1);
         let said = from_json(&bad, Path::new("bad.json")).unwrap_err().to_string();
         let line = 1 + bad.lines().position(|line| line.contains("[1, 2]")).unwrap();

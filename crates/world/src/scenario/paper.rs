@@ -132,19 +132,19 @@ mod tests {
 
     #[test]
     fn built_in_scenarios_are_the_papers() {
-        let names: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+        let names: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
         for name in names {
-            let scenario = built_in(name).expect("every listed scenario is valid");
+            let scenario = built_in_scenario(name).expect("every listed scenario is valid");
             assert_eq!(scenario.steps(), 1500);
             for index in 1..scenario.vehicles().len() {
                 assert_eq!(scenario.initial_gap_m(index), Some(16.0));
             }
         }
         let positions =
-            |name: &str| built_in(name).unwrap().vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
+            |name: &str| built_in_scenario(name).unwrap().vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
         assert_eq!(positions("paper-1"), [36.0, 18.0, 0.0]);
         assert_eq!(positions("paper-3"), [72.0, 54.0, 36.0, 18.0, 0.0]);
-        assert!(built_in("paper-4").is_none());
+        assert!(built_in_scenario("paper-4").is_none());
     }
 
     #[test]

@@ -279,13 +279,13 @@ mod tests {
             LeadProfile::ConstantSpeed,
             LeadProfile::Brake(Brake { onset_s: 1.004, rate_mps2: 3.0 }),
             LeadProfile::Brake(Brake { onset_s: 0.0, rate_mps2: 3.0 }),
-            LeadProfile::Pieces(Pieces { from_s: vec![0.5, 1.0, 1.003, 2.0], accel_mps2: vec![-1.0, 0.5, -0.0, -3.0] }),
-            LeadProfile::Pieces(Pieces { from_s: vec![], accel_mps2: vec![] }),
+            LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![0.5, 1.0, 1.003, 2.0], accel_mps2: vec![-1.0, 0.5, -0.0, -3.0] }),
+            LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![], accel_mps2: vec![] }),
         ];
         for profile in profiles {
             let mut steps_held = 0;
             for from in 0..300 {
-                let [held_mps2, until_s] = profile.held_mps2(f64::from(from) * 0.01).unwrap();
+                let [held_mps2, until_s] = profile.constant_acceleration_until(f64::from(from) * 0.01).unwrap();
                 // Every later step that ends in time, not only the next.
                 for step in from..300 {
                     let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
@@ -337,7 +337,7 @@ mod tests {
 
     #[test]
     fn pieces_average_over_the_steps_they_change_in() {
-        let pieces = Pieces { from_s: vec![0.0, 0.104, 0.107], accel_mps2: vec![1.0, -2.0, 4.0] };
+        let pieces = PiecewiseAcceleration { from_s: vec![0.0, 0.104, 0.107], accel_mps2: vec![1.0, -2.0, 4.0] };
         let profile = LeadProfile::Pieces(pieces);
         assert_eq!(profile.acceleration_mps2(0.09, 0.1, 1.0), 1.0);
         let mean = profile.acceleration_mps2(0.1, 0.11, 1.0);
@@ -347,7 +347,7 @@ mod tests {
 
     #[test]
     fn recorded_speeds_are_followed_and_held() {
-        let recorded = Recorded { time_s: vec![0.0, 0.1, 0.2], speed_mps: vec![10.0, 11.0, 9.0] };
+        let recorded = RecordedSpeeds { time_s: vec![0.0, 0.1, 0.2], speed_mps: vec![10.0, 11.0, 9.0] };
         let speeds = drive(&LeadProfile::Recorded(recorded), 10.0, 0.01, 40);
         assert!((speeds[5] - 10.5).abs() < 1e-9);
         assert!((speeds[20] - 9.0).abs() < 1e-9);

@@ -57,13 +57,13 @@ mod tests {
     fn the_dip_takes_four_metres_a_second_off_and_a_line_of_cruise_controls_carries_it_back() {
         let scenario = speed_dip(5, 1.5).unwrap();
         assert!((1..=5).all(|index| scenario.is_under_test(index) && scenario.initial_gap_m(index) == Some(30.0)));
-        let acc = ControllerSpec::named("acc-aeb").unwrap();
+        let acc = ControllerSpec::from_name("acc-aeb").unwrap();
         let run = Run::new(&scenario, RunOptions::new(acc).with_estimator(EstimatorKind::Truth)).unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
         let leader = &trace.vehicles[0].speed_mps;
         let slowest_mps = leader.iter().copied().fold(f64::INFINITY, f64::min);
         assert!((slowest_mps - 16.0).abs() < 1e-9 && (leader.last().unwrap() - 20.0).abs() < 1e-9);
-        let found = SpeedAmplification::of(&trace, SPEED_DIP_ONSET_S).unwrap();
+        let found = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
         assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
         assert!(speed_dip(0, 1.5).is_err() && speed_dip(5, 0.0).is_err() && speed_dip(5, f64::NAN).is_err());
     }

@@ -276,10 +276,10 @@ impl<'a> FieldPath<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Scenario, built_in};
+    use super::super::{Scenario, built_in_scenario};
 
     fn field_of(change: impl FnOnce(&mut super::ScenarioSpec)) -> String {
-        let paper_1 = built_in("paper-1").expect("built in");
+        let paper_1 = built_in_scenario("paper-1").expect("built in");
         paper_1.edited(change).expect_err("must be refused").field
     }
 
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn a_scenario_within_rounding_of_whole_steps_is_accepted() {
-        let paper_1 = built_in("paper-1").expect("built in");
+        let paper_1 = built_in_scenario("paper-1").expect("built in");
         let third = paper_1.edited(|s| s.duration_s = 0.1 + 0.2).expect("0.30000000000000004 s is 30 steps");
         assert_eq!(Scenario::steps(&third), 30);
     }

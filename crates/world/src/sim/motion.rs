@@ -215,10 +215,10 @@ mod tests {
     #[test]
     fn calm_steps_are_waved_through() {
         let (far_m, dt_s) = (50.0, 0.01);
-        assert!(!needs_care(far_m, [20.0, 20.0], [1.0, 1.0], dt_s), "closing throughout");
-        assert!(!needs_care(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s), "opening throughout");
-        assert!(!needs_care(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s), "farthest inside");
-        assert!(needs_care(far_m, [20.0, 20.0], [1.0, -1.0], dt_s), "closest inside");
+        assert!(!needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s), "closing throughout");
+        assert!(!needs_contact_check(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s), "opening throughout");
+        assert!(!needs_contact_check(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s), "farthest inside");
+        assert!(needs_contact_check(far_m, [20.0, 20.0], [1.0, -1.0], dt_s), "closest inside");
     }
 
     proptest! {
@@ -252,7 +252,7 @@ mod tests {
             let gap = front.position_m - 2.0 - rear.position_m;
             let (f, r) = (front.after(dt), rear.after(dt));
             let closing = [rear.speed_mps - front.speed_mps, r.speed_mps - f.speed_mps];
-            if !needs_care(gap, [rear.speed_mps, r.speed_mps], closing, dt) {
+            if !needs_contact_check(gap, [rear.speed_mps, r.speed_mps], closing, dt) {
                 prop_assert_eq!(first_contact(front, rear, 2.0, dt), None);
                 prop_assert_eq!(closest_gap_m(front, rear, 2.0, dt), f.position_m - 2.0 - r.position_m);
             }

@@ -294,8 +294,8 @@ mod tests {
 
     use super::*;
 
-    fn platoon(vehicles: &[(f64, f64, f64, f64)]) -> Platoon {
-        Platoon {
+    fn platoon(vehicles: &[(f64, f64, f64, f64)]) -> PlatoonState {
+        PlatoonState {
             motion: vehicles
                 .iter()
                 .map(|&(position_m, speed_mps, acceleration_mps2, _)| Motion {
@@ -306,8 +306,8 @@ mod tests {
                 .collect(),
             length_m: vec![2.0; vehicles.len()],
             mass_kg: vehicles.iter().map(|v| v.3).collect(),
-            lane: Lane::of_all(vehicles.len()),
-            sticks: vec![false; vehicles.len()],
+            lane: LaneState::with_all(vehicles.len()),
+            locked_to_front: vec![false; vehicles.len()],
             min_gap_m: vec![f64::INFINITY; vehicles.len()],
         }
     }
@@ -345,9 +345,9 @@ mod tests {
             });
             let mut long = platoon(&vehicles.collect::<Vec<_>>());
             let mut short = long.clone();
-            if short.glide(dt_s) {
+            if short.advance_contact_free(dt_s) {
                 prop_assert_eq!(long.next_contact(None, dt_s), None);
-                long.drift(None, dt_s);
+                long.advance_and_track_gaps(None, dt_s);
             }
             prop_assert_eq!(&short.motion, &long.motion);
             prop_assert_eq!(&short.min_gap_m, &long.min_gap_m);
@@ -357,7 +357,7 @@ mod tests {
     #[test]
     fn stuck_vehicles_brake_with_their_summed_force() {
         let mut platoon = platoon(&[(2.0, 10.0, 0.0, 1000.0), (0.0, 10.0, -4.0, 3000.0)]);
-        platoon.sticks[1] = true;
+        platoon.locked_to_front[1] = true;
         platoon.share_acceleration();
         platoon.advance(0.0, 1.0, AfterContact::Continue, &mut Vec::new());
         assert!((platoon.motion[0].speed_mps - 7.0).abs() < 1e-12);

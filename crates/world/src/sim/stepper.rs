@@ -412,7 +412,7 @@ mod tests {
                 length_m: 2.0,
                 step_s: 0.01,
             };
-            let mut controller = AnyController::built_in(&spec, &ego, 0);
+            let mut controller = AnyController::from_spec(&spec, &ego, 0);
             let mut stepper = Stepper::new(&run, RecordingLevel::Trace);
             while !stepper.has_ended() {
                 let seen = stepper.observe(1).unwrap();
@@ -436,7 +436,7 @@ mod tests {
                 stepper.step();
             }
             let with = simulate(&run, RecordingLevel::Summary);
-            assert_eq!(stepper.finish(), Simulated { vehicles: Vec::new(), ..with });
+            assert_eq!(stepper.finish(), SimulationResult { vehicles: Vec::new(), ..with });
         }
     }
 

@@ -5,20 +5,20 @@ use num_traits::Float;
 use proptest::prelude::*;
 
 /// What it makes of a number: in single precision, as a network computes it, or in double for real numbers.
-fn evaluate<F: Float>(each: &Each, x: F) -> F {
+fn evaluate<F: Float>(each: &Activation, x: F) -> F {
     let number_of = |number: f64| F::from(number).unwrap();
     let of = |operands: &[f64]| number_of(operands[0]);
     let below = |value: F| if x < F::zero() { value } else { x };
     match each {
-        Each::Relu => x.max(F::zero()),
-        Each::LeakyRelu(slope) => below(number_of(*slope) * x),
-        Each::Elu(alpha) => below(number_of(*alpha) * x.exp_m1()),
-        Each::Tanh => x.tanh(),
-        Each::Sigmoid => F::one() / (F::one() + (-x).exp()),
-        Each::Add(operands) => x + of(operands),
-        Each::Multiply(operands) => x * of(operands),
-        Each::Divide(operands) => x / of(operands),
-        Each::Clip { low, high } => x.max(of(low)).min(of(high)),
+        Activation::Relu => x.max(F::zero()),
+        Activation::LeakyRelu(slope) => below(number_of(*slope) * x),
+        Activation::Elu(alpha) => below(number_of(*alpha) * x.exp_m1()),
+        Activation::Tanh => x.tanh(),
+        Activation::Sigmoid => F::one() / (F::one() + (-x).exp()),
+        Activation::Add(operands) => x + of(operands),
+        Activation::Multiply(operands) => x * of(operands),
+        Activation::Divide(operands) => x / of(operands),
+        Activation::Clip { low, high } => x.max(of(low)).min(of(high)),
     }
 }
 
@@ -26,78 +26,78 @@ fn any_f32(size: f32) -> impl Strategy<Value = f64> {
     (-size..size).prop_map(f64::from)
 }
 
-fn any_activation() -> impl Strategy<Value = Each> {
+fn any_activation() -> impl Strategy<Value = Activation> {
     let one = |numbers: f64| vec![numbers];
     prop_oneof![
-        Just(Each::Relu),
-        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Each::LeakyRelu),
-        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Each::Elu),
-        Just(Each::Tanh),
-        Just(Each::Sigmoid),
-        any_f32(10.0).prop_map(move |a| Each::Add(one(a))),
-        any_f32(10.0).prop_map(move |a| Each::Multiply(one(a))),
-        any_f32(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Each::Divide(one(a))),
+        Just(Activation::Relu),
+        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Activation::LeakyRelu),
+        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Activation::Elu),
+        Just(Activation::Tanh),
+        Just(Activation::Sigmoid),
+        any_f32(10.0).prop_map(move |a| Activation::Add(one(a))),
+        any_f32(10.0).prop_map(move |a| Activation::Multiply(one(a))),
+        any_f32(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Activation::Divide(one(a))),
         (any_f32(3.0), 0.0..3.0_f32)
-            .prop_map(move |(low, more)| { Each::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
+            .prop_map(move |(low, more)| { Activation::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
     ]
 }
 
 /// Where a function less a line of this slope may be extreme, besides at the ends.
-fn extremum_candidates(each: &Each, slope: f64) -> Vec<f64> {
+fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
     let either = |x: f64| vec![-x, x];
     match each {
-        Each::Relu | Each::LeakyRelu(_) => vec![0.0],
-        Each::Elu(alpha) => vec![0.0, (slope / alpha).ln()],
-        Each::Tanh => either((1.0 - slope).sqrt().atanh()),
-        Each::Sigmoid => either(2.0 * (1.0 - 4.0 * slope).sqrt().atanh()),
-        Each::Clip { low, high } => vec![low[0], high[0]],
-        Each::Add(_) | Each::Multiply(_) | Each::Divide(_) => Vec::new(),
+        Activation::Relu | Activation::LeakyRelu(_) => vec![0.0],
+        Activation::Elu(alpha) => vec![0.0, (slope / alpha).ln()],
+        Activation::Tanh => either((1.0 - slope).sqrt().atanh()),
+        Activation::Sigmoid => either(2.0 * (1.0 - 4.0 * slope).sqrt().atanh()),
+        Activation::Clip { low, high } => vec![low[0], high[0]],
+        Activation::Add(_) | Activation::Multiply(_) | Activation::Divide(_) => Vec::new(),
     }
 }
 
 /// What rounding to single precision may add to results between two ends, by the table above.
-fn expected_rounding(each: &Each, low: f64, high: f64) -> f64 {
+fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
     let u = 2.0_f64.powi(-24);
-    let largest = [low, high].map(|x| value(each, x).abs()).into_iter().fold(0.0, f64::max);
+    let largest = [low, high].map(|x| evaluate(each, x).abs()).into_iter().fold(0.0, f64::max);
     match each {
-        Each::LeakyRelu(slope) if low < 0.0 => u * slope.abs() * -low,
-        Each::Elu(alpha) if low < 0.0 => 8.0 * u * alpha.abs(),
-        Each::Tanh | Each::Sigmoid => 4.0 * u,
+        Activation::LeakyRelu(slope) if low < 0.0 => u * slope.abs() * -low,
+        Activation::Elu(alpha) if low < 0.0 => 8.0 * u * alpha.abs(),
+        Activation::Tanh | Activation::Sigmoid => 4.0 * u,
         // Of operands that may be of either sign, the sizes are added.
-        Each::Add(operands) => u * (low.abs().max(high.abs()) + operands[0].abs()),
-        Each::Multiply(_) | Each::Divide(_) => u * largest,
+        Activation::Add(operands) => u * (low.abs().max(high.abs()) + operands[0].abs()),
+        Activation::Multiply(_) | Activation::Divide(_) => u * largest,
         _ => 0.0,
     }
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(2000))]
+    #![proptest_config(crumple_cases::with_cases(2000))]
 
     /// Whatever the range: what is computed lies on the line but for what is off it and for rounding; and what is off it is what it is
     /// at the ends, at kinks, and where the function is as steep as the line.
     #[test]
     fn lines_hold_what_is_computed_and_little_else(
-        each in any_each(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
+        each in any_activation(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
         radius in prop_oneof![Just(0.0), 0.0..0.01_f32, 0.0..8.0_f32, 0.0..100.0_f32],
     ) {
         let (low, high) = (f64::from(middle - radius), f64::from(middle + radius));
-        let line = each.line(0, low, high);
+        let line = each.relaxation(0, low, high);
         for at in 0..=20 {
             let x = (low + (high - low) * f64::from(at) / 20.0).clamp(low, high) as f32;
-            let (found, on_line) = (f64::from(value(&each, x)), line.slope * f64::from(x));
+            let (found, on_line) = (f64::from(evaluate(&each, x)), line.slope * f64::from(x));
             let slack = line.rounding + 1e-15 * (1.0 + found.abs() + on_line.abs());
             let off = found - on_line;
             prop_assert!(off >= line.low - slack && off <= line.high + slack, "{each:?} at {x}: {off} {line:?}");
         }
-        let inside = turns(&each, line.slope).into_iter().filter(|&x| low < x && x < high);
-        let off: Vec<f64> = inside.chain([low, high]).map(|x| value(&each, x) - line.slope * x).collect();
+        let inside = extremum_candidates(&each, line.slope).into_iter().filter(|&x| low < x && x < high);
+        let off: Vec<f64> = inside.chain([low, high]).map(|x| evaluate(&each, x) - line.slope * x).collect();
         let (least, most) = off.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &off| (a.min(off), b.max(off)));
         let near = 1e-11 * (1.0 + line.slope.abs()) * (1.0 + low.abs().max(high.abs()));
         prop_assert!((line.low - least).abs() <= near && (line.high - most).abs() <= near, "{each:?} {line:?} {least} {most}");
-        let expected = rounding(&each, low, high);
+        let expected = expected_rounding(&each, low, high);
         prop_assert!(line.rounding >= expected && line.rounding <= expected * (1.0 + 1e-5) + 2e-44, "{each:?} {line:?} {expected}");
-        let chord = (value(&each, high) - value(&each, low)) / (high - low);
-        let is_smooth = matches!(each, Each::Tanh | Each::Sigmoid | Each::Elu(_));
+        let chord = (evaluate(&each, high) - evaluate(&each, low)) / (high - low);
+        let is_smooth = matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Elu(_));
         if high - low > 1e-3 && !is_smooth {
             prop_assert!((line.slope - chord).abs() <= 1e-9 * (1.0 + chord.abs()), "{each:?} {line:?} {chord}");
         }
@@ -110,34 +110,34 @@ proptest! {
     ) {
         let (low, high) = (f64::from(low), f64::from(low + width));
         let (least, most) = (f64::from(least), f64::from(least + between));
-        let clip = Each::Clip { low: vec![least], high: vec![most] };
-        for (each, kinks) in [(Each::Relu, vec![0.0]), (Each::LeakyRelu(slope), vec![0.0]), (clip, vec![least, most])] {
+        let clip = Activation::Clip { low: vec![least], high: vec![most] };
+        for (each, kinks) in [(Activation::Relu, vec![0.0]), (Activation::LeakyRelu(slope), vec![0.0]), (clip, vec![least, most])] {
             let is_bent = kinks.iter().any(|&kink| low < kink && kink < high);
-            prop_assert_eq!(each.bends(0, low, high), is_bent, "{:?} {} {}", each, low, high);
-            let line = each.line(0, low, high);
+            prop_assert_eq!(each.is_nonlinear_on(0, low, high), is_bent, "{:?} {} {}", each, low, high);
+            let line = each.relaxation(0, low, high);
             let is_straight = line.high - line.low <= 1e-290;
             // Two kinks may be level with each other.
             prop_assert!(is_straight || is_bent, "{each:?} {line:?}");
         }
-        prop_assert_eq!(Each::Elu(0.5).bends(0, low, high), low < 0.0);
-        prop_assert!(Each::Tanh.bends(0, low, high) && Each::Sigmoid.bends(0, low, high));
-        prop_assert!(!Each::Add(vec![1.0]).bends(0, low, high) && !Each::Divide(vec![2.0]).bends(0, low, high));
+        prop_assert_eq!(Activation::Elu(0.5).is_nonlinear_on(0, low, high), low < 0.0);
+        prop_assert!(Activation::Tanh.is_nonlinear_on(0, low, high) && Activation::Sigmoid.is_nonlinear_on(0, low, high));
+        prop_assert!(!Activation::Add(vec![1.0]).is_nonlinear_on(0, low, high) && !Activation::Divide(vec![2.0]).is_nonlinear_on(0, low, high));
     }
 
     /// Of far numbers on both sides of 0, no function makes larger ones than it is said to, and each makes as large ones.
     #[test]
-    fn the_largest_is_reached(each in any_each()) {
+    fn the_largest_is_reached(each in any_activation()) {
         let bound = 50.0;
-        let reached = [-bound, bound].map(|x| value(&each, x).abs()).into_iter().fold(0.0, f64::max);
-        let largest = each.largest(0, bound);
+        let reached = [-bound, bound].map(|x| evaluate(&each, x).abs()).into_iter().fold(0.0, f64::max);
+        let largest = each.max_magnitude(0, bound);
         prop_assert!((largest - reached).abs() <= 1e-12 * reached, "{each:?}: {largest} {reached}");
     }
 
     /// As a function of a form: the same slope, and beside it what is off the line and what rounding adds.
     #[test]
-    fn what_is_made_of_a_form_is_its_line(each in any_each(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
-        let x = Form::symbol(0, Interval::new(low, low + width).unwrap());
-        let (line, made) = (each.line(0, x.range().low(), x.range().high()), each.apply(0, &x));
+    fn what_is_made_of_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
+        let x = AffineForm::symbol(0, Interval::new(low, low + width).unwrap());
+        let (line, made) = (each.relaxation(0, x.range().low(), x.range().high()), each.apply(0, &x));
         let (middle, radius) = line.middle_and_radius();
         let near = 1e-13 * (1.0 + low.abs() + width) * (1.0 + line.slope.abs()) + 1e-13 * middle.abs();
         prop_assert!((made.centre() - (line.slope * x.centre() + middle)).abs() <= near);
@@ -152,29 +152,29 @@ proptest! {
 #[test]
 fn what_is_straight_stays_as_it_is() {
     let one = |number: f64| vec![number];
-    for each in [Each::Relu, Each::LeakyRelu(0.1), Each::Elu(0.5), Each::Clip { low: one(-1.0), high: one(9.0) }] {
+    for each in [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(0.5), Activation::Clip { low: one(-1.0), high: one(9.0) }] {
         for (low, high) in [(0.0, 2.0), (0.5, 0.5), (1.0, 3.0)] {
-            assert!(each.line(0, low, high).is_identity(), "{each:?}");
+            assert!(each.relaxation(0, low, high).is_identity(), "{each:?}");
         }
-        let x = Form::symbol(0, Interval::new(0.5, 2.0).unwrap());
+        let x = AffineForm::symbol(0, Interval::new(0.5, 2.0).unwrap());
         assert_eq!(each.apply(0, &x), x);
     }
     for (low, high) in [(-2.0, 0.0), (-2.0, -1.0)] {
-        let line = Each::Relu.line(0, low, high);
-        assert!(line.is_constant() && line == Line::level(0.0));
+        let line = Activation::Relu.relaxation(0, low, high);
+        assert!(line.is_constant() && line == LinearRelaxation::new_constant(0.0));
     }
     for (each, cut) in
-        [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| (Each::Clip { low, high: one(high) }, high))
+        [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| (Activation::Clip { low, high: one(high) }, high))
     {
         for (low, high) in [(3.0, 3.0), (3.0, 7.0), (cut, 7.0)] {
-            let line = each.line(0, low, high);
+            let line = each.relaxation(0, low, high);
             assert!(line.is_constant() && line.low == cut, "{each:?} {line:?}");
         }
     }
-    let below = Each::Clip { low: one(-1.0), high: one(2.0) }.line(0, -7.0, -1.0);
+    let below = Activation::Clip { low: one(-1.0), high: one(2.0) }.relaxation(0, -7.0, -1.0);
     assert!(below.is_constant() && below.low == -1.0);
-    let level = Line::level(2.0);
-    for line in [Line { slope: 1.0, ..level }, Line { high: 3.0, ..level }, Line { rounding: 1e-9, ..level }] {
+    let level = LinearRelaxation::new_constant(2.0);
+    for line in [LinearRelaxation { slope: 1.0, ..level }, LinearRelaxation { high: 3.0, ..level }, LinearRelaxation { rounding: 1e-9, ..level }] {
         assert!(!line.is_constant() && level.is_constant());
     }
 }
@@ -182,11 +182,11 @@ fn what_is_straight_stays_as_it_is() {
 #[test]
 fn numbers_have_as_many_operands_as_there_are() {
     let numbers = vec![1.0, 2.0, 3.0];
-    let clip = Each::Clip { low: numbers.clone(), high: numbers.clone() };
-    for each in [Each::Add(numbers.clone()), Each::Multiply(numbers.clone()), Each::Divide(numbers), clip] {
+    let clip = Activation::Clip { low: numbers.clone(), high: numbers.clone() };
+    for each in [Activation::Add(numbers.clone()), Activation::Multiply(numbers.clone()), Activation::Divide(numbers), clip] {
         assert_eq!(each.width(), Some(3));
     }
-    for each in [Each::Relu, Each::LeakyRelu(0.1), Each::Elu(1.0), Each::Tanh, Each::Sigmoid] {
+    for each in [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(1.0), Activation::Tanh, Activation::Sigmoid] {
         assert_eq!(each.width(), None);
     }
 }
@@ -194,7 +194,7 @@ fn numbers_have_as_many_operands_as_there_are() {
 /// exp takes ten times what a product does; a rectifier is taken together with the layer before it.
 #[test]
 fn what_is_curved_costs_most() {
-    assert_eq!([Each::Relu, Each::LeakyRelu(0.1), Each::Tanh].map(|each| each.operations()), [0, 100, 1000]);
+    assert_eq!([Activation::Relu, Activation::LeakyRelu(0.1), Activation::Tanh].map(|each| each.operations()), [0, 100, 1000]);
 }
 
 /// Products of small numbers lose more than in proportion, and a quotient is off its line by rounding on either side.
@@ -202,15 +202,15 @@ fn what_is_curved_costs_most() {
 fn what_is_small_may_be_lost() {
     let least = f64::from(f32::from_bits(1));
     for (each, by) in
-        [(Each::LeakyRelu(0.25), 0.25), (Each::Multiply(vec![0.25]), 0.25), (Each::Divide(vec![4.0]), 0.25)]
+        [(Activation::LeakyRelu(0.25), 0.25), (Activation::Multiply(vec![0.25]), 0.25), (Activation::Divide(vec![4.0]), 0.25)]
     {
-        let line = each.line(0, -3.0 * least, -least);
+        let line = each.relaxation(0, -3.0 * least, -least);
         let lost = by * 3.0 * least - f64::from((by * 3.0 * least) as f32);
         assert!(
             line.rounding >= lost.abs() && line.rounding >= 0.5 * least && line.rounding <= 2e-44,
             "{each:?} {line:?}"
         );
     }
-    let line = Each::Divide(vec![3.0]).line(0, -1.0, 6.0);
+    let line = Activation::Divide(vec![3.0]).relaxation(0, -1.0, 6.0);
     assert!(line.low < 0.0 && line.high == -line.low && line.high >= f64::EPSILON && line.high <= 1e-14, "{line:?}");
 }

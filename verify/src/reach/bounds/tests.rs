@@ -6,10 +6,10 @@ use proptest::prelude::*;
 const NUMBERS: usize = 3;
 
 /// Inputs that share two symbols.
-fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [Form; NUMBERS] {
+fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [AffineForm; NUMBERS] {
     std::array::from_fn(|i| {
-        let mut form = Form::constant(Interval::point(centres[i]));
-        form.replace(0, terms[i].into_iter(), rests[i]);
+        let mut form = AffineForm::constant(Interval::point(centres[i]));
+        form.replace_terms(0, terms[i].into_iter(), rests[i]);
         form
     })
 }
@@ -40,7 +40,7 @@ fn rows<const N: usize, const M: usize>(most: f64) -> impl Strategy<Value = [[f6
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(200))]
+    #![proptest_config(crumple_cases::with_cases(200))]
 
     /// A rectifier makes of each number c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ the chord of its range. What inputs have in common cancels in it,
     /// and double precision adds a billionth of a thousandth of all sizes to ρ.
@@ -49,11 +49,11 @@ proptest! {
         centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
         centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
     ) {
-        let inputs = inputs(centres, terms, rests);
-        let known = Inputs::new(&inputs);
+        let inputs = input_forms(centres, terms, rests);
+        let known = InputForms::new(&inputs);
         let rho = if is_sure { [0.0; NUMBERS] } else { rho };
-        let mut found = bounds(centre, columns, rho);
-        found.each(&Each::Relu, &known);
+        let mut found = network_bounds(centre, columns, rho);
+        found.each(&Activation::Relu, &known);
         let column = |j: usize, number: usize| columns[j][number];
         let mut excess = found.excess.iter();
         for number in 0..NUMBERS {
@@ -61,7 +61,7 @@ proptest! {
             let own = column(NUMBERS, number).abs() + column(NUMBERS + 1, number).abs();
             let shared = [0, 1].map(|symbol| (0..NUMBERS).map(|i| slopes[i] * terms[i][symbol]).sum::<f64>());
             let apart: f64 = (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].radius()).sum();
-            let together = sizes(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SUM_REL_ERROR * apart;
+            let together = abs_sum(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SUM_REL_ERROR * apart;
             let bent = |by: f64| {
                 let radius = (by + own + rho[number]) * (1.0 + SUM_REL_ERROR);
                 (centre[number] - radius, centre[number] + radius)
@@ -96,8 +96,8 @@ proptest! {
     #[test]
     fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
         let mut found = Bounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
-        found.each(&Each::Multiply(vec![factor]), &Inputs::new(&[]));
-        let line = Each::Multiply(vec![factor]).line(0, centre - own, centre + own);
+        found.each(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
+        let line = Activation::Multiply(vec![factor]).relaxation(0, centre - own, centre + own);
         let expected = SUM_REL_ERROR * (centre + own) * factor + line.rounding;
         prop_assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
         prop_assert!(found.excess.is_empty() && found.columns == [own * factor]);
@@ -108,16 +108,16 @@ proptest! {
 #[test]
 fn a_wide_layer_rounds_more_than_in_proportion() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
-    let inputs: Vec<Form> =
-        (0..wide).map(|i| Form::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
+    let inputs: Vec<AffineForm> =
+        (0..wide).map(|i| AffineForm::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
     let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
-    let layer = Layer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
+    let layer = LinearLayer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
     let mut bounds = Bounds::from_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
     // A column of its own.
     bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
-    let found = bounds.through(&layer, &Inputs::new(&inputs));
+    let found = bounds.through(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
     let of = |i: usize| {
@@ -136,19 +136,19 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
 /// Two functions, one after the other: what was off the lines of the first is not forgotten.
 #[test]
 fn functions_may_follow_each_other() {
-    let inputs = inputs([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
-    let known = Inputs::new(&inputs);
+    let inputs = input_forms([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
+    let known = InputForms::new(&inputs);
     let mut found = Bounds::from_inputs(&inputs);
-    found.each(&Each::Relu, &known);
+    found.each(&Activation::Relu, &known);
     assert_eq!(found.excess.len(), 2);
-    found.each(&Each::Multiply(vec![2.0; NUMBERS]), &known);
+    found.each(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
     assert!(found.excess.is_empty() && found.width() == NUMBERS + 2);
     let form = found.form(0, &inputs).unwrap();
     // From [-1, 1]: half of it and 1/4 on either side, twice.
     assert!(is_near(form.rest(), 0.5, 1e-6) && is_near(form.centre(), 0.5, 1e-6) && form.terms()[0] == 1.0);
     assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
     let mut alone = Bounds::from_inputs(&inputs);
-    alone.each(&Each::Relu, &known);
+    alone.each(&Activation::Relu, &known);
     let rho = alone.rho[0];
     let form = alone.form(0, &inputs).unwrap();
     let rest = (0.25 + rho) * (1.0 + 0.9 * SUM_REL_ERROR);
@@ -157,8 +157,8 @@ fn functions_may_follow_each_other() {
 
 #[test]
 fn a_layer_costs_what_its_products_are() {
-    let layer = Layer { inputs: 3, outputs: 5, weights: vec![0.0; 15], biases: vec![0.0; 5] };
-    let mut some = bounds([1.0, 0.0, 2.0], [[1.0; NUMBERS]; NUMBERS + 2], [0.0; NUMBERS]);
+    let layer = LinearLayer { inputs: 3, outputs: 5, weights: vec![0.0; 15], biases: vec![0.0; 5] };
+    let mut some = network_bounds([1.0, 0.0, 2.0], [[1.0; NUMBERS]; NUMBERS + 2], [0.0; NUMBERS]);
     assert_eq!(some.operations(&layer), 2 * 5 * (5 + 2) + 1000);
     some.excess.push((0, 1.0));
     assert_eq!(some.operations(&layer), 2 * 5 * (6 + 2) + 1000);

@@ -1,14 +1,14 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{any, assert_bounds, from};
+use super::super::fixtures::{symbol_form, assert_bounds, interval};
 use super::*;
 
 const STEP_S: f64 = 0.1;
 
-fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braking {
+fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> BrakingVehicle {
     let form = |symbol, [low, high]: [f64; 2]| any(symbol, low, high);
-    let onset_range = from(onsets[0], onsets[1]);
-    Braking::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))
+    let onset_range = interval(onsets[0], onsets[1]);
+    BrakingVehicle::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))
 }
 
 proptest! {
@@ -17,7 +17,7 @@ proptest! {
     fn all_have_stood_a_step_after_the_last_has_stopped(
         v in 0.0..30.0_f64, b in 0.5..9.0_f64, onset in 0.0..60.0_f64, widths in prop::array::uniform3(0.0..3.0_f64),
     ) {
-        let braking = braking([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
+        let braking = braking_vehicle([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
         let last = 1.0 + onset + widths[2] + (v + widths[0]) / (b * STEP_S);
         let has_stood = |k: f64| braking.has_stood(k as u32, Interval::point(STEP_S));
         prop_assume!((last - last.round()).abs() > 1e-6);
@@ -29,7 +29,7 @@ proptest! {
     #[test]
     fn one_vehicle_is_where_the_closed_form_says(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
         let Seen { distance, speed, acceleration } =
-            braking([v; 2], [b; 2], [f64::from(onset); 2]).at(k, Interval::point(STEP_S));
+            braking_vehicle([v; 2], [b; 2], [f64::from(onset); 2]).state_at(k, Interval::point(STEP_S));
         let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];
         let stops = v / b;
         prop_assume!((since - stops).abs() > 1e-6 && (since - STEP_S - stops).abs() > 1e-6);
@@ -47,10 +47,10 @@ proptest! {
 #[test]
 fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
     let step = Interval::point(STEP_S);
-    let braking = braking([20.0, 21.0], [5.0, 6.0], [2.0, 5.0]);
-    assert_eq!(braking.at(6, step).acceleration, braking.rate.scaled(Interval::point(-1.0)));
-    assert_bounds(braking.at(5, step).acceleration.range(), [-6.0, 0.0], 1e-10);
-    assert!(braking.at(2, step).acceleration.is_zero());
+    let braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.0]);
+    assert_eq!(braking.state_at(6, step).acceleration, braking.rate.scaled(Interval::point(-1.0)));
+    assert_bounds(braking.state_at(5, step).acceleration.range(), [-6.0, 0.0], 1e-10);
+    assert!(braking.state_at(2, step).acceleration.is_zero());
 }
 
 proptest! {
@@ -63,13 +63,13 @@ proptest! {
     ) {
         let at = |i: usize, low: f64| low + places[i] * widths[i];
         let (speed, rate, begins) = (at(0, v), at(1, b), at(2, onset));
-        let braking = braking([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
+        let braking = braking_vehicle([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
         let share = (f64::from(k) - begins).clamp(0.0, 1.0);
         let a_step_ago = speed - rate * (f64::from(k) - 1.0 - begins).max(0.0) * STEP_S;
         prop_assume!(k > 0 && a_step_ago.abs() > 1e-9 || speed == 0.0);
         let seen = if a_step_ago > 0.0 { -rate * share } else { 0.0 };
-        let all = braking.accelerations(k, Interval::point(STEP_S));
-        let holds = |form: &Form| form.range().low() <= seen + 1e-9 && seen - 1e-9 <= form.range().high();
+        let all = braking.possible_accelerations(k, Interval::point(STEP_S));
+        let holds = |form: &AffineForm| form.range().low() <= seen + 1e-9 && seen - 1e-9 <= form.range().high();
         prop_assert!(all.iter().any(holds), "{seen} {all:?}");
         prop_assert!(all.len() <= 3);
     }
@@ -79,8 +79,8 @@ proptest! {
 #[test]
 fn what_is_told_apart_is_what_there_is() {
     let step = Interval::point(STEP_S);
-    let mut braking = braking([20.0, 21.0], [5.0, 6.0], [2.0, 5.5]);
-    let ranges = |braking: &Braking, k| braking.accelerations(k, step).iter().map(Form::range).collect::<Vec<_>>();
+    let mut braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.5]);
+    let ranges = |braking: &BrakingVehicle, k| braking.possible_accelerations(k, step).iter().map(AffineForm::range).collect::<Vec<_>>();
     assert_eq!(ranges(&braking, 1), [Interval::ZERO]);
     let three = ranges(&braking, 4);
     assert_eq!(three.len(), 3);
@@ -88,7 +88,7 @@ fn what_is_told_apart_is_what_there_is() {
     assert_bounds(three[1], [-6.0, 0.0], 1e-10);
     assert_bounds(three[2], [-6.0, -5.0], 1e-10);
     assert_eq!(ranges(&braking, 7).len(), 1);
-    braking.mean_held_m = Interval::ZERO;
+    braking.onset_step_error_m = Interval::ZERO;
     assert_eq!(ranges(&braking, 4).len(), 2);
 }
 
@@ -97,9 +97,9 @@ fn what_is_told_apart_is_what_there_is() {
 fn what_is_told_apart_begins_when_it_does() {
     let step = Interval::point(STEP_S);
     // Begins to brake at instant 2.5, and stands after 10 steps of braking: at 12.5.
-    let braking = braking([5.0; 2], [5.0; 2], [2.5; 2]);
+    let braking = braking_vehicle([5.0; 2], [5.0; 2], [2.5; 2]);
     let seen = |k| {
-        let all = braking.accelerations(k, step);
+        let all = braking.possible_accelerations(k, step);
         all.iter().map(|form| form.centre().round()).collect::<Vec<_>>()
     };
     for (k, expected) in [(2, &[0.0][..]), (3, &[-3.0]), (4, &[-5.0]), (12, &[-5.0]), (13, &[-5.0]), (14, &[0.0])] {

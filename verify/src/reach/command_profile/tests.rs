@@ -1,13 +1,13 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{any, assert_bounds, exactly};
+use super::super::fixtures::{symbol_form, assert_bounds, point_form};
 use super::super::ego_set::SHARED_SYMBOLS;
 use super::*;
 
 const STEP_S: f64 = 0.1;
 
-fn state_with_speed(speed: Form) -> Seen {
-    Seen { distance: Form::default(), speed, acceleration: Form::default() }
+fn state_with_speed(speed: AffineForm) -> Seen {
+    Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() }
 }
 
 /// Speed and distance after each step, of who accelerates at one rate after the other, and stands where it would reverse.
@@ -30,29 +30,29 @@ proptest! {
         rates in prop::collection::vec(prop_oneof![-7.5..3.0_f64, -0.5..0.5_f64], 1..8),
     ) {
         let step = Interval::point(STEP_S);
-        let members = EgoSet::starting(any(0, v, v + width), SHARED_SYMBOLS);
-        let course = Course::stepwise(&members.ego, rates.len() as u32, step, |j, _| exactly(rates[j as usize]));
+        let members = EgoSet::from_speed(any(0, v, v + width), SHARED_SYMBOLS);
+        let course = CommandProfile::from_steps(&members.ego, rates.len() as u32, step, |j, _| point_form(rates[j as usize]));
         let start = v + place * width;
         for j in 0..=rates.len() {
-            let ego = course.moved(&members, step, j as u32);
-            let (x, v) = driven(start, &rates[..j]);
+            let ego = course.ego_after(&members, step, j as u32);
+            let (x, v) = simulate_rates(start, &rates[..j]);
             for (form, truth) in [(ego.distance, x), (ego.speed, v)] {
                 let range = form.range();
                 prop_assert!(range.low() <= truth + 1e-12 && truth - 1e-12 <= range.high(), "{truth} {range:?} at step {j}");
             }
         }
-        let (x, end) = driven(start, &rates);
-        let (_, before) = driven(start, &rates[..rates.len() - 1]);
+        let (x, end) = simulate_rates(start, &rates);
+        let (_, before) = simulate_rates(start, &rates[..rates.len() - 1]);
         let last = rates[rates.len() - 1];
         let observed = if before == 0.0 && last <= 0.0 { 0.0 } else { last };
-        let holds = |form: &Form, truth: f64| form.range().low() <= truth + 1e-12 && truth - 1e-12 <= form.range().high();
+        let holds = |form: &AffineForm, truth: f64| form.range().low() <= truth + 1e-12 && truth - 1e-12 <= form.range().high();
         let is_in = |next: &EgoSet| {
             let Seen { distance, speed, acceleration } = &next.ego;
             holds(distance, x) && holds(speed, end) && holds(acceleration, observed)
         };
-        let next = course.after(&members, step, rates.len() as u32);
+        let next = course.after_decision(&members, step, rates.len() as u32);
         prop_assert!(next.iter().flatten().any(is_in), "{x} {end} {observed} {next:?}");
-        let acts = course.acts_mps2();
+        let acts = course.accelerations_mps2();
         prop_assert!(rates.iter().all(|rate| acts.low() <= *rate && *rate <= acts.high()));
     }
 }
@@ -62,43 +62,43 @@ proptest! {
 fn one_member_that_does_not_stop_is_where_the_formula_says() {
     let step = Interval::point(STEP_S);
     let rates = [-1.0, 0.5, -2.0, 1.0];
-    let course = Course::stepwise(&at_rest(exactly(5.0)), 4, step, |j, _| exactly(rates[j as usize]));
-    let members = EgoSet::starting(exactly(5.0), SHARED_SYMBOLS);
-    let ego = course.moved(&members, step, 4);
-    let (x, v) = driven(5.0, &rates);
+    let course = CommandProfile::from_steps(&state_with_speed(point_form(5.0)), 4, step, |j, _| point_form(rates[j as usize]));
+    let members = EgoSet::from_speed(point_form(5.0), SHARED_SYMBOLS);
+    let ego = course.ego_after(&members, step, 4);
+    let (x, v) = simulate_rates(5.0, &rates);
     assert_bounds(ego.distance.range(), [x; 2], 1e-12);
     assert_bounds(ego.speed.range(), [v; 2], 1e-12);
     assert!(course.is_moving_throughout(&ego.speed));
     // One that stops in between has.
-    let stops = Course::stepwise(&at_rest(exactly(0.1)), 2, step, |j, _| exactly([-3.0, 3.0][j as usize]));
-    assert!(!stops.is_moving_throughout(&exactly(0.3)));
+    let stops = CommandProfile::from_steps(&state_with_speed(point_form(0.1)), 2, step, |j, _| point_form([-3.0, 3.0][j as usize]));
+    assert!(!stops.is_moving_throughout(&point_form(0.3)));
 }
 
 /// Who stands goes on standing where nothing is asked for at any step.
 #[test]
 fn who_is_asked_for_nothing_stands() {
     let step = Interval::point(STEP_S);
-    let of = |rates: [f64; 2]| Course::stepwise(&at_rest(Form::default()), 2, step, |j, _| exactly(rates[j as usize]));
-    assert!(of([-1.0, 0.0]).stands(Kind::Standing) && !of([-1.0, 0.0]).stands(Kind::Moving));
-    assert!(!of([0.5, -1.0]).stands(Kind::Standing));
+    let of = |rates: [f64; 2]| CommandProfile::from_steps(&state_with_speed(AffineForm::default()), 2, step, |j, _| point_form(rates[j as usize]));
+    assert!(of([-1.0, 0.0]).is_standing_throughout(MotionMode::Standing) && !of([-1.0, 0.0]).is_standing_throughout(MotionMode::Moving));
+    assert!(!of([0.5, -1.0]).is_standing_throughout(MotionMode::Standing));
 }
 
 /// Who starts in the first of several steps is no longer one that stands at the next decision, whatever it does then.
 #[test]
 fn who_starts_again_within_an_interval_has_started_again() {
     let step = Interval::point(STEP_S);
-    let standing = EgoSet::starting(Form::default(), SHARED_SYMBOLS);
-    assert_eq!(standing.kind, Kind::Standing);
+    let standing = EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS);
+    assert_eq!(standing.mode, MotionMode::Standing);
     for (rates, kinds) in [
-        ([1.0, 0.5], [Some(Kind::Restarted), None]),
-        ([1.0, -0.5], [Some(Kind::Restarted), None]),
-        ([-1.0, 0.5], [Some(Kind::Restarted), None]),
-        ([-1.0, -0.5], [Some(Kind::Standing), None]),
+        ([1.0, 0.5], [Some(MotionMode::Restarted), None]),
+        ([1.0, -0.5], [Some(MotionMode::Restarted), None]),
+        ([-1.0, 0.5], [Some(MotionMode::Restarted), None]),
+        ([-1.0, -0.5], [Some(MotionMode::Standing), None]),
     ] {
-        let course = Course::stepwise(&standing.ego, 2, step, |j, _| exactly(rates[j as usize]));
-        let next = course.after(&standing, step, 2);
-        assert_eq!(next.each_ref().map(|members| members.as_ref().map(|members| members.kind)), kinds, "{rates:?}");
-        assert_eq!(course.stands(Kind::Standing), rates[0] < 0.0 && rates[1] < 0.0);
+        let course = CommandProfile::from_steps(&standing.ego, 2, step, |j, _| point_form(rates[j as usize]));
+        let next = course.after_decision(&standing, step, 2);
+        assert_eq!(next.each_ref().map(|members| members.as_ref().map(|members| members.mode)), kinds, "{rates:?}");
+        assert_eq!(course.is_standing_throughout(MotionMode::Standing), rates[0] < 0.0 && rates[1] < 0.0);
     }
 }
 
@@ -106,9 +106,9 @@ fn who_starts_again_within_an_interval_has_started_again() {
 #[test]
 fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
-    let course = Course::stepwise(&at_rest(any(0, 0.1, 0.5)), 1, step, |_, _| exactly(-brake));
-    let members = EgoSet::starting(any(0, 0.1, 0.5), SHARED_SYMBOLS);
-    let Seen { distance, speed, .. } = course.moved(&members, step, 1);
+    let course = CommandProfile::from_steps(&state_with_speed(any(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
+    let members = EgoSet::from_speed(any(0, 0.1, 0.5), SHARED_SYMBOLS);
+    let Seen { distance, speed, .. } = course.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
     assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);
     // The line of the rectifier from -0.2 to 0.2 m/s: half of both, and a tenth.

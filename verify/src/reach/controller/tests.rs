@@ -1,16 +1,16 @@
-use super::super::fixtures::{affine, any, assert_bounds, exactly, input};
+use super::super::fixtures::{affine_controller, symbol_form, assert_bounds, point_form, affine_input};
 use super::*;
 
-const NO_ERROR: [f64; OBSERVED] = [0.0; OBSERVED];
+const NO_ERROR: [f64; OBSERVATION_SIZE] = [0.0; OBSERVATION_SIZE];
 
 /// Observations of which the first two are these.
-fn observation_with(first: Form, second: Form) -> [Form; OBSERVED] {
-    let mut seen: [Form; OBSERVED] = std::array::from_fn(|_| exactly(5.0));
+fn observation_with(first: AffineForm, second: AffineForm) -> [AffineForm; OBSERVATION_SIZE] {
+    let mut seen: [AffineForm; OBSERVATION_SIZE] = std::array::from_fn(|_| point_form(5.0));
     [seen[0], seen[1]] = [first, second];
     seen
 }
 
-fn coefficients(factors: [f64; 2]) -> [f64; OBSERVED] {
+fn coefficients(factors: [f64; 2]) -> [f64; OBSERVATION_SIZE] {
     let mut of = NO_ERROR;
     of[..2].copy_from_slice(&factors);
     of
@@ -23,19 +23,19 @@ fn is_near(found: f64, expected: f64, relative: f64) -> bool {
 /// What the network sees is the affine function, as far off as the errors say and a rounding more.
 #[test]
 fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
-    let seen = seeing(any(0, 3.0, 5.0), any(1, 10.0, 11.0));
+    let seen = observation_with(symbol_form(0, 3.0, 5.0), symbol_form(1, 10.0, 11.0));
     let mut error = NO_ERROR;
     [error[0], error[1]] = [0.25, 0.5];
     for (factors, off) in [([1.0, 0.0], 0.25), ([0.0, -1.0], 0.5), ([2.0, -3.0], 2.0), ([1.0, 1.0], 0.75)] {
         for (error, off) in [(&error, off), (&NO_ERROR, 0.0)] {
             for (offset, scale) in [(0.0, 1.0), (7.0, 4.0), (7.0, -4.0), (4.0, 1.0)] {
-                let found = Input { offset, scale, ..input(of(factors), 0.5) }.seen(&seen, error, true).range();
+                let found = ControllerInput { offset, scale, ..affine_input(coefficients(factors), 0.5) }.enclose(&seen, error, true).range();
                 let ends = |x: [f64; 2], factor: f64| [x[0] * factor, x[1] * factor];
                 let [a, b] = [ends([3.0, 5.0], factors[0]), ends([10.0, 11.0], factors[1])];
                 let ends = [a[0].min(a[1]) + b[0].min(b[1]) - off, a[0].max(a[1]) + b[0].max(b[1]) + off];
                 let ends = ends.map(|end| (end + 0.5 - offset) / scale);
                 let [low, high] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
-                let rounding = low.abs().max(high.abs()) * U * (1.0 + 1e-6);
+                let rounding = low.abs().max(high.abs()) * UNIT_ROUNDOFF * (1.0 + 1e-6);
                 assert_bounds(found, [low - rounding, high + rounding], 1e-10);
             }
         }
@@ -45,58 +45,58 @@ fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
 /// An input is cut to its limits; where nobody is behind what stands in for it counts.
 #[test]
 fn an_input_is_cut_and_may_be_absent() {
-    let seen = seeing(exactly(3.0), exactly(10.0));
-    let at = |input: Input, is_followed| input.seen(&seen, &NO_ERROR, is_followed).range();
-    let limited = |low, high| Input { low, high, ..input(of([1.0, 0.0]), 0.0) };
-    assert_bounds(at(limited(-1.5, 2.0), true), [2.0 - 2.0 * U, 2.0 + 2.0 * U], 1e-10);
-    assert_bounds(at(limited(4.0, 9.0), true), [4.0 - 4.0 * U, 4.0 + 4.0 * U], 1e-10);
-    let absent = Input { absent: Some(2.0), ..input(of([1.0, 0.0]), 1.0) };
-    assert_bounds(at(absent.clone(), false), [2.0 - 2.0 * U, 2.0 + 2.0 * U], 1e-10);
-    assert_bounds(at(absent, true), [4.0 - 4.0 * U, 4.0 + 4.0 * U], 1e-10);
+    let seen = observation_with(point_form(3.0), point_form(10.0));
+    let at = |input: ControllerInput, is_followed| input.enclose(&seen, &NO_ERROR, is_followed).range();
+    let limited = |low, high| ControllerInput { low, high, ..affine_input(coefficients([1.0, 0.0]), 0.0) };
+    assert_bounds(at(limited(-1.5, 2.0), true), [2.0 - 2.0 * UNIT_ROUNDOFF, 2.0 + 2.0 * UNIT_ROUNDOFF], 1e-10);
+    assert_bounds(at(limited(4.0, 9.0), true), [4.0 - 4.0 * UNIT_ROUNDOFF, 4.0 + 4.0 * UNIT_ROUNDOFF], 1e-10);
+    let absent = ControllerInput { absent_value: Some(2.0), ..affine_input(coefficients([1.0, 0.0]), 1.0) };
+    assert_bounds(at(absent.clone(), false), [2.0 - 2.0 * UNIT_ROUNDOFF, 2.0 + 2.0 * UNIT_ROUNDOFF], 1e-10);
+    assert_bounds(at(absent, true), [4.0 - 4.0 * UNIT_ROUNDOFF, 4.0 + 4.0 * UNIT_ROUNDOFF], 1e-10);
 }
 
 /// One number that the simulator sees exactly is off by what single precision rounds, and nothing, not even 0, is taken for exact.
 #[test]
 fn an_exact_input_is_off_by_one_rounding_of_single_precision() {
-    let seen = seeing(exactly(3.0), exactly(0.0));
-    let radius = |input: Input| input.seen(&seen, &NO_ERROR, true).radius();
-    let one = radius(Input { offset: 1.0, scale: 2.0, ..input(of([1.0, 0.0]), 0.0) });
-    assert!(is_about(one, U * (1.0 + 1e-6), 1e-7), "{one}");
-    let nothing = radius(input(of([0.0, 1.0]), 0.0));
-    assert!(is_about(nothing, 1e-44, 1e-9), "{nothing}");
+    let seen = observation_with(point_form(3.0), point_form(0.0));
+    let radius = |input: ControllerInput| input.enclose(&seen, &NO_ERROR, true).radius();
+    let one = radius(ControllerInput { offset: 1.0, scale: 2.0, ..affine_input(coefficients([1.0, 0.0]), 0.0) });
+    assert!(is_near(one, UNIT_ROUNDOFF * (1.0 + 1e-6), 1e-7), "{one}");
+    let nothing = radius(affine_input(coefficients([0.0, 1.0]), 0.0));
+    assert!(is_near(nothing, 1e-44, 1e-9), "{nothing}");
 }
 
 /// A sum of two numbers is rounded by the simulator as well; a number that is no sum is not.
 #[test]
 fn a_sum_of_observations_is_off_by_one_rounding_of_double_precision() {
     let large = f64::from(1 << 20);
-    let seen = seeing(exactly(large), exactly(1.0));
+    let seen = observation_with(point_form(large), point_form(1.0));
     // Where what is seen is 0 there is no other rounding to speak of.
     let off = |factors: [f64; 2], constant: f64| {
         let sum = factors[0] * large + factors[1] + constant;
-        let input = Input { offset: sum, ..input(of(factors), constant) };
-        input.seen(&seen, &NO_ERROR, true).radius() / (f64::EPSILON * sum.abs())
+        let input = ControllerInput { offset: sum, ..affine_input(coefficients(factors), constant) };
+        input.enclose(&seen, &NO_ERROR, true).radius() / (f64::EPSILON * sum.abs())
     };
     assert!(off([1.0, 0.0], 0.0) < 1e-20);
     // Of the form itself: twice what adding a product or a constant rounds.
     let (product, constant) = (off([1.0, -1.0], 0.0), off([1.0, 0.0], 1.0));
-    assert!(is_about(product, 3.0, 1e-2), "{product}");
-    assert!(is_about(constant, 2.0, 1e-2), "{constant}");
+    assert!(is_near(product, 3.0, 1e-2), "{product}");
+    assert!(is_near(constant, 2.0, 1e-2), "{constant}");
 }
 
 /// What is added for stretching the answer is 10⁻¹⁴ of its terms, and hardly more.
 #[test]
 fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
-    let seen = seeing(exactly(0.0), any(1, -5.0, 7.0));
+    let seen = observation_with(point_form(0.0), symbol_form(1, -5.0, 7.0));
     for (factors, constant, scale_mps2, offset_mps2) in [
         ([0.0, 1.0], 2.0, 3.0, -2.0),
         ([0.0, 1.0], -30.0, -0.25, 0.0),
         ([0.0, 1.0], -1.0, 100.0, 1.0),
         ([1.0, 0.0], 0.0, 3.0, -2.0),
     ] {
-        let actor = Actor { scale_mps2, offset_mps2, ..affine(of(factors), constant) };
-        let inputs: Vec<Form> = actor.inputs.iter().map(|input| input.seen(&seen, &NO_ERROR, true)).collect();
-        let answer = answer(&actor.steps, &inputs);
+        let actor = NeuralController { scale_mps2, offset_mps2, ..affine_controller(coefficients(factors), constant) };
+        let inputs: Vec<AffineForm> = actor.inputs.iter().map(|input| input.enclose(&seen, &NO_ERROR, true)).collect();
+        let answer = network_output(&actor.layers, &inputs);
         let wanted = actor.decide(&seen, &NO_ERROR, true);
         let size = offset_mps2.abs() + scale_mps2.abs() * (answer.centre().abs() + answer.radius());
         let added = wanted.rest() - scale_mps2.abs() * answer.rest();
@@ -107,30 +107,30 @@ fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
     }
 }
 
-fn constant_layer(inputs: usize, outputs: usize) -> Step {
-    Step::Linear(Layer { inputs, outputs, weights: vec![0.5; inputs * outputs], biases: vec![0.1; outputs] })
+fn constant_layer(inputs: usize, outputs: usize) -> NetworkLayer {
+    NetworkLayer::Linear(LinearLayer { inputs, outputs, weights: vec![0.5; inputs * outputs], biases: vec![0.1; outputs] })
 }
 
 /// What has a function off its lines is kept for each number that any layer behind it has.
 #[test]
 fn the_bytes_of_a_decision_are_those_of_the_widest_step() {
-    let bytes = |steps: Vec<Step>| {
-        Actor { steps, inputs: vec![input(NO_ERROR, 1.0); 8], ..affine(NO_ERROR, 0.0) }.max_decision_bytes()
+    let bytes = |steps: Vec<NetworkLayer>| {
+        NeuralController { layers: steps, inputs: vec![affine_input(NO_ERROR, 1.0); 8], ..affine_controller(NO_ERROR, 0.0) }.max_decision_bytes()
     };
-    let (relu, tanh) = (|| Step::Each(Each::Relu), || Step::Each(Each::Tanh));
+    let (relu, tanh) = (|| NetworkLayer::Activation(Activation::Relu), || NetworkLayer::Activation(Activation::Tanh));
     assert_eq!(bytes(Vec::new()), 0);
     // 8 + 12 for 12, then as many and 9 for 9, then one more for 1; of each two, before and after.
-    assert_eq!(bytes(vec![layer(8, 12), relu(), layer(12, 9), relu(), layer(9, 1), tanh()]), 29 * 9 * 16);
+    assert_eq!(bytes(vec![constant_layer(8, 12), relu(), constant_layer(12, 9), relu(), constant_layer(9, 1), tanh()]), 29 * 9 * 16);
     // A second function in a row has lines of its own, and so has one before all layers.
-    assert_eq!(bytes(vec![layer(8, 12), relu(), tanh(), layer(12, 1)]), 32 * 12 * 16);
-    assert_eq!(bytes(vec![relu(), layer(8, 1)]), 16 * 8 * 16);
+    assert_eq!(bytes(vec![constant_layer(8, 12), relu(), tanh(), constant_layer(12, 1)]), 32 * 12 * 16);
+    assert_eq!(bytes(vec![relu(), constant_layer(8, 1)]), 16 * 8 * 16);
 }
 
 /// Fewest operations with which an actor decides.
-fn min_operations(actor: &Actor) -> u64 {
-    let seen = seeing(exactly(3.0), exactly(10.0));
+fn min_operations(actor: &NeuralController) -> u64 {
+    let seen = observation_with(point_form(3.0), point_form(10.0));
     let suffice = |operations: u64| {
-        let work = Work::within(WorkLimit::operations(operations));
+        let work = OpBudget::new(WorkLimit::from_operations(operations));
         actor.decide_with_budget(&seen, &NO_ERROR, true, &work).radius().is_finite()
     };
     let (mut few, mut enough) = (0_u64, 1 << 30);
@@ -145,12 +145,12 @@ fn min_operations(actor: &Actor) -> u64 {
 #[test]
 fn functions_are_counted_for_each_number() {
     let with = |each: usize| {
-        let between = std::iter::repeat_n(Step::Each(Each::Add(vec![0.25; 7])), each);
-        let steps = [layer(1, 7)].into_iter().chain(between).chain([layer(7, 1)]).collect();
-        Actor { steps, ..affine(NO_ERROR, 1.0) }
+        let between = std::iter::repeat_n(NetworkLayer::Activation(Activation::Add(vec![0.25; 7])), each);
+        let steps = [constant_layer(1, 7)].into_iter().chain(between).chain([constant_layer(7, 1)]).collect();
+        NeuralController { layers: steps, ..affine_controller(NO_ERROR, 1.0) }
     };
-    assert_eq!(operations(&with(3)) - operations(&with(0)), 3 * 7 * Each::Add(Vec::new()).operations());
+    assert_eq!(min_operations(&with(3)) - min_operations(&with(0)), 3 * 7 * Activation::Add(Vec::new()).operations());
     // 7 (1/2 + 1/10 + 3/4)/2 + 1/10.
-    let found = with(3).decide(&seeing(exactly(3.0), exactly(10.0)), &NO_ERROR, true);
+    let found = with(3).decide(&observation_with(point_form(3.0), point_form(10.0)), &NO_ERROR, true);
     assert_bounds(found.range(), [4.825; 2], 1e-5);
 }

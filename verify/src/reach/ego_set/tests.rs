@@ -1,16 +1,16 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{any, assert_bounds, exactly};
+use super::super::fixtures::{symbol_form, assert_bounds, point_form};
 use super::*;
 
 /// How far a set reaches along a direction, up to its middle: Σ |w · vector| for its symbols, and what belongs to no symbol.
 fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
-    let forms: Vec<&Form> = members.forms().collect();
+    let forms: Vec<&AffineForm> = members.forms().collect();
     let term = |symbol: usize| {
         forms.iter().zip(along).map(|(form, w)| form.terms().get(symbol).unwrap_or(&0.0) * w).sum::<f64>().abs()
     };
     let rests = forms.iter().zip(along).map(|(form, w)| form.rest() * w.abs()).sum::<f64>();
-    (0..members.symbols).map(term).sum::<f64>() + rests
+    (0..members.next_symbol).map(term).sum::<f64>() + rests
 }
 
 proptest! {
@@ -21,13 +21,13 @@ proptest! {
         noise in prop::collection::vec(prop::array::uniform6(-1e-4..1e-4_f64), MAX_SYMBOLS + 10),
         along in prop::array::uniform6(-1.0..1.0_f64), is_followed: bool,
     ) {
-        let forms: Vec<Form> = (0..6)
+        let forms: Vec<AffineForm> = (0..6)
             .map(|i| {
-                let mut form = Form::constant(Interval::point(i as f64));
+                let mut form = AffineForm::constant(Interval::point(i as f64));
                 for (symbol, noise) in noise.iter().enumerate() {
                     let [distance, age] = [1.0, decay.powi(symbol as i32)];
                     let term = [distance * age, 0.1 * age, -0.01 * age][i % 3] + noise[i];
-                    form.add(&Form::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0)), Interval::point(term));
+                    form.add_scaled(&AffineForm::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0)), Interval::point(term));
                 }
                 form
             })
@@ -38,13 +38,13 @@ proptest! {
         });
         let follower = is_followed.then_some(follower);
         let symbols = SHARED_SYMBOLS + MAX_SYMBOLS + 10;
-        let all = EgoSet { kind: Kind::Moving, ego, follower, shared: SHARED_SYMBOLS, symbols };
-        let fewer = all.clone().merged();
-        prop_assert!(fewer.symbols <= SHARED_SYMBOLS + REDUCED_SYMBOLS);
+        let all = EgoSet { mode: MotionMode::Moving, ego, follower, first_own_symbol: SHARED_SYMBOLS, next_symbol: symbols };
+        let fewer = all.clone().reduce_order();
+        prop_assert!(fewer.next_symbol <= SHARED_SYMBOLS + REDUCED_SYMBOLS);
         prop_assert_eq!(fewer.ego.speed.centre(), all.ego.speed.centre());
-        let (before, after) = (reaches(&all, &along), reaches(&fewer, &along));
+        let (before, after) = (support(&all, &along), support(&fewer, &along));
         prop_assert!(after >= before * (1.0 - 1e-12), "{before} {after}");
-        let largest = reaches(&all, &[1.0; 6]);
+        let largest = support(&all, &[1.0; 6]);
         prop_assert!(after <= before + 0.05 * largest, "{before} {after}");
     }
 }
@@ -58,8 +58,8 @@ fn relu_range([low, high]: [f64; 2], floor: f64) -> [f64; 2] {
     if high <= 0.0 { [0.0; 2] } else { [low * high / (high - least), high] }
 }
 
-fn egos_at_speed(speed: Form) -> EgoSet {
-    EgoSet::starting(speed, SHARED_SYMBOLS)
+fn egos_at_speed(speed: AffineForm) -> EgoSet {
+    EgoSet::from_speed(speed, SHARED_SYMBOLS)
 }
 
 proptest! {
@@ -73,7 +73,7 @@ proptest! {
         let (h, [v1, u1]) = (0.1, [v0 + widths[0], u0 + widths[1]]);
         let (s, t) = (f64::from(every - 1) * h, f64::from(every) * h);
         let wanted = any(1, u0, u1);
-        let [moving, standing] = driving(any(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
+        let [moving, standing] = egos_at_speed(any(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
         let nears_a_limit = [v0 + u0 * s, v1 + u1 * s, v0 + u0 * t, v1 + u1 * t, u0, u1].into_iter().any(|x: f64| x.abs() < 1e-6);
         prop_assume!(!nears_a_limit);
         prop_assert_eq!(moving.is_some(), v1 + u1 * s > 0.0 || u1 > 0.0);
@@ -83,14 +83,14 @@ proptest! {
             let reversing = (-(v0 + u0 * t)).clamp(0.0, brake * h);
             let free = |v: f64, u: f64| v * t + 0.5 * u * t * t;
             assert_bounds(moving.ego.distance.range(), [free(v0, u0), free(v1, u1) + 0.5 * reversing * h], 1e-10);
-            assert_bounds(moving.ego.speed.range(), cut([v0 + u0 * t, v1 + u1 * t], -brake * h), 1e-10);
+            assert_bounds(moving.ego.speed.range(), relu_range([v0 + u0 * t, v1 + u1 * t], -brake * h), 1e-10);
             prop_assert_eq!(&moving.ego.acceleration, &wanted);
-            prop_assert_eq!(moving.kind, Kind::Moving);
+            prop_assert_eq!(moving.mode, MotionMode::Moving);
         }
         if let Some(standing) = &standing {
             assert_bounds(standing.ego.distance.range(), [0.0, 0.5 * v1.min(brake * s) * s], 1e-10);
             prop_assert!(standing.ego.speed.is_zero() && standing.ego.acceleration.is_zero());
-            prop_assert_eq!(standing.kind, Kind::Standing);
+            prop_assert_eq!(standing.mode, MotionMode::Standing);
         }
         for [a, b] in places {
             let (v, u) = (v0 + a * widths[0], u0 + b * widths[1]);
@@ -111,12 +111,12 @@ proptest! {
         let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
         let t = f64::from(steps) * 0.1;
         let wanted = any(1, u0, u1);
-        let Seen { distance, speed, acceleration } = driving(any(0, v0, v1)).moved(&wanted, Interval::point(0.1), steps);
+        let Seen { distance, speed, acceleration } = egos_at_speed(any(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
         let [least, most] = [v0 + u0 * t, v1 + u1 * t];
         prop_assume!(least.abs() > 1e-6 && most.abs() > 1e-6);
         let free = [v0 * t + 0.5 * u0 * t * t, v1 * t + 0.5 * u1 * t * t + 0.5 * (-least).max(0.0) * t];
         assert_bounds(distance.range(), if most < 0.0 { [0.0, 0.5 * v1 * t] } else { free }, 1e-9);
-        assert_bounds(speed.range(), cut([least, most], f64::NEG_INFINITY), 1e-10);
+        assert_bounds(speed.range(), relu_range([least, most], f64::NEG_INFINITY), 1e-10);
         prop_assert_eq!(acceleration, wanted);
     }
 
@@ -138,7 +138,7 @@ proptest! {
         factors in prop::collection::vec(prop_oneof![-3.0..-0.3_f64, 0.3..3.0_f64], 85),
         along in prop::array::uniform6(-1.0..1.0_f64), seed in 0..85_usize,
     ) {
-        let mut all = driving(exactly(10.0)).followed(Some(driving(exactly(9.0)).ego));
+        let mut all = egos_at_speed(point_form(10.0)).with_follower(Some(egos_at_speed(point_form(9.0)).ego));
         let pairs = factors.iter().enumerate().flat_map(|(place, &factor)| {
             let slope = place as f64 - 42.0;
             let ego = [1.0, 0.1 * slope, 0.2, 0.3, 0.01 * slope, 0.0];
@@ -155,12 +155,12 @@ proptest! {
             .into_iter()
             .chain([&mut follower.distance, &mut follower.speed, &mut follower.acceleration]);
         for (i, form) in forms.enumerate() {
-            form.replace(SHARED_SYMBOLS, vectors.iter().map(|vector| vector[i]), 0.0);
+            form.replace_terms(SHARED_SYMBOLS, vectors.iter().map(|vector| vector[i]), 0.0);
         }
-        all.symbols = SHARED_SYMBOLS + 170;
-        let fewer = all.clone().merged();
-        prop_assert_eq!(fewer.symbols, SHARED_SYMBOLS + REDUCED_SYMBOLS);
-        let (before, after) = (reaches(&all, &along), reaches(&fewer, &along));
+        all.next_symbol = SHARED_SYMBOLS + 170;
+        let fewer = all.clone().reduce_order();
+        prop_assert_eq!(fewer.next_symbol, SHARED_SYMBOLS + REDUCED_SYMBOLS);
+        let (before, after) = (support(&all, &along), support(&fewer, &along));
         prop_assert!((after - before).abs() <= 1e-9 * before, "{before} {after}");
     }
 }
@@ -169,19 +169,19 @@ proptest! {
 #[test]
 fn who_stands_stays_or_starts_again() {
     let step = Interval::point(0.1);
-    let after = |wanted: &Form| driving(Form::default()).after_decision(wanted, step, 3);
+    let after = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).after_decision(wanted, step, 3);
     let [stands, none] = after(&any(1, -2.0, -1.0));
     let stands = stands.unwrap();
     assert!(
-        none.is_none() && stands.kind == Kind::Standing && stands.ego.distance.is_zero() && stands.ego.speed.is_zero()
+        none.is_none() && stands.mode == MotionMode::Standing && stands.ego.distance.is_zero() && stands.ego.speed.is_zero()
     );
     let [starts, none] = after(&any(1, 1.0, 2.0));
     let starts = starts.unwrap();
-    assert!(none.is_none() && starts.kind == Kind::Restarted);
+    assert!(none.is_none() && starts.mode == MotionMode::Restarted);
     assert_bounds(starts.ego.distance.range(), [0.045, 0.09], 1e-12);
     assert_bounds(starts.ego.speed.range(), [0.3, 0.6], 1e-12);
     // It moves in between as well, or does not.
-    let moved = |wanted: &Form| driving(Form::default()).moved(wanted, step, 2);
+    let moved = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).ego_after(wanted, step, 2);
     let stays = moved(&any(1, -2.0, -1.0));
     assert!(stays.distance.is_zero() && stays.speed.is_zero() && stays.acceleration.is_zero());
     assert_bounds(moved(&any(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
@@ -190,9 +190,9 @@ fn who_stands_stays_or_starts_again() {
 /// At the decision itself everybody is where it is, and its acceleration is left open.
 #[test]
 fn nothing_has_moved_at_the_decision() {
-    let mut members = driving(any(0, 3.0, 4.0));
-    members.ego.acceleration = exactly(2.0);
-    let seen = members.moved(&exactly(-1.0), Interval::point(0.1), 0);
+    let mut members = egos_at_speed(any(0, 3.0, 4.0));
+    members.ego.acceleration = point_form(2.0);
+    let seen = members.ego_after(&point_form(-1.0), Interval::point(0.1), 0);
     assert!(seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed);
 }
 
@@ -201,26 +201,26 @@ fn nothing_has_moved_at_the_decision() {
 fn a_set_that_has_stopped_is_no_set_that_moves() {
     let step = Interval::point(0.1);
     let kinds =
-        |speed: Form, wanted: Form| driving(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.kind));
-    assert_eq!(kinds(exactly(0.1), exactly(-2.0)), [None, Some(Kind::Standing)]);
-    assert_eq!(kinds(exactly(0.5), exactly(-2.0)), [Some(Kind::Moving), None]);
+        |speed: AffineForm, wanted: AffineForm| egos_at_speed(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.mode));
+    assert_eq!(kinds(point_form(0.1), point_form(-2.0)), [None, Some(MotionMode::Standing)]);
+    assert_eq!(kinds(point_form(0.5), point_form(-2.0)), [Some(MotionMode::Moving), None]);
     // Bounds that hold nobody but members that reverse.
-    assert_eq!(kinds(any(0, -1.0, -0.5), Form::default()), [None, Some(Kind::Standing)]);
+    assert_eq!(kinds(any(0, -1.0, -0.5), AffineForm::default()), [None, Some(MotionMode::Standing)]);
 }
 
 /// As many symbols as may be stay as they are; one more, and they become fewer.
 #[test]
 fn symbols_become_fewer_once_they_are_too_many() {
     for (count, expected) in [(MAX_SYMBOLS, MAX_SYMBOLS), (MAX_SYMBOLS + 1, REDUCED_SYMBOLS)] {
-        let mut speed = exactly(10.0);
-        speed.replace(SHARED_SYMBOLS, (0..count).map(|i| 1.0 + i as f64), 0.0);
-        let mut members = driving(exactly(10.0));
-        members.symbols = SHARED_SYMBOLS + count;
-        let next = members.next(Kind::Restarted, Form::default(), speed, Form::default());
+        let mut speed = point_form(10.0);
+        speed.replace_terms(SHARED_SYMBOLS, (0..count).map(|i| 1.0 + i as f64), 0.0);
+        let mut members = egos_at_speed(point_form(10.0));
+        members.next_symbol = SHARED_SYMBOLS + count;
+        let next = members.with_state(MotionMode::Restarted, AffineForm::default(), speed, AffineForm::default());
         assert!(
-            next.kind == Kind::Restarted && next.symbols.abs_diff(SHARED_SYMBOLS + expected) <= 1,
+            next.mode == MotionMode::Restarted && next.next_symbol.abs_diff(SHARED_SYMBOLS + expected) <= 1,
             "{}",
-            next.symbols
+            next.next_symbol
         );
     }
 }
@@ -237,10 +237,10 @@ fn a_symbol_and_its_negative_are_one() {
         [0.0, 0.0, -3.0, 0.0, 0.0, -6.0],
     ];
     for vector in cases {
-        assert_eq!(upright(vector), vector);
+        assert_eq!(normalize_sign(vector), vector);
     }
     for vector in &cases[..4] {
-        assert_eq!(upright(vector.map(|number| -number)), *vector);
+        assert_eq!(normalize_sign(vector.map(|number| -number)), *vector);
     }
 }
 
@@ -257,17 +257,17 @@ fn a_direction_is_the_share_of_the_speed() {
         ([0.0, 0.0, 9.0, 2.0, 0.0, 9.0], 3.0),
         ([0.0, 0.0, 9.0, 0.0, 0.0, 9.0], 0.0),
     ] {
-        assert_eq!(direction(&vector), expected, "{vector:?}");
+        assert_eq!(direction_key(&vector), expected, "{vector:?}");
     }
 }
 
 /// Only who stood has started again, and only if it may move.
 #[test]
 fn who_moves_later_within_an_interval_is_of_the_same_kind() {
-    let seen = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
-    let kind = |before: Form, after: Form| EgoSet::starting(before, SHARED_SYMBOLS).driven(seen(after)).kind;
-    assert_eq!(kind(exactly(5.0), exactly(4.0)), Kind::Moving);
-    assert_eq!(kind(exactly(5.0), exactly(0.0)), Kind::Moving);
-    assert_eq!(kind(exactly(0.0), exactly(0.0)), Kind::Standing);
-    assert_eq!(kind(exactly(0.0), exactly(0.1)), Kind::Restarted);
+    let seen = |speed| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let kind = |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
+    assert_eq!(kind(point_form(5.0), point_form(4.0)), MotionMode::Moving);
+    assert_eq!(kind(point_form(5.0), point_form(0.0)), MotionMode::Moving);
+    assert_eq!(kind(point_form(0.0), point_form(0.0)), MotionMode::Standing);
+    assert_eq!(kind(point_form(0.0), point_form(0.1)), MotionMode::Restarted);
 }

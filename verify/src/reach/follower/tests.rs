@@ -1,9 +1,9 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{any, assert_bounds, exactly, from, start};
+use super::super::fixtures::{symbol_form, assert_bounds, point_form, interval, point_box};
 use super::*;
 
-const IDM: Idm = Idm {
+const IDM: IdmLaw = IdmLaw {
     desired_speed_mps: 30.0,
     time_headway_s: 1.5,
     standstill_gap_m: 2.0,
@@ -11,7 +11,7 @@ const IDM: Idm = Idm {
     comfortable_brake_mps2: 2.0,
     max_accel_mps2: 3.0,
 };
-const ACC: AccAeb = AccAeb {
+const ACC: AccAebLaw = AccAebLaw {
     ttc_s: 2.0,
     time_headway_s: 1.2,
     standstill_gap_m: 2.5,
@@ -22,10 +22,10 @@ const ACC: AccAeb = AccAeb {
     max_accel_mps2: 2.5,
 };
 
-fn any_idm() -> impl Strategy<Value = Idm> {
+fn any_idm() -> impl Strategy<Value = IdmLaw> {
     (10.0..40.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.3..3.0_f64, 0.3..5.0_f64, 0.0..4.0_f64).prop_map(
         |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
-            Idm {
+            IdmLaw {
                 desired_speed_mps,
                 time_headway_s,
                 standstill_gap_m,
@@ -37,9 +37,9 @@ fn any_idm() -> impl Strategy<Value = Idm> {
     )
 }
 
-fn any_acc() -> impl Strategy<Value = AccAeb> {
+fn any_acc() -> impl Strategy<Value = AccAebLaw> {
     (0.0..4.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.0..1.0_f64, 0.0..2.0_f64, 0.0..5.0_f64, 0.0..3.0_f64, 0.0..4.0_f64)
-        .prop_map(|(ttc_s, time_headway_s, standstill_gap_m, gap_gain, speed_gain, brake, accel, most)| AccAeb {
+        .prop_map(|(ttc_s, time_headway_s, standstill_gap_m, gap_gain, speed_gain, brake, accel, most)| AccAebLaw {
             ttc_s,
             time_headway_s,
             standstill_gap_m,
@@ -52,7 +52,7 @@ fn any_acc() -> impl Strategy<Value = AccAeb> {
 }
 
 /// What `idm` wants, and how large what it is the difference of is.
-fn idm_acceleration(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
+fn idm_acceleration(law: &IdmLaw, [gap, v, w]: [f64; 3]) -> (f64, f64) {
     let dynamic = v * law.time_headway_s + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
     let share = (law.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
     let fourth = (v / law.desired_speed_mps).powi(4);
@@ -61,25 +61,25 @@ fn idm_acceleration(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
 }
 
 /// What `acc-aeb` wants where its emergency brake does not fire.
-fn acc_acceleration(law: &AccAeb, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
+fn acc_acceleration(law: &AccAebLaw, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
     let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
     let wanted = (law.speed_gain_per_s * (u - v)).min(follow + law.speed_gain_per_s * (w - v));
     wanted.max(-law.comfort_brake_mps2).min(law.comfort_accel_mps2)
 }
 
-fn law_input(gap: Form, speed: Form, ahead: &Form) -> Sight {
+fn law_input(gap: AffineForm, speed: AffineForm, ahead: &AffineForm) -> LawInput {
     let closing = speed.clone().minus(ahead);
-    Sight { gap, speed, closing, least_mps: 0.0 }
+    LawInput { gap, speed, closing, min_speed_mps: 0.0 }
 }
 
-fn point([gap, v, w]: [f64; 3]) -> Sight {
-    sight(exactly(gap), exactly(v), &exactly(w))
+fn point([gap, v, w]: [f64; 3]) -> LawInput {
+    law_input(point_form(gap), point_form(v), &point_form(w))
 }
 
 const BRAKE: [f64; 2] = [7.0, 9.0];
 
-fn law_follower<'a>(law: &'a Law, set_speed: Form, brake: Form, start_gap: &'a Form) -> Behind<'a> {
-    Behind { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
+fn law_follower<'a>(law: &'a FollowerLaw, set_speed: AffineForm, brake: AffineForm, start_gap: &'a AffineForm) -> LawFollower<'a> {
+    LawFollower { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
 }
 
 proptest! {
@@ -90,11 +90,11 @@ proptest! {
     ) {
         let (expected, size) = idm_acceleration(&law, [gap, v, w]);
         let seen = point([gap, v, w]);
-        assert_bounds(law.plainly(&seen), [expected; 2], 1e-12 * size);
-        assert_bounds(law.wanted(&seen, &exactly(8.0)).range(), [expected; 2], 1e-11 * size);
+        assert_bounds(law.desired_acceleration_interval(&seen), [expected; 2], 1e-12 * size);
+        assert_bounds(law.desired_acceleration(&seen, &point_form(8.0)).range(), [expected; 2], 1e-11 * size);
         // A gap that is nearly nothing counts as a centimetre.
         let (expected, size) = idm_acceleration(&law, [0.004, v, w]);
-        assert_bounds(law.plainly(&point([0.004, v, w])), [expected; 2], 1e-12 * size);
+        assert_bounds(law.desired_acceleration_interval(&point([0.004, v, w])), [expected; 2], 1e-12 * size);
     }
 
     /// What `idm` is said to do of a box of sights holds what it does of each, and is no wider than the narrower of a form and of
@@ -104,15 +104,15 @@ proptest! {
         low in 0.02..30.0_f64, widths in prop::array::uniform3(prop_oneof![0.01..0.3_f64, 0.3..8.0_f64]),
         v in 0.5..25.0_f64, w in 0.0..25.0_f64, places in prop::array::uniform3(0.0..=1.0_f64),
     ) {
-        let (law, start_gap) = (Law::Idm(IDM), Form::default());
-        let behind = behind(&law, Form::default(), exactly(8.0), &start_gap);
+        let (law, start_gap) = (FollowerLaw::Idm(IDM), AffineForm::default());
+        let behind = law_follower(&law, AffineForm::default(), point_form(8.0), &start_gap);
         let box_of = [low, v, w].into_iter().zip(widths);
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
-        let forms: Vec<Form> = ends.iter().enumerate().map(|(i, &[low, high])| any(i, low, high)).collect();
-        let seen = sight(forms[0].clone(), forms[1].clone(), &forms[2]);
+        let forms: Vec<AffineForm> = ends.iter().enumerate().map(|(i, &[low, high])| any(i, low, high)).collect();
+        let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
         let found = behind.acceleration(&seen);
-        let form = behind.able(&IDM.wanted(&seen, &behind.brake)).range();
-        let plain = IDM.plainly(&seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
+        let form = behind.clamp_to_limits(&IDM.desired_acceleration(&seen, &behind.brake)).range();
+        let plain = IDM.desired_acceleration_interval(&seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
         let width = |range: Interval| range.high() - range.low();
         let narrower = width(form).min(width(plain));
         prop_assert!(width(found.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{found:?} {form:?} {plain:?}");
@@ -134,8 +134,8 @@ proptest! {
         prop_assume!(guard.abs() > 1e-9);
         let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, u, [gap, v, w]) };
         let expected = wanted.max(-8.0).min(law.max_accel_mps2);
-        let (law, start_gap) = (Law::AccAeb(law), Form::default());
-        let found = behind(&law, exactly(u), exactly(8.0), &start_gap).acceleration(&point([gap, v, w]));
+        let (law, start_gap) = (FollowerLaw::AccAeb(law), AffineForm::default());
+        let found = law_follower(&law, point_form(u), point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
         assert_bounds(found.range(), [expected; 2], 1e-12 * 200.0);
     }
 }
@@ -145,25 +145,25 @@ proptest! {
 fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
     let brake = any(6, BRAKE[0], BRAKE[1]);
     for low in [-1.0, 0.0, 0.01] {
-        let seen = sight(any(0, low, 30.0), exactly(10.0), &exactly(10.0));
-        assert_bounds(IDM.wanted(&seen, &brake).range(), [-BRAKE[1], IDM.accel_mps2], 1e-10);
+        let seen = law_input(any(0, low, 30.0), point_form(10.0), &point_form(10.0));
+        assert_bounds(IDM.desired_acceleration(&seen, &brake).range(), [-BRAKE[1], IDM.accel_mps2], 1e-10);
     }
 }
 
 /// Where the emergency brake may fire or not, anything between full braking and what it does otherwise, and nothing else.
 #[test]
 fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
-    let (law, start_gap) = (Law::AccAeb(AccAeb { ttc_s: 5.0, ..ACC }), Form::default());
-    let behind = behind(&law, exactly(25.0), any(6, BRAKE[0], BRAKE[1]), &start_gap);
+    let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
+    let behind = law_follower(&law, point_form(25.0), any(6, BRAKE[0], BRAKE[1]), &start_gap);
     // Closing at 1 m/s, it fires below 5 m.
     let at =
-        |low: f64, high: f64| behind.acceleration(&sight(any(0, low, high), exactly(20.0), &exactly(19.0))).range();
+        |low: f64, high: f64| behind.acceleration(&law_input(any(0, low, high), point_form(20.0), &point_form(19.0))).range();
     assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
     let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
     // Exactly at the limit it does not fire.
-    let stands = Sight { gap: Form::default(), speed: Form::default(), closing: Form::default(), least_mps: 0.0 };
+    let stands = LawInput { gap: AffineForm::default(), speed: AffineForm::default(), closing: AffineForm::default(), min_speed_mps: 0.0 };
     let expected = acc_acceleration(&ACC, 25.0, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
@@ -171,13 +171,13 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
 /// u is v(0) unless the emergency brake may fire at once; then it is anything down to standstill.
 #[test]
 fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_once() {
-    let mut ranges = start([50.0, 10.0, 10.0, 10.0, 0.0, 6.0, 8.0, 0.0]);
-    ranges.follower_speed_mps = from(14.0, 14.5);
-    let law = Law::AccAeb(ACC);
+    let mut ranges = point_box([50.0, 10.0, 10.0, 10.0, 0.0, 6.0, 8.0, 0.0]);
+    ranges.follower_speed_mps = interval(14.0, 14.5);
+    let law = FollowerLaw::AccAeb(ACC);
     // Closing at 4.5 m/s at most, it fires below 9 m.
     for (gap, expected) in [(9.5, [14.0, 14.5]), (8.5, [0.0, 14.5])] {
-        let gap = exactly(gap);
-        let behind = Behind::new(&law, &ranges, &gap, Interval::point(0.1));
+        let gap = point_form(gap);
+        let behind = LawFollower::new(&law, &ranges, &gap, Interval::point(0.1));
         assert_bounds(behind.set_speed.range(), expected, 1e-9);
     }
 }
@@ -187,8 +187,8 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 #[test]
 fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     let step = Interval::point(0.1);
-    let at = |speed: Form| Seen { distance: Form::default(), speed, acceleration: Form::default() };
-    let (moves, may_stand, stands) = (at(any(0, 5.0, 6.0)), at(any(0, 0.0, 6.0)), at(Form::default()));
+    let at = |speed: AffineForm| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let (moves, may_stand, stands) = (at(any(0, 5.0, 6.0)), at(any(0, 0.0, 6.0)), at(AffineForm::default()));
     let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| any(1, low, high));
     for wanted in [&brakes, &either, &starts] {
         assert_eq!(stepped(&moves, wanted, step).acceleration, *wanted);
@@ -205,12 +205,12 @@ fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
 /// A follower a step later is where the closed form says, and asks for what its law does of the gap and the speeds that it sees.
 #[test]
 fn a_step_by_a_law_is_the_closed_form() {
-    let (law, start_gap) = (Law::AccAeb(ACC), exactly(20.0));
-    let behind = behind(&law, exactly(16.0), exactly(8.0), &start_gap);
+    let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
+    let behind = law_follower(&law, point_form(16.0), point_form(8.0), &start_gap);
     let at =
-        |distance, speed| Seen { distance: exactly(distance), speed: exactly(speed), acceleration: Form::default() };
+        |distance, speed| Seen { distance: point_form(distance), speed: point_form(speed), acceleration: AffineForm::default() };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
-    let (later, asked) = behind.stepped(&own, &ego);
+    let (later, asked) = behind.advance(&own, &ego);
     let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);
     // What it sees may be off by a nanometre.
     assert_bounds(asked.range(), [u; 2], 1e-8);
@@ -220,15 +220,15 @@ fn a_step_by_a_law_is_the_closed_form() {
 
 #[test]
 fn a_law_whose_numbers_make_no_sense_is_refused() {
-    assert!(Law::Idm(IDM).validated().is_ok() && Law::AccAeb(ACC).validated().is_ok());
-    let idm = |change: fn(&mut Idm, f64), number| {
+    assert!(FollowerLaw::Idm(IDM).validate().is_ok() && FollowerLaw::AccAeb(ACC).validate().is_ok());
+    let idm = |change: fn(&mut IdmLaw, f64), number| {
         let mut law = IDM;
         change(&mut law, number);
-        Law::Idm(law).validated().is_ok()
+        FollowerLaw::Idm(law).validate().is_ok()
     };
-    let divisors: [fn(&mut Idm, f64); 3] =
+    let divisors: [fn(&mut IdmLaw, f64); 3] =
         [|law, x| law.desired_speed_mps = x, |law, x| law.accel_mps2 = x, |law, x| law.comfortable_brake_mps2 = x];
-    let others: [fn(&mut Idm, f64); 3] =
+    let others: [fn(&mut IdmLaw, f64); 3] =
         [|law, x| law.time_headway_s = x, |law, x| law.standstill_gap_m = x, |law, x| law.max_accel_mps2 = x];
     for (changes, zero_is_fit) in [(divisors, false), (others, true)] {
         for change in changes {
@@ -237,12 +237,12 @@ fn a_law_whose_numbers_make_no_sense_is_refused() {
             assert!(![-1.0, f64::INFINITY, f64::NAN].into_iter().any(|number| idm(change, number)));
         }
     }
-    let acc = |change: fn(&mut AccAeb, f64), number| {
+    let acc = |change: fn(&mut AccAebLaw, f64), number| {
         let mut law = ACC;
         change(&mut law, number);
-        Law::AccAeb(law).validated().is_ok()
+        FollowerLaw::AccAeb(law).validate().is_ok()
     };
-    let all: [fn(&mut AccAeb, f64); 8] = [
+    let all: [fn(&mut AccAebLaw, f64); 8] = [
         |law, x| law.ttc_s = x,
         |law, x| law.time_headway_s = x,
         |law, x| law.standstill_gap_m = x,
@@ -260,12 +260,12 @@ fn a_law_whose_numbers_make_no_sense_is_refused() {
 
 #[test]
 fn a_law_says_how_hard_its_vehicle_accelerates_at_most() {
-    assert_eq!([Law::Idm(IDM), Law::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
+    assert_eq!([FollowerLaw::Idm(IDM), FollowerLaw::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
 }
 
 #[test]
 fn a_law_is_said_with_all_of_its_numbers() {
-    let idm = Idm {
+    let idm = IdmLaw {
         desired_speed_mps: 30.0,
         time_headway_s: 1.5,
         standstill_gap_m: 2.0,
@@ -274,8 +274,8 @@ fn a_law_is_said_with_all_of_its_numbers() {
         max_accel_mps2: 3.0,
     };
     let of_idm = "drives idm towards 30 m/s with a time headway of 1.5 s, 2 m at standstill, 0.75 and 1.625 m/s²";
-    assert_eq!(Law::Idm(idm).to_string(), of_idm);
-    let acc = AccAeb {
+    assert_eq!(FollowerLaw::Idm(idm).to_string(), of_idm);
+    let acc = AccAebLaw {
         ttc_s: 1.4,
         time_headway_s: 1.25,
         standstill_gap_m: 3.0,
@@ -287,22 +287,22 @@ fn a_law_is_said_with_all_of_its_numbers() {
     };
     let of_acc = "drives acc-aeb with a time headway of 1.25 s, 3 m at standstill, gains 0.25 and 0.5, from -3.5 to 2 m/s², and full braking while its \
                   time to collision is below 1.4 s";
-    assert_eq!(Law::AccAeb(acc).to_string(), of_acc);
+    assert_eq!(FollowerLaw::AccAeb(acc).to_string(), of_acc);
 }
 
 /// What is seen is off by as much as is said; and of a speed that may be seen below 0 the law says what its formula does.
 #[test]
 fn a_sight_is_off_by_what_is_said() {
-    let sight = Sight::within([20.0, 1.0, -0.5].map(exactly), [0.5, 6.0, 2.0]);
+    let sight = LawInput::with_errors([20.0, 1.0, -0.5].map(point_form), [0.5, 6.0, 2.0]);
     for (form, expected) in [(&sight.gap, [19.5, 20.5]), (&sight.speed, [-5.0, 7.0]), (&sight.closing, [-2.5, 1.5])] {
         assert_bounds(form.range(), expected, 1e-6);
     }
     // Before an open road, where the fourth power is all there is.
-    let seen = Sight::within([exactly(1e9), exactly(-6.0), exactly(-6.0)], [0.0, 6.0, 0.0]);
-    let wanted = IDM.wanted(&seen, &exactly(8.0)).range();
+    let seen = LawInput::with_errors([point_form(1e9), point_form(-6.0), point_form(-6.0)], [0.0, 6.0, 0.0]);
+    let wanted = IDM.desired_acceleration(&seen, &point_form(8.0)).range();
     let slowest = IDM.accel_mps2 * (1.0 - (6.0 / IDM.desired_speed_mps).powi(4));
     assert!(wanted.low() <= slowest && wanted.high() >= IDM.accel_mps2 - 1e-9, "{wanted:?} {slowest}");
     // Of speeds that are above 0 nothing is left open.
-    let seen = Sight::within([exactly(1e9), exactly(6.0), exactly(6.0)], [0.0; 3]);
-    assert_bounds(IDM.wanted(&seen, &exactly(8.0)).range(), [slowest; 2], 1e-6);
+    let seen = LawInput::with_errors([point_form(1e9), point_form(6.0), point_form(6.0)], [0.0; 3]);
+    assert_bounds(IDM.desired_acceleration(&seen, &point_form(8.0)).range(), [slowest; 2], 1e-6);
 }

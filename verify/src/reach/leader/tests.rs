@@ -1,25 +1,25 @@
 use proptest::prelude::*;
 
-use super::super::Dimension;
-use super::super::fixtures::{any, assert_bounds, constant, from, scene, start};
-use super::super::propagate::Scene;
+use super::super::BoxDimension;
+use super::super::fixtures::{symbol_form, assert_bounds, constant_controller, interval, default_problem, point_box};
+use super::super::propagate::ReachProblem;
 use super::*;
 
 const STEP_S: f64 = 0.1;
 
 fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) -> Leader {
-    let actor = constant(0.0);
-    let mut ranges = start([20.0; 8]);
-    ranges.leader_speed_mps = from(speeds[0], speeds[1]);
-    let scene = Scene {
+    let actor = constant_controller(0.0);
+    let mut ranges = point_box([20.0; 8]);
+    ranges.leader_speed_mps = interval(speeds[0], speeds[1]);
+    let scene = ReachProblem {
         leader_brakes_at_most_mps2: Some(limit_mps2),
         step_s: STEP_S,
         steps,
         decision_steps,
-        ..scene(&actor, ranges)
+        ..default_problem(&actor, ranges)
     };
-    let speed = Form::symbol(Dimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
-    Leader::new(&scene, [speed, Form::default(), Form::default()], Interval::point(STEP_S))
+    let speed = AffineForm::symbol(BoxDimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
+    Leader::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))
 }
 
 /// What the rectifier makes of numbers from l to h.
@@ -46,21 +46,21 @@ proptest! {
         let t = f64::from(k) * STEP_S;
         if k == 0 {
             prop_assert!(distance.is_zero() && acceleration.is_zero());
-            prop_assert_eq!(speed, any(Dimension::LeaderSpeedMps as usize, v0, v1));
+            prop_assert_eq!(speed, any(BoxDimension::LeaderSpeedMps as usize, v0, v1));
             return Ok(());
         }
         assert_bounds(acceleration.range(), [-b, 0.0], 1e-10);
         let slack = 1e-11 * (1.0 + v1 + b * t) * (1.0 + t);
-        assert_bounds(speed.range(), cut([v0 - b * t, v1]), slack);
+        assert_bounds(speed.range(), relu_range([v0 - b * t, v1]), slack);
         // One e for every whole block.
         let early = f64::from((k / every).min(decisions)) * b * (f64::from(every) * STEP_S).powi(2) / 8.0;
-        let least = braked(v0, b, t).0;
+        let least = braking_motion(v0, b, t).0;
         let free = [v0 * t - 0.5 * b * t * t - early, v1 * t + early];
-        let [low, high] = cut(free.map(|end| end - least));
+        let [low, high] = relu_range(free.map(|end| end - least));
         assert_bounds(distance.range(), [least + low, least + high], slack);
         // However it brakes: always, never, or from the middle on.
-        let (stopping, later) = (braked(v0, b, 0.5 * t), braked(v1, b, 0.5 * t));
-        for (covered, then) in [braked(v0, b, t), (v1 * t, v1), (0.5 * v1 * t + later.0, later.1), then_coast(stopping, t)] {
+        let (stopping, later) = (braking_motion(v0, b, 0.5 * t), braking_motion(v1, b, 0.5 * t));
+        for (covered, then) in [braking_motion(v0, b, t), (v1 * t, v1), (0.5 * v1 * t + later.0, later.1), then_coast(stopping, t)] {
             prop_assert!(distance.range().low() - slack <= covered && covered <= distance.range().high() + slack);
             prop_assert!(speed.range().low() - slack <= then && then <= speed.range().high() + slack);
         }
@@ -103,8 +103,8 @@ fn accelerations_of_a_script_are_those_of_its_brake() {
     let step = Interval::point(STEP_S);
     let ranges = [any(2, 20.0, 21.0), any(5, 5.0, 6.0), any(7, 2.0, 5.5)];
     let [speed, rate, onset] = ranges;
-    let braking = Braking::new(speed, rate, onset, from(2.0, 5.5), step);
-    let of_braking = braking.accelerations(4, step);
+    let braking = BrakingVehicle::new(speed, rate, onset, interval(2.0, 5.5), step);
+    let of_braking = braking.possible_accelerations(4, step);
     assert!(of_braking.len() > 1);
     assert_eq!(Leader::Scripted(Box::new(braking)).accelerations(4, step), of_braking);
     assert!(leader([10.0, 11.0], 6.0, 20, 2).accelerations(4, step).is_empty());

@@ -1,33 +1,33 @@
-use super::super::fixtures::{affine, any, assert_bounds, constant, exactly, scene, start};
-use super::super::follower::{AccAeb, Idm};
+use super::super::fixtures::{affine_controller, symbol_form, assert_bounds, constant_controller, point_form, default_problem, point_box};
+use super::super::follower::{AccAebLaw, IdmLaw};
 use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
 const LATCHED: Option<Follower> = Some(Follower::Latched { ttc_s: 2.0 });
 
-fn analysis<'a>(scene: &'a Scene<'a>, work: &'a Work) -> Drive<'a> {
+fn analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysis<'a> {
     let step = Interval::point(scene.step_s);
-    let symbol = |dimension: Dimension| Form::symbol(dimension as usize, scene.ranges.get(dimension));
-    let leader = [Dimension::LeaderSpeedMps, Dimension::LeaderBrakeMps2, Dimension::OnsetSteps].map(symbol);
-    Drive {
+    let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
+    let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
+    ReachAnalysis {
         scene,
-        work,
+        budget: work,
         step,
         leader: Leader::new(scene, leader, step),
-        gaps: [Dimension::GapAheadM, Dimension::GapBehindM].map(symbol),
-        reached: Reached::NOTHING_YET,
-        windows: 0,
+        gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
+        result: ReachResult::INITIAL,
+        window_count: 0,
         tube: None,
     }
 }
 
-fn unlimited_budget() -> Work {
-    Work::within(WorkLimit::NONE)
+fn unlimited_budget() -> OpBudget {
+    OpBudget::new(WorkLimit::UNLIMITED)
 }
 
 /// A follower by a law that only ever brakes fully, or only ever holds its speed.
-fn extreme_law(yes: bool) -> Law {
-    Law::AccAeb(AccAeb {
+fn extreme_law(yes: bool) -> FollowerLaw {
+    FollowerLaw::AccAeb(AccAebLaw {
         ttc_s: if yes { 1e6 } else { 0.0 },
         time_headway_s: 0.0,
         standstill_gap_m: 0.0,
@@ -51,28 +51,28 @@ fn who_still_moves_is_driven_on() {
         ([2.0, 20.0, 0.0, 0.0, 0.0], 3.0),
     ];
     for ([ahead, behind, leader, ego, follower], mps2) in nobody_behind {
-        let actor = constant(mps2);
-        let ranges = start([ahead, behind, leader, ego, follower, 6.0, 6.0, 0.0]);
-        let reached = reach(&Scene { steps: 20, ..scene(&actor, ranges) });
-        assert!(reached.touches && reached.gaps_m[0] < 0.0, "{reached:?}");
+        let actor = constant_controller(mps2);
+        let ranges = point_box([ahead, behind, leader, ego, follower, 6.0, 6.0, 0.0]);
+        let reached = reach(&ReachProblem { steps: 20, ..default_problem(&actor, ranges) });
+        assert!(reached.surely_collides && reached.gaps_m[0] < 0.0, "{reached:?}");
     }
     // It stands behind a leader that stands, and somebody drives into it from behind.
-    let actor = constant(-1.0);
-    let ranges = start([5.0, 2.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0]);
+    let actor = constant_controller(-1.0);
+    let ranges = point_box([5.0, 2.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0]);
     for follower in [Follower::Latched { ttc_s: 0.0 }, Follower::Driven(extreme_law(false))] {
-        let reached = reach(&Scene { steps: 20, follower: Some(follower), ..scene(&actor, ranges) });
-        assert!(reached.touches && reached.gaps_m[1] < 0.0, "{reached:?}");
+        let reached = reach(&ReachProblem { steps: 20, follower: Some(follower), ..default_problem(&actor, ranges) });
+        assert!(reached.surely_collides && reached.gaps_m[1] < 0.0, "{reached:?}");
     }
 }
 
 /// Once nobody moves, and nobody wants to, a long time costs no more than a short one, and what is seen stays as it is two steps later.
 #[test]
 fn once_all_stand_nothing_is_left_to_do() {
-    let actor = constant(-1.0);
-    let stands = scene(&actor, start([5.0, 20.0, 0.0, 0.0, 0.0, 6.0, 6.0, 0.0]));
+    let actor = constant_controller(-1.0);
+    let stands = default_problem(&actor, point_box([5.0, 20.0, 0.0, 0.0, 0.0, 6.0, 6.0, 0.0]));
     for (follower, limit) in [(None, None), (None, Some(6.0))] {
-        let scene = Scene { steps: 500, follower, leader_brakes_at_most_mps2: limit, ..stands.clone() };
-        let few = Work::within(WorkLimit::operations(3_000_000));
+        let scene = ReachProblem { steps: 500, follower, leader_brakes_at_most_mps2: limit, ..stands.clone() };
+        let few = OpBudget::new(WorkLimit::from_operations(3_000_000));
         let (reached, tube) = driven(&scene, &few, Some(ReachTube::new()));
         assert!(few.charge(0) && reached.doubt.is_none());
         let tube = tube.unwrap();
@@ -83,24 +83,24 @@ fn once_all_stand_nothing_is_left_to_do() {
 /// The instant at which a follower fires is known by a symbol that neither a range nor an ego has.
 #[test]
 fn an_instant_has_a_symbol_of_its_own() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
-    let scene = Scene { follower: LATCHED, ..scene(&actor, start(DEFAULT_POINT)) };
-    let onset = drive(&scene, &work).follower([2.0, 5.0]).onset;
-    assert!(onset.terms().len() == SHARED_SYMBOLS && onset.terms()[Dimension::ALL.len()] > 0.0);
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = ReachProblem { follower: LATCHED, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+    let onset = analysis(&scene, &work).latched_follower([2.0, 5.0]).onset;
+    assert!(onset.terms().len() == SHARED_SYMBOLS && onset.terms()[BoxDimension::ALL.len()] > 0.0);
     assert_bounds(onset.range(), [2.0, 5.0], 1e-10);
 }
 
 /// What a decision costs is what is stated: so much besides, for each symbol of the leader, and for each step.
 #[test]
 fn a_decision_costs_what_is_stated() {
-    let actor = constant(0.0);
+    let actor = constant_controller(0.0);
     for (limit, symbols) in [(None, 0), (Some(6.0), 24)] {
         let scene =
-            Scene { steps: 36, decision_steps: 3, leader_brakes_at_most_mps2: limit, ..scene(&actor, start(DEFAULT_POINT)) };
-        let cost = BESIDES + OPS_PER_LEADER_SYMBOL * symbols + 3 * A_STEP;
-        let work = Work::within(WorkLimit::operations(cost));
-        let mut drive = drive(&scene, &work);
-        let set = drive.look(0, EgoSet::starting(exactly(10.0), SHARED_SYMBOLS), None);
+            ReachProblem { steps: 36, decision_steps: 3, leader_brakes_at_most_mps2: limit, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+        let cost = BESIDES + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
+        let work = OpBudget::new(WorkLimit::from_operations(cost));
+        let mut drive = analysis(&scene, &work);
+        let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
         assert!(drive.decide(0, &set).is_some());
         assert!(work.charge(0) && !work.charge(1));
     }
@@ -109,8 +109,8 @@ fn a_decision_costs_what_is_stated() {
 /// Where a law is followed its forms are made at each step, with all symbols there are.
 #[test]
 fn a_departure_costs_a_law_at_each_step() {
-    let mut actor = constant(0.0);
-    let idm = Idm {
+    let mut actor = constant_controller(0.0);
+    let idm = IdmLaw {
         desired_speed_mps: 30.0,
         time_headway_s: 1.3,
         standstill_gap_m: 2.0,
@@ -118,11 +118,11 @@ fn a_departure_costs_a_law_at_each_step() {
         comfortable_brake_mps2: 1.67,
         max_accel_mps2: 3.0,
     };
-    actor.departs_from = Some(Departure { dead_zone: 0.4, rate_per_s: 1000.0, idm });
-    let scene = Scene { steps: 36, decision_steps: 3, ..scene(&actor, start(DEFAULT_POINT)) };
-    let work = Work::within(WorkLimit::operations(BESIDES + 3 * A_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64));
-    let mut drive = drive(&scene, &work);
-    let set = drive.look(0, EgoSet::starting(exactly(10.0), SHARED_SYMBOLS), None);
+    actor.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
+    let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+    let work = OpBudget::new(WorkLimit::from_operations(BESIDES + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64));
+    let mut drive = analysis(&scene, &work);
+    let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     assert!(drive.decide(0, &set).is_some());
     assert!(work.charge(0) && !work.charge(1));
 }
@@ -130,15 +130,15 @@ fn a_departure_costs_a_law_at_each_step() {
 /// A set is looked at once for each pair of accelerations that are told apart, and once where there is nothing to tell apart.
 #[test]
 fn accelerations_are_looked_at_one_by_one() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
-    let scene = scene(&actor, start(DEFAULT_POINT));
-    let mut set = drive(&scene, &work).look(0, EgoSet::starting(exactly(10.0), SHARED_SYMBOLS), None);
-    let seen = |set: &Set| -> Vec<_> {
-        set.cases().iter().map(|case| [AHEAD, ACCELERATION_BEHIND].map(|number| case.seen[number].centre())).collect()
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = default_problem(&actor, point_box(DEFAULT_POINT));
+    let mut set = analysis(&scene, &work).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
+    let seen = |set: &StateSet| -> Vec<_> {
+        set.split_cases().iter().map(|case| [ACCELERATION_AHEAD, ACCELERATION_BEHIND].map(|number| case.observation[number].centre())).collect()
     };
-    set.apart = [Vec::new(), Vec::new()];
+    set.acceleration_cases = [Vec::new(), Vec::new()];
     assert_eq!(seen(&set), [[0.0, 0.0]]);
-    set.apart = [[-1.0, -2.0].map(exactly).to_vec(), [0.0, -4.0, -5.0].map(exactly).to_vec()];
+    set.acceleration_cases = [[-1.0, -2.0].map(point_form).to_vec(), [0.0, -4.0, -5.0].map(point_form).to_vec()];
     let mut pairs = seen(&set);
     pairs.sort_by(|a, b| b.partial_cmp(a).unwrap());
     assert_eq!(pairs, [[-1.0, 0.0], [-1.0, -4.0], [-1.0, -5.0], [-2.0, 0.0], [-2.0, -4.0], [-2.0, -5.0]]);
@@ -149,30 +149,30 @@ fn accelerations_are_looked_at_one_by_one() {
 fn what_is_too_wide_is_given_up() {
     let work = unlimited_budget();
     for (radius, of_wanted, goes_on) in [(39.0, 0.0, true), (41.0, 0.0, false), (39.0, 1.1, false), (30.0, 1.1, true)] {
-        let actor = affine([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
-        let scene = scene(&actor, start(DEFAULT_POINT));
-        let mut drive = drive(&scene, &work);
-        let set = drive.look(0, EgoSet::starting(any(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
+        let actor = affine_controller([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
+        let scene = default_problem(&actor, point_box(DEFAULT_POINT));
+        let mut drive = analysis(&scene, &work);
+        let set = drive.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
         assert_eq!(drive.decide(0, &set).is_some(), goes_on);
-        assert_eq!(drive.reached.doubt, (!goes_on).then_some(Undecided::TooWide { step: 0 }));
+        assert_eq!(drive.result.undecided, (!goes_on).then_some(Undecided::TooWide { step: 0 }));
     }
 }
 
 /// The instants of an interval at which some guard may be negative, and whether one surely is.
 #[test]
 fn a_follower_fires_where_its_guard_may_be_negative() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
     let firing = |gap: [f64; 2], speeds: [f64; 2], wanted: f64| {
-        let mut ranges = start(DEFAULT_POINT);
+        let mut ranges = point_box(DEFAULT_POINT);
         ranges.gap_behind_m = Interval::new(gap[0], gap[1]).unwrap();
         ranges.follower_speed_mps = Interval::point(speeds[1]);
-        let scene = Scene { follower: LATCHED, decision_steps: 4, ..scene(&actor, ranges) };
-        let drive = drive(&scene, &work);
-        let follower = drive.follower([100.0, 100.0]);
-        drive.firing(
+        let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&actor, ranges) };
+        let drive = analysis(&scene, &work);
+        let follower = drive.latched_follower([100.0, 100.0]);
+        drive.firing_instants(
             8,
-            &EgoSet::starting(exactly(speeds[0]), SHARED_SYMBOLS),
-            &Course::Held(exactly(wanted)),
+            &EgoSet::from_speed(point_form(speeds[0]), SHARED_SYMBOLS),
+            &CommandProfile::Constant(point_form(wanted)),
             &follower,
         )
     };
@@ -192,14 +192,14 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
 /// The gap to who follows by a law is bounded from step to step: the smaller of those at the ends less m h²/8.
 #[test]
 fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
-    let ranges = start([50.0, 10.0, 20.0, 15.0, 20.0, 0.0, 6.0, 0.0]);
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let ranges = point_box([50.0, 10.0, 20.0, 15.0, 20.0, 0.0, 6.0, 0.0]);
     let law = Some(Follower::Driven(extreme_law(true)));
-    let scene = Scene { follower: law, decision_steps: 3, ..scene(&actor, ranges) };
-    let drive = drive(&scene, &work);
-    let at_rest = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
-    let members = EgoSet::starting(exactly(15.0), SHARED_SYMBOLS).followed(Some(at_rest(exactly(20.0))));
-    let follow = |mps2: f64| drive.follow(&members, &Course::Held(exactly(mps2))).unwrap();
+    let scene = ReachProblem { follower: law, decision_steps: 3, ..default_problem(&actor, ranges) };
+    let drive = analysis(&scene, &work);
+    let at_rest = |speed| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let members = EgoSet::from_speed(point_form(15.0), SHARED_SYMBOLS).with_follower(Some(at_rest(point_form(20.0))));
+    let follow = |mps2: f64| drive.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
         let (follower, least_m) = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
@@ -212,10 +212,10 @@ fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
 /// Between decisions a gap is no smaller than at their ends less m (D h)²/8, with m as large as it can be, and no larger.
 #[test]
 fn gaps_are_bounded_between_decisions() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
-    let mut ranges = start(DEFAULT_POINT);
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let mut ranges = point_box(DEFAULT_POINT);
     ranges.follower_brake_mps2 = Interval::new(5.0, 6.0).unwrap();
-    let scene = Scene { follower: LATCHED, decision_steps: 4, ..scene(&actor, ranges) };
+    let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&actor, ranges) };
     for (speed, acts, [ahead, behind]) in [
         (10.0, [-3.0, 2.0], [3.0, 8.0]),
         // It moves throughout, and so brakes throughout; or may have stopped.
@@ -225,57 +225,57 @@ fn gaps_are_bounded_between_decisions() {
         // It brakes harder than who is behind.
         (10.0, [-9.0, -8.0], [9.0, 0.0]),
     ] {
-        let mut drive = drive(&scene, &work);
-        let follower = drive.follower([2.0, 2.0]);
-        let set = drive.look(0, EgoSet::starting(exactly(speed), SHARED_SYMBOLS), Some(&follower));
-        let now = Set { gaps: [exactly(7.0), exactly(4.0)], ..set };
-        let before = [exactly(6.0), exactly(5.0)];
-        let acts = Course::Held(Form::constant(Interval::new(acts[0], acts[1]).unwrap()));
-        assert!(!drive.compare(0, &before, &now, &acts, Some(&follower), None));
+        let mut drive = analysis(&scene, &work);
+        let follower = drive.latched_follower([2.0, 2.0]);
+        let set = drive.observe(0, EgoSet::from_speed(point_form(speed), SHARED_SYMBOLS), Some(&follower));
+        let now = StateSet { gaps: [point_form(7.0), point_form(4.0)], ..set };
+        let before = [point_form(6.0), point_form(5.0)];
+        let acts = CommandProfile::Constant(AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap()));
+        assert!(!drive.record_gaps(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
-        for (found, expected) in drive.reached.gaps_m.into_iter().zip(expected) {
+        for (found, expected) in drive.result.gaps_m.into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
         }
-        assert_eq!(drive.reached.doubt, None);
+        assert_eq!(drive.result.undecided, None);
     }
 }
 
 /// Bumpers that meet and do not pass have not surely touched.
 #[test]
 fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
-    let scene = scene(&actor, start([0.0; 8]));
-    let mut drive = drive(&scene, &work);
-    let set = drive.look(0, EgoSet::starting(Form::default(), SHARED_SYMBOLS), None);
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = default_problem(&actor, point_box([0.0; 8]));
+    let mut drive = analysis(&scene, &work);
+    let set = drive.observe(0, EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS), None);
     let before = set.gaps.clone();
-    assert!(!drive.compare(3, &before, &set, &Course::Held(Form::default()), None, None));
-    assert!(matches!(drive.reached.doubt, Some(Undecided::MayTouch { pair: 0, step: 3, gap_m: -1e-300..=0.0 })));
+    assert!(!drive.record_gaps(3, &before, &set, &CommandProfile::Constant(AffineForm::default()), None, None));
+    assert!(matches!(drive.result.undecided, Some(Undecided::MayCollide { pair: 0, step: 3, gap_m: -1e-300..=0.0 })));
 }
 
 /// Windows are counted over the whole run: so many as may be are driven, and one more is given up.
 #[test]
 fn too_many_windows_are_given_up() {
-    let (actor, work) = (constant(0.0), unlimited_budget());
+    let (actor, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [(&[MAX_WINDOWS][..], true), (&[MAX_WINDOWS + 1], false), (&[MAX_WINDOWS, 1], false)] {
-        let scene = Scene { follower: LATCHED, ..scene(&actor, start(DEFAULT_POINT)) };
-        let mut drive = drive(&scene, &work);
+        let scene = ReachProblem { follower: LATCHED, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+        let mut drive = analysis(&scene, &work);
         // In none of them is anybody, and none is near another.
-        let windows = |count: usize| (0..count as u32).map(|i| Window::at(1000 * i)).collect();
+        let windows = |count: usize| (0..count as u32).map(|i| FiringWindow::new(1000 * i)).collect();
         let all = counts.iter().map(|&count| drive.propagate_fired(windows(count))).collect::<Option<Vec<bool>>>();
         assert_eq!(all.is_some(), goes_on);
-        assert_eq!(matches!(drive.reached.doubt, Some(Undecided::TooManySets { .. })), !goes_on);
+        assert_eq!(matches!(drive.result.undecided, Some(Undecided::TooManySets { .. })), !goes_on);
     }
 }
 
 /// As many intervals as may be are driven; one more in which somebody may fire is given up.
 #[test]
 fn too_many_intervals_in_which_somebody_may_fire_are_given_up() {
-    let actor = constant(0.0);
-    let mut ranges = start([1e3, 2.0, 10.0, 10.0, 11.0, 0.0, 1.0, 0.0]);
+    let actor = constant_controller(0.0);
+    let mut ranges = point_box([1e3, 2.0, 10.0, 10.0, 11.0, 0.0, 1.0, 0.0]);
     ranges.gap_behind_m = Interval::new(1.9, 3.0).unwrap();
     let most = MAX_INTERVALS as u32;
     // In steps so short that hardly anything changes, and that few windows are made of many.
-    let of = |steps| Scene { step_s: 1e-5, steps, follower: LATCHED, stop_at_doubt: true, ..scene(&actor, ranges) };
-    assert_eq!(reach(&of(most + 1)).doubt, Some(Undecided::TooManySets { step: most }));
-    assert_eq!(reach(&of(most)).doubt, None);
+    let of = |steps| ReachProblem { step_s: 1e-5, steps, follower: LATCHED, stop_when_undecided: true, ..default_problem(&actor, ranges) };
+    assert_eq!(reach(&of(most + 1)).undecided, Some(Undecided::TooManySets { step: most }));
+    assert_eq!(reach(&of(most)).undecided, None);
 }

@@ -1,4 +1,4 @@
-use super::super::fixtures::{from, start};
+use super::super::fixtures::{interval, point_box};
 use super::*;
 
 /// A cut leaves nobody out, and is in the middle; where there is no number in between there is none.
@@ -6,18 +6,18 @@ use super::*;
 fn a_range_is_cut_at_a_number_in_between_or_not_at_all() {
     let one = 1.0_f64;
     let next = [one.next_up(), one.next_up().next_up()];
-    for dimension in Dimension::ALL {
-        let mut ranges = start([7.0; 8]);
-        assert_eq!(ranges.halves(dimension), None);
+    for dimension in BoxDimension::ALL {
+        let mut ranges = point_box([7.0; 8]);
+        assert_eq!(ranges.bisect(dimension), None);
         // Between the first two the middle rounds to the lower one, and between the next two to the upper one.
         for [low, high] in [[one, next[0]], next, [f64::MAX, f64::MAX]] {
-            *ranges.get_mut(dimension) = from(low, high);
-            assert_eq!(ranges.halves(dimension), None);
+            *ranges.get_mut(dimension) = interval(low, high);
+            assert_eq!(ranges.bisect(dimension), None);
         }
-        *ranges.get_mut(dimension) = from(1.0, 4.0);
-        let [lower, upper] = ranges.halves(dimension).unwrap();
-        assert_eq!([lower.get(dimension), upper.get(dimension)], [from(1.0, 2.5), from(2.5, 4.0)]);
-        for other in Dimension::ALL.into_iter().filter(|&other| other != dimension) {
+        *ranges.get_mut(dimension) = interval(1.0, 4.0);
+        let [lower, upper] = ranges.bisect(dimension).unwrap();
+        assert_eq!([lower.get(dimension), upper.get(dimension)], [interval(1.0, 2.5), interval(2.5, 4.0)]);
+        for other in BoxDimension::ALL.into_iter().filter(|&other| other != dimension) {
             assert_eq!([lower.get(other), upper.get(other)], [Interval::point(7.0); 2]);
         }
     }

@@ -10,8 +10,8 @@ fn rational(value: f64) -> BigRational {
 }
 
 /// The slope of a function of one symbol, and what is off its line: the middle, and the most on either side.
-fn slope_and_offset(f: impl Fn(&Form) -> Form, low: f64, high: f64) -> (f64, [f64; 2]) {
-    let x = Form::symbol(0, Interval::new(low, high).unwrap());
+fn slope_and_offset(f: impl Fn(&AffineForm) -> AffineForm, low: f64, high: f64) -> (f64, [f64; 2]) {
+    let x = AffineForm::symbol(0, Interval::new(low, high).unwrap());
     let line = f(&x);
     let slope = line.terms()[0] / x.terms()[0];
     (slope, [line.centre() - slope * x.centre(), line.rest()])
@@ -36,19 +36,19 @@ fn any_magnitude() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(500))]
+    #![proptest_config(crumple_cases::with_cases(500))]
 
     /// In rational arithmetic: the excess holds what is off the line at both ends, and hardly more, however unlike the ends are.
     #[test]
     fn a_rectifier_exceeds_its_chord_by_what_is_said(below in any_magnitude(), high in any_magnitude()) {
-        let (slope, excess) = rectifier(-below, high);
-        let (s, m) = (exact(slope), exact(excess));
-        let at_ends = [&s * exact(below), (exact(1.0) - &s) * exact(high)];
+        let (slope, excess) = relu_relaxation(-below, high);
+        let (s, m) = (rational(slope), rational(excess));
+        let at_ends = [&s * rational(below), (rational(1.0) - &s) * rational(high)];
         for end in &at_ends {
             prop_assert!(*end <= m);
         }
         let most = at_ends.into_iter().max().unwrap();
-        prop_assert!(m <= most * exact(1.0 + 1e-14) + exact(1e-290));
+        prop_assert!(m <= most * rational(1.0 + 1e-14) + rational(1e-290));
         prop_assert!(is_near(slope, high / (high + below), 1e-15));
     }
 
@@ -56,7 +56,7 @@ proptest! {
     #[test]
     fn a_reciprocal_is_as_near_its_chord_as_can_be(low in 1e-3..10.0_f64, more in 0.01..100.0_f64) {
         let high = low * (1.0 + more);
-        let (slope, [middle, off]) = line_of(reciprocal, low, high);
+        let (slope, [middle, off]) = slope_and_offset(reciprocal, low, high);
         let (at_ends, on_tangent) = (1.0 / low + 1.0 / high, 2.0 / (low * high).sqrt());
         // The range of a form is wider than it is by 10⁻¹² of its radius, which matters most at the lower end.
         let near = 1e-12 * (1.0 + more) / low;
@@ -69,7 +69,7 @@ proptest! {
     fn a_square_is_as_near_its_chord_as_can_be(low in -3.0..3.0_f64, width in 0.01..4.0_f64) {
         let high = low + width;
         prop_assume!(high > 0.01);
-        let (slope, [middle, off]) = line_of(rectified_square, low, high);
+        let (slope, [middle, off]) = slope_and_offset(relu_squared, low, high);
         let square = |x: f64| x.max(0.0).powi(2);
         let chord = (square(high) - square(low)) / width;
         let [least, most] = extremes(square, chord, [low, high], &[0.5 * chord]);
@@ -83,7 +83,7 @@ proptest! {
         low in prop_oneof![-4.0..4.0_f64, -40.0..40.0_f64, Just(0.0)], width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],
     ) {
         let high = low + width;
-        let (slope, off) = hyperbolic_tangent_line(low, high);
+        let (slope, off) = tanh_relaxation(low, high);
         let chord = (high.tanh() - low.tanh()) / width;
         let turn = (1.0 - chord).sqrt().atanh();
         let [least, most] = extremes(f64::tanh, chord, [low, high], &[-turn, turn]);
@@ -102,7 +102,7 @@ proptest! {
         alpha in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64, -2.0..3.0_f64], low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
     ) {
         let high = low + width;
-        let (slope, off) = elu_line(alpha, low, high);
+        let (slope, off) = elu_relaxation(alpha, low, high);
         let value = |x: f64| if x < 0.0 { alpha * x.exp_m1() } else { x };
         let is_convex = (0.0..=1.0).contains(&alpha);
         let chord = if is_convex { (value(high) - value(low)) / width } else { 0.0 };
@@ -131,10 +131,10 @@ fn far_out_a_function_is_what_it_tends_to() {
     }
     assert!(tanh(20.0).high() >= 1.0 && tanh(20.0) != one);
     assert!(exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high());
-    let everything = (0.0, Interval::LINE);
-    assert_eq!(elu_line(0.5, -1.0, f64::INFINITY), everything);
-    assert_eq!(elu_line(0.5, f64::NEG_INFINITY, 1.0), everything);
+    let everything = (0.0, Interval::ENTIRE);
+    assert_eq!(elu_relaxation(0.5, -1.0, f64::INFINITY), everything);
+    assert_eq!(elu_relaxation(0.5, f64::NEG_INFINITY, 1.0), everything);
     let within_one = (0.0, Interval::around_zero(1.0));
-    assert_eq!(hyperbolic_tangent_line(-1.0, f64::INFINITY), within_one);
-    assert_eq!(hyperbolic_tangent_line(f64::NEG_INFINITY, 1.0), within_one);
+    assert_eq!(tanh_relaxation(-1.0, f64::INFINITY), within_one);
+    assert_eq!(tanh_relaxation(f64::NEG_INFINITY, 1.0), within_one);
 }

@@ -1,10 +1,10 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{any, assert_bounds, exactly};
+use super::super::fixtures::{symbol_form, assert_bounds, point_form};
 use super::*;
 
 const BOUNDS_MPS2: [f64; 2] = [-7.5, 3.0];
-const IDM: Idm = Idm {
+const IDM: IdmLaw = IdmLaw {
     desired_speed_mps: 30.0,
     time_headway_s: 1.3,
     standstill_gap_m: 2.0,
@@ -13,8 +13,8 @@ const IDM: Idm = Idm {
     max_accel_mps2: BOUNDS_MPS2[1],
 };
 
-fn residual_policy(dead_zone: f64) -> Departure {
-    Departure { dead_zone, rate_per_s: 1000.0, idm: IDM }
+fn residual_policy(dead_zone: f64) -> ResidualPolicy {
+    ResidualPolicy { dead_zone, rate_per_s: 1000.0, idm: IDM }
 }
 
 /// What the law says, cut to the bounds.
@@ -28,12 +28,12 @@ fn law_acceleration([gap, v, w]: [f64; 3]) -> f64 {
 /// What comes of an action.
 fn expected_acceleration(dead_zone: f64, action: f64, seen: [f64; 3]) -> f64 {
     let share = ((action.abs() - dead_zone) / (1.0 - dead_zone)).max(0.0);
-    (1.0 - share) * law(seen) + share * if action < 0.0 { BOUNDS_MPS2[0] } else { BOUNDS_MPS2[1] }
+    (1.0 - share) * law_acceleration(seen) + share * if action < 0.0 { BOUNDS_MPS2[0] } else { BOUNDS_MPS2[1] }
 }
 
-fn enclose_acceleration(departure: &Departure, action: &Form, [gap, v, w]: [Form; 3]) -> Form {
+fn enclose_acceleration(departure: &ResidualPolicy, action: &AffineForm, [gap, v, w]: [AffineForm; 3]) -> AffineForm {
     let closing = v.clone().minus(&w);
-    departure.acceleration(&Residual::new(departure, action, BOUNDS_MPS2), &Sight::within([gap, v, closing], [0.0; 3]))
+    departure.acceleration(&Residual::new(departure, action, BOUNDS_MPS2), &LawInput::with_errors([gap, v, closing], [0.0; 3]))
 }
 
 proptest! {
@@ -42,9 +42,9 @@ proptest! {
     fn of_one_action_it_is_the_formula(
         zone in 0.0..0.9_f64, action in -1.0..=1.0_f64, seen in (3.0..60.0_f64, 0.0..30.0_f64, 0.0..30.0_f64),
     ) {
-        let (seen, departure) = ([seen.0, seen.1, seen.2], departure(zone));
-        let form = found(&departure, &exactly(action), seen.map(exactly));
-        assert_bounds(form.range(), [asked_for(zone, action, seen); 2], 1e-5);
+        let (seen, departure) = ([seen.0, seen.1, seen.2], residual_policy(zone));
+        let form = enclose_acceleration(&departure, &point_form(action), seen.map(point_form));
+        assert_bounds(form.range(), [expected_acceleration(zone, action, seen); 2], 1e-5);
     }
 
     /// Of a box of both it holds that of every member, and nothing beyond what its law and its action say by themselves.
@@ -56,10 +56,10 @@ proptest! {
         let ends = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         let from = [[gap, gap + widths[0]], [v, v + widths[1]], [w, w + widths[2]]];
         let forms = std::array::from_fn(|i| any(i, from[i][0], from[i][1]));
-        let form = found(&departure(zone), &any(3, ends[0], ends[1]), forms);
+        let form = enclose_acceleration(&residual_policy(zone), &any(3, ends[0], ends[1]), forms);
         let at = |[low, high]: [f64; 2], place: f64| low + place * (high - low);
         let seen = std::array::from_fn(|i| at(from[i], places[i]));
-        let truth = asked_for(zone, at(ends, places[3]), seen);
+        let truth = expected_acceleration(zone, at(ends, places[3]), seen);
         // As the same member.
         let said = form.centre() + form.terms().iter().zip(places).map(|(term, place)| term * (2.0 * place - 1.0)).sum::<f64>();
         prop_assert!((truth - said).abs() <= form.rest() + 1e-9, "{truth} {said} {form:?}");
@@ -70,26 +70,26 @@ proptest! {
 /// Within the dead zone there is nothing but the law, and what it has to do with what is seen is kept; beyond it, entirely, nothing but the bound.
 #[test]
 fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
-    let seen = [any(0, 20.0, 20.1), any(1, 14.0, 14.1), exactly(15.0)];
-    let calm = found(&departure(0.4), &any(3, -0.39, 0.39), seen.clone());
+    let seen = [any(0, 20.0, 20.1), any(1, 14.0, 14.1), point_form(15.0)];
+    let calm = enclose_acceleration(&residual_policy(0.4), &any(3, -0.39, 0.39), seen.clone());
     assert!(calm.terms()[..2].iter().all(|&term| term != 0.0) && calm.terms().get(3).is_none_or(|&term| term == 0.0));
-    assert_bounds(calm.range(), [law([20.0, 14.1, 15.0]), law([20.1, 14.0, 15.0])], 1e-2);
+    assert_bounds(calm.range(), [law_acceleration([20.0, 14.1, 15.0]), law_acceleration([20.1, 14.0, 15.0])], 1e-2);
     for (action, bound_mps2) in [(-1.0, BOUNDS_MPS2[0]), (1.0, BOUNDS_MPS2[1])] {
-        assert_bounds(found(&departure(0.4), &exactly(action), seen.clone()).range(), [bound_mps2; 2], 1e-9);
+        assert_bounds(enclose_acceleration(&residual_policy(0.4), &point_form(action), seen.clone()).range(), [bound_mps2; 2], 1e-9);
     }
 }
 
 /// Plain numbers take the place of a form where they say more by far: the gap may be next to nothing here.
 #[test]
 fn what_may_be_anything_is_within_the_bounds() {
-    let seen = [any(0, -1.0, 30.0), exactly(10.0), exactly(10.0)];
-    let range = found(&departure(0.3), &any(3, -1.0, 1.0), seen).range();
+    let seen = [any(0, -1.0, 30.0), point_form(10.0), point_form(10.0)];
+    let range = enclose_acceleration(&residual_policy(0.3), &any(3, -1.0, 1.0), seen).range();
     assert!(range.low() >= -7.5 - 1e-9 && range.high() <= 3.0 + 1e-9, "{range:?}");
 }
 
 #[test]
 fn numbers_outside_the_ranges_of_the_simulator_are_refused() {
-    let of = |dead_zone, rate_per_s, idm| Departure { dead_zone, rate_per_s, idm }.check();
+    let of = |dead_zone, rate_per_s, idm| ResidualPolicy { dead_zone, rate_per_s, idm }.check();
     for (zone, rate) in [(0.0, 0.1), (0.99, 1000.0)] {
         assert_eq!(of(zone, rate, IDM), Ok(()));
     }
@@ -97,11 +97,11 @@ fn numbers_outside_the_ranges_of_the_simulator_are_refused() {
         (of(-0.1, 1.0, IDM), "dead_zone: -0.1"),
         (of(f64::NAN, 1.0, IDM), "dead_zone: NaN"),
         (of(0.5, 0.09, IDM), "rate_per_s: 0.09"),
-        (of(0.5, 1.0, Idm { desired_speed_mps: 0.0, ..IDM }), "desired_speed_mps: 0"),
-        (of(0.5, 1.0, Idm { time_headway_s: -1.0, ..IDM }), "time_headway_s: -1"),
-        (of(0.5, 1.0, Idm { standstill_gap_m: 101.0, ..IDM }), "standstill_gap_m: 101"),
-        (of(0.5, 1.0, Idm { accel_mps2: 0.0, ..IDM }), "accel_mps2: 0"),
-        (of(0.5, 1.0, Idm { comfortable_brake_mps2: f64::INFINITY, ..IDM }), "comfortable_brake_mps2: inf"),
+        (of(0.5, 1.0, IdmLaw { desired_speed_mps: 0.0, ..IDM }), "desired_speed_mps: 0"),
+        (of(0.5, 1.0, IdmLaw { time_headway_s: -1.0, ..IDM }), "time_headway_s: -1"),
+        (of(0.5, 1.0, IdmLaw { standstill_gap_m: 101.0, ..IDM }), "standstill_gap_m: 101"),
+        (of(0.5, 1.0, IdmLaw { accel_mps2: 0.0, ..IDM }), "accel_mps2: 0"),
+        (of(0.5, 1.0, IdmLaw { comfortable_brake_mps2: f64::INFINITY, ..IDM }), "comfortable_brake_mps2: inf"),
     ];
     for (found, said) in wrong {
         assert!(found.clone().is_err_and(|error| error.starts_with(said)), "{found:?}");
@@ -110,7 +110,7 @@ fn numbers_outside_the_ranges_of_the_simulator_are_refused() {
 
 #[test]
 fn a_step_is_enough_where_it_is_as_long_as_from_one_end_to_the_other() {
-    let at = |rate_per_s| Departure { rate_per_s, ..departure(0.4) };
+    let at = |rate_per_s| ResidualPolicy { rate_per_s, ..residual_policy(0.4) };
     assert!(at(200.0).is_complete_in_one_step(0.01) && at(1000.0).is_complete_in_one_step(0.01) && at(4.0).is_complete_in_one_step(0.5));
     assert!(!at(199.0).is_complete_in_one_step(0.01) && !at(4.0).is_complete_in_one_step(0.49));
 }
@@ -121,12 +121,12 @@ fn rounding_is_allowed_for() {
     let largest_mps2 = 7.5;
     // A law at its bound, with an action that changes nothing of it, or everything.
     for (gap, action) in [(1e9, 1.0), (0.001, -1.0)] {
-        let form = found(&departure(0.4), &exactly(action), [exactly(gap), exactly(0.0), exactly(0.0)]);
+        let form = enclose_acceleration(&residual_policy(0.4), &point_form(action), [point_form(gap), point_form(0.0), point_form(0.0)]);
         assert!((ROUNDED * largest_mps2..1e-12).contains(&form.radius()), "{form:?}");
     }
 }
 
 #[test]
 fn a_difference_of_speeds_is_off_by_both() {
-    assert_eq!(errors_of_sight(&[0.5, 9.0, 0.25, 2.0, 9.0, 9.0, 9.0, 9.0]), [0.5, 2.0, 2.25]);
+    assert_eq!(law_input_errors(&[0.5, 9.0, 0.25, 2.0, 9.0, 9.0, 9.0, 9.0]), [0.5, 2.0, 2.25]);
 }

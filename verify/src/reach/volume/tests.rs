@@ -1,7 +1,7 @@
 use num_rational::BigRational;
 use proptest::prelude::*;
 
-use super::super::fixtures::from;
+use super::super::fixtures::interval;
 use super::*;
 
 fn rational(number: f64) -> BigRational {
@@ -9,7 +9,7 @@ fn rational(number: f64) -> BigRational {
 }
 
 fn size(range: Interval) -> BigRational {
-    exact(range.high()) - exact(range.low())
+    rational(range.high()) - rational(range.low())
 }
 
 /// Numbers of very different size, and such as halving makes.
@@ -25,8 +25,8 @@ proptest! {
     /// The sum of two shares is rounded down: to the last number that is not beyond it.
     #[test]
     fn shares_add_up_to_the_nearest_number_below(a in any_share(), b in any_share()) {
-        let (sum, found) = (exact(a) + exact(b), add_shares(a, b));
-        prop_assert!(exact(found) <= sum && sum < exact(found.next_up()), "{a} + {b}: {found}");
+        let (sum, found) = (rational(a) + rational(b), add_shares(a, b));
+        prop_assert!(rational(found) <= sum && sum < rational(found.next_up()), "{a} + {b}: {found}");
     }
 
     /// A part that is exactly half has exactly half of the share, even where no number says how wide it is.
@@ -39,14 +39,14 @@ proptest! {
         let [low, high] = [a.min(b), a.max(b)].map(|end| (end / unit).round() * unit);
         prop_assume!(low < high);
         for [low, high] in [[low, high], [low.next_down(), high], [low, high.next_up()], [low.next_down(), high.next_up()]] {
-            let (middle, whole) = (0.5 * low + 0.5 * high, from(low, high));
-            for part in [from(low, middle), from(middle, high)] {
-                let (found, expected) = (part_share(share, part, whole), exact(share) * size(part) / size(whole));
-                prop_assert!(exact(found) <= expected);
+            let (middle, whole) = (0.5 * low + 0.5 * high, interval(low, high));
+            for part in [interval(low, middle), interval(middle, high)] {
+                let (found, expected) = (part_share(share, part, whole), rational(share) * size(part) / size(whole));
+                prop_assert!(rational(found) <= expected);
                 if size(part) + size(part) == size(whole) {
                     prop_assert_eq!(found, 0.5 * share);
                 } else {
-                    prop_assert!(exact(found) >= expected * exact(1.0 - 1e-14), "{} of {:?}", found, whole);
+                    prop_assert!(rational(found) >= expected * rational(1.0 - 1e-14), "{} of {:?}", found, whole);
                 }
             }
         }
@@ -57,11 +57,11 @@ proptest! {
 #[test]
 fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
     let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up())).take(4).collect();
-    assert_eq!(part_share(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[2])), 0.5);
-    let third = part_share(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[3]));
+    assert_eq!(part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[2])), 0.5);
+    let third = part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[3]));
     assert!(third <= 1.0 / 3.0 && third > 1.0 / 3.0 - 1e-14);
     // The widths of these are no numbers, but the one is half of the other.
     let (low, high) = (-1.0_f64.next_down(), 1.0_f64.next_up());
     let middle = 0.5 * low + 0.5 * high;
-    assert_eq!(part_share(0.7, from(low, middle), from(low, high)), 0.35);
+    assert_eq!(part_share(0.7, interval(low, middle), interval(low, high)), 0.35);
 }

@@ -1,30 +1,30 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{constant, exactly, scene, start};
+use super::super::fixtures::{constant_controller, point_form, default_problem, point_box};
 use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0; 8];
 
-fn egos_of_mode(kind: Kind) -> EgoSet {
-    let mut members = EgoSet::starting(exactly(10.0), 9);
-    members.kind = kind;
+fn egos_of_mode(kind: MotionMode) -> EgoSet {
+    let mut members = EgoSet::from_speed(point_form(10.0), 9);
+    members.mode = kind;
     members
 }
 
 /// A decision interval of so many steps in which some of these kinds may fire.
-fn firing_window(k: u32, every: u32, fire: &[Kind]) -> Window {
-    let mut window = Window::at(k);
-    fire.iter().for_each(|&kind| window.note(kind, [f64::from(k), f64::from(k + every - 1)]));
-    window.members = Kind::ALL.map(|kind| Some(members(kind)));
+fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
+    let mut window = FiringWindow::new(k);
+    fire.iter().for_each(|&kind| window.record_firing(kind, [f64::from(k), f64::from(k + every - 1)]));
+    window.members = MotionMode::ALL.map(|kind| Some(egos_of_mode(kind)));
     window
 }
 
 /// First decision, and first and last instant, of what so many windows in a row become.
 fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
-    let actor = constant(0.0);
-    let scene = Scene { step_s, decision_steps: every, ..scene(&actor, start(DEFAULT_POINT)) };
-    let windows = ks.map(|k| window(k, every, &[Kind::Moving])).collect();
-    merged(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
+    let actor = constant_controller(0.0);
+    let scene = ReachProblem { step_s, decision_steps: every, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+    let windows = ks.map(|k| firing_window(k, every, &[MotionMode::Moving])).collect();
+    merge_windows(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
 }
 
 /// So many windows in a row, D steps each, become some of as many steps as they last, and no longer than a tenth of a second.
@@ -87,19 +87,19 @@ proptest! {
 /// Who moves in a later interval moved before; who stands then, or has started again, may have been of any kind.
 #[test]
 fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
-    let actor = constant(0.0);
-    let scene = Scene { step_s: 0.01, ..scene(&actor, start(DEFAULT_POINT)) };
+    let actor = constant_controller(0.0);
+    let scene = ReachProblem { step_s: 0.01, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
     for (later, expected) in [
-        (&[Kind::Moving][..], [true, false, false]),
-        (&[Kind::Standing], [true; 3]),
-        (&[Kind::Restarted], [true; 3]),
-        (&[Kind::Moving, Kind::Standing], [true; 3]),
+        (&[MotionMode::Moving][..], [true, false, false]),
+        (&[MotionMode::Standing], [true; 3]),
+        (&[MotionMode::Restarted], [true; 3]),
+        (&[MotionMode::Moving, MotionMode::Standing], [true; 3]),
     ] {
         // Eleven, so that pairs become one; what fires first moves.
-        let windows = (0..11).map(|k| window(k, 1, if k == 1 { later } else { &[Kind::Moving] })).collect();
-        let first = merged(windows, &scene).remove(0);
+        let windows = (0..11).map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] })).collect();
+        let first = merge_windows(windows, &scene).remove(0);
         assert!(first.may_fire() && first.instants == [0.0, 1.0]);
-        assert_eq!(first.firing().map(|members| members.is_some()), expected, "{later:?}");
+        assert_eq!(first.into_firing_sets().map(|members| members.is_some()), expected, "{later:?}");
     }
-    assert!(!Window::at(3).may_fire());
+    assert!(!FiringWindow::new(3).may_fire());
 }

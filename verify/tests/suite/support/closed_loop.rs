@@ -1,25 +1,25 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{Actor, Departure, Each, Follower, Idm, Input, Law, Layer, Scene, Step};
+use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, Follower, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type InitialState = [f64; 8];
 
 /// The network's answer in single precision: an acceleration, or an action; products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
-pub fn controller_output(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
-    let input = |input: &Input| {
-        let sum = input.of.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
-        let value = input.absent.filter(|_| !is_followed).unwrap_or(sum);
+pub fn controller_output(actor: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
+    let input = |input: &ControllerInput| {
+        let sum = input.coefficients.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
+        let value = input.absent_value.filter(|_| !is_followed).unwrap_or(sum);
         ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
     };
-    let answers = actor.steps.iter().fold(actor.inputs.iter().map(input).collect::<Vec<f32>>(), done);
-    let wanted = actor.offset_mps2 + actor.scale_mps2 * f64::from(answers[actor.answer]);
-    if actor.is_cut { wanted.clamp(actor.action_mps2[0], actor.action_mps2[1]) } else { wanted }
+    let answers = actor.layers.iter().fold(actor.inputs.iter().map(input).collect::<Vec<f32>>(), apply_layer);
+    let wanted = actor.offset_mps2 + actor.scale_mps2 * f64::from(answers[actor.output_index]);
+    if actor.is_clipped { wanted.clamp(actor.action_bounds_mps2[0], actor.action_bounds_mps2[1]) } else { wanted }
 }
 
-fn apply_layer(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
+fn apply_layer(mut h: Vec<f32>, step: &NetworkLayer) -> Vec<f32> {
     let each = match step {
-        Step::Linear(Layer { outputs, weights, biases, .. }) => {
+        NetworkLayer::Linear(LinearLayer { outputs, weights, biases, .. }) => {
             let mut sums: Vec<f32> = biases.iter().map(|&bias| bias as f32).collect();
             for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
                 for (sum, &weight) in sums.iter_mut().zip(row) {
@@ -28,20 +28,20 @@ fn apply_layer(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
             }
             return sums;
         }
-        Step::Each(each) => each,
+        NetworkLayer::Activation(each) => each,
     };
     for (number, x) in h.iter_mut().enumerate() {
         *x = match each {
-            Each::Relu => x.max(0.0),
-            Each::LeakyRelu(slope) if *x < 0.0 => *slope as f32 * *x,
-            Each::Elu(alpha) if *x < 0.0 => *alpha as f32 * x.exp_m1(),
-            Each::LeakyRelu(_) | Each::Elu(_) => *x,
-            Each::Tanh => x.tanh(),
-            Each::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
-            Each::Add(operands) => *x + operands[number] as f32,
-            Each::Multiply(operands) => *x * operands[number] as f32,
-            Each::Divide(operands) => *x / operands[number] as f32,
-            Each::Clip { low, high } => x.max(low[number] as f32).min(high[number] as f32),
+            Activation::Relu => x.max(0.0),
+            Activation::LeakyRelu(slope) if *x < 0.0 => *slope as f32 * *x,
+            Activation::Elu(alpha) if *x < 0.0 => *alpha as f32 * x.exp_m1(),
+            Activation::LeakyRelu(_) | Activation::Elu(_) => *x,
+            Activation::Tanh => x.tanh(),
+            Activation::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
+            Activation::Add(operands) => *x + operands[number] as f32,
+            Activation::Multiply(operands) => *x * operands[number] as f32,
+            Activation::Divide(operands) => *x / operands[number] as f32,
+            Activation::Clip { low, high } => x.max(low[number] as f32).min(high[number] as f32),
         };
     }
     h
@@ -53,7 +53,7 @@ fn advance(v: f64, a: f64, h: f64) -> (f64, f64) {
 }
 
 /// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
-fn idm_acceleration(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
     let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
     let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
     let share = (idm.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
@@ -63,7 +63,7 @@ fn idm_acceleration(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
 
 /// What somebody asks for who departs from a law, and how far he has departed: an action moves that by so much a step at most.
 fn residual_acceleration(
-    departure: &Departure,
+    departure: &ResidualPolicy,
     so_far: &mut f64,
     action: f64,
     [low, high]: [f64; 2],
@@ -74,17 +74,17 @@ fn residual_acceleration(
     let aim = if action.abs() <= zone { 0.0 } else { action.signum() * (action.abs() - zone) / (1.0 - zone) };
     let most = departure.rate_per_s * step;
     *so_far = aim.clamp(*so_far - most, *so_far + most);
-    let law = idm(&departure.idm, seen).clamp(low, high);
+    let law = idm_acceleration(&departure.idm, seen).clamp(low, high);
     let bound = if *so_far < 0.0 { low } else { high };
     (law + so_far.abs() * (bound - law)).clamp(low, high)
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
-fn law_acceleration(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
-        Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
-        Law::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
-        Law::AccAeb(acc) => {
+        FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) => {
             let cruise = acc.speed_gain_per_s * (*set_speed.get_or_insert(v) - v);
             let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
             let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);
@@ -96,8 +96,8 @@ fn law_acceleration(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v,
 }
 
 /// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
-pub fn simulate(scene: &Scene<'_>, start: InitialState) -> (Vec<[f64; 8]>, [f64; 2]) {
-    simulate_led(scene, start, scripted(&start))
+pub fn simulate(scene: &ReachProblem<'_>, start: InitialState) -> (Vec<[f64; 8]>, [f64; 2]) {
+    simulate_with_leader(scene, start, scripted_braking(&start))
 }
 
 /// How hard the leader of a start brakes over each step: over the one that its onset falls into, with the mean.
@@ -106,18 +106,18 @@ pub fn scripted_braking(&[.., brake, _, onset]: &InitialState) -> impl Fn(u32) -
 }
 
 /// The same with a leader that brakes at a rate of its own over each step.
-pub fn simulate_with_leader(scene: &Scene<'_>, start: InitialState, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
-    simulate_told(scene, start, brake_l, |_| [0.0; 8])
+pub fn simulate_with_leader(scene: &ReachProblem<'_>, start: InitialState, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
+    simulate_with_errors(scene, start, brake_l, |_| [0.0; 8])
 }
 
 /// The same, and what is observed is off by an error of its own at each decision and until the next.
 pub fn simulate_with_errors(
-    scene: &Scene<'_>,
+    scene: &ReachProblem<'_>,
     start: InitialState,
     brake_l: impl Fn(u32) -> f64,
     error: impl Fn(u32) -> [f64; 8],
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
-    let Scene { actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
+    let ReachProblem { controller: actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
     let (mut set_speed, mut so_far) = (None, 0.0);
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
@@ -130,14 +130,14 @@ pub fn simulate_with_errors(
         if k % every == 0 {
             trace.push(seen);
             let error = error(k / every);
-            answer = act(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
+            answer = controller_output(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
         }
-        let wanted = match &actor.departs_from {
+        let wanted = match &actor.residual_over {
             None => answer,
             Some(departure) => {
                 let error = error(k / every);
                 let seen = [0, 3, 2].map(|i| seen[i] + error[i]);
-                departed(departure, &mut so_far, answer, actor.action_mps2, h, seen)
+                residual_acceleration(departure, &mut so_far, answer, actor.action_bounds_mps2, h, seen)
             }
         };
         let wanted_r = match follower {
@@ -145,7 +145,7 @@ pub fn simulate_with_errors(
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;
                 if fired { -brake_r } else { 0.0 }
             }
-            Some(Follower::Driven(law)) => followed(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
+            Some(Follower::Driven(law)) => law_acceleration(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
             None => 0.0,
         };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };
@@ -153,9 +153,9 @@ pub fn simulate_with_errors(
         a_e = held(v_e, wanted);
         a_r = held(v_r, wanted_r);
         let (moved_l, moved_e, moved_r);
-        (moved_l, v_l) = step(v_l, a_l, h);
-        (moved_e, v_e) = step(v_e, a_e, h);
-        (moved_r, v_r) = step(v_r, a_r, h);
+        (moved_l, v_l) = advance(v_l, a_l, h);
+        (moved_e, v_e) = advance(v_e, a_e, h);
+        (moved_r, v_r) = advance(v_r, a_r, h);
         ahead += moved_l - moved_e;
         behind += moved_e - moved_r;
         if k < steps {
@@ -166,30 +166,30 @@ pub fn simulate_with_errors(
 }
 
 /// What steps make of inputs in double precision: what they are without rounding, to a billionth.
-pub fn network_outputs(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
+pub fn network_outputs(steps: &[NetworkLayer], inputs: Vec<f64>) -> Vec<f64> {
     steps.iter().fold(inputs, |mut h, step| {
         let each = match step {
-            Step::Linear(layer) => {
+            NetworkLayer::Linear(layer) => {
                 let mut sums = layer.biases.clone();
                 for (value, row) in h.iter().zip(layer.weights.chunks(layer.outputs)) {
                     sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
                 }
                 return sums;
             }
-            Step::Each(each) => each,
+            NetworkLayer::Activation(each) => each,
         };
         for (number, x) in h.iter_mut().enumerate() {
             *x = match each {
-                Each::Relu => x.max(0.0),
-                Each::LeakyRelu(slope) if *x < 0.0 => slope * *x,
-                Each::Elu(alpha) if *x < 0.0 => alpha * x.exp_m1(),
-                Each::LeakyRelu(_) | Each::Elu(_) => *x,
-                Each::Tanh => x.tanh(),
-                Each::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
-                Each::Add(operands) => *x + operands[number],
-                Each::Multiply(operands) => *x * operands[number],
-                Each::Divide(operands) => *x / operands[number],
-                Each::Clip { low, high } => x.max(low[number]).min(high[number]),
+                Activation::Relu => x.max(0.0),
+                Activation::LeakyRelu(slope) if *x < 0.0 => slope * *x,
+                Activation::Elu(alpha) if *x < 0.0 => alpha * x.exp_m1(),
+                Activation::LeakyRelu(_) | Activation::Elu(_) => *x,
+                Activation::Tanh => x.tanh(),
+                Activation::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
+                Activation::Add(operands) => *x + operands[number],
+                Activation::Multiply(operands) => *x * operands[number],
+                Activation::Divide(operands) => *x / operands[number],
+                Activation::Clip { low, high } => x.max(low[number]).min(high[number]),
             };
         }
         h
@@ -203,7 +203,7 @@ impl XorShiftRng {
     /// Those of a place, of which each has others.
     pub fn for_index(seed: u64, place: u32) -> Self {
         let mut numbers = Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
-        numbers.unit();
+        numbers.next_unit();
         numbers
     }
 
@@ -217,6 +217,6 @@ impl XorShiftRng {
 
     /// From -1 to 1.
     pub fn next_signed(&mut self) -> f64 {
-        2.0 * self.unit() - 1.0
+        2.0 * self.next_unit() - 1.0
     }
 }

@@ -6,10 +6,10 @@
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{Actor, Departure, Each, Follower, Idm, Input, Law, Layer, Scene, Step};
+use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, Follower, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
 use num_bigint::BigInt;
 
-use super::closed_loop::Start;
+use super::closed_loop::InitialState;
 
 /// Ends are multiples of 2 to the minus this.
 const BITS: usize = 320;
@@ -34,7 +34,7 @@ impl From<f64> for FixedPointInterval {
         let shift = exponent.max(1) - 1075 + BITS as i64;
         let signed = if number < 0.0 { -mantissa } else { mantissa };
         let places = shift.unsigned_abs();
-        if shift >= 0 { Self::point(signed << places) } else { Self::point(signed).shrunk(places as usize) }
+        if shift >= 0 { Self::point(signed << places) } else { Self::point(signed).shift_right(places as usize) }
     }
 }
 
@@ -138,7 +138,7 @@ impl FixedPointInterval {
             let power = Self { low: &sum - &off, high: sum + off };
             (0..halvings).fold(power, |power, _| power.clone() * power)
         };
-        self.at_ends(at)
+        self.map_monotone(at)
     }
 
     /// What lies between the values of a function that grows.
@@ -159,7 +159,7 @@ impl FixedPointInterval {
             let e = (-(end.clone() + end)).exp();
             (one() - e.clone()).over(&(one() + e))
         };
-        self.at_ends(at)
+        self.map_monotone(at)
     }
 }
 
@@ -191,32 +191,32 @@ impl Mul for FixedPointInterval {
             [&self.low * &other.low, &self.low * &other.high, &self.high * &other.low, &self.high * &other.high];
         products.sort();
         let [low, .., high] = products;
-        Self { low, high }.shrunk(BITS)
+        Self { low, high }.shift_right(BITS)
     }
 }
 
 /// What the network wants, in m/s², or its action, without any rounding.
-fn controller_output(actor: &Actor, seen: &[FixedPointInterval; 8], is_followed: bool) -> FixedPointInterval {
-    let input = |input: &Input| {
-        let number = match input.absent.filter(|_| !is_followed) {
+fn controller_output(actor: &NeuralController, seen: &[FixedPointInterval; 8], is_followed: bool) -> FixedPointInterval {
+    let input = |input: &ControllerInput| {
+        let number = match input.absent_value.filter(|_| !is_followed) {
             Some(absent) => absent.into(),
             None => input
-                .of
+                .coefficients
                 .iter()
                 .zip(seen)
                 .fold(input.constant.into(), |sum: FixedPointInterval, (&factor, number)| sum + number.clone() * factor.into()),
         };
         (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
     };
-    let answers = actor.steps.iter().fold(actor.inputs.iter().map(input).collect::<Vec<_>>(), done);
-    let wanted = answers[actor.answer].clone() * actor.scale_mps2.into() + actor.offset_mps2.into();
-    let [low, high] = actor.action_mps2;
-    if actor.is_cut { wanted.clamp(low, high) } else { wanted }
+    let answers = actor.layers.iter().fold(actor.inputs.iter().map(input).collect::<Vec<_>>(), apply_layer);
+    let wanted = answers[actor.output_index].clone() * actor.scale_mps2.into() + actor.offset_mps2.into();
+    let [low, high] = actor.action_bounds_mps2;
+    if actor.is_clipped { wanted.clamp(low, high) } else { wanted }
 }
 
-fn apply_layer(h: Vec<FixedPointInterval>, step: &Step) -> Vec<FixedPointInterval> {
+fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPointInterval> {
     let each = match step {
-        Step::Linear(Layer { outputs, weights, biases, .. }) => {
+        NetworkLayer::Linear(LinearLayer { outputs, weights, biases, .. }) => {
             let of = |o: usize| {
                 let column = weights.iter().skip(o).step_by(*outputs);
                 h.iter()
@@ -226,7 +226,7 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &Step) -> Vec<FixedPointInterva
             };
             return (0..*outputs).map(of).collect();
         }
-        Step::Each(each) => each,
+        NetworkLayer::Activation(each) => each,
     };
     let one = || FixedPointInterval::from(1.0);
     let zero = FixedPointInterval::zero();
@@ -240,23 +240,23 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &Step) -> Vec<FixedPointInterva
             }
         };
         match each {
-            Each::Relu => bent(&|_| zero.clone()),
-            Each::LeakyRelu(slope) => bent(&|x| x.clone() * (*slope).into()),
-            Each::Elu(alpha) => bent(&|x| (x.exp() - one()) * (*alpha).into()),
-            Each::Tanh => x.tanh(),
+            Activation::Relu => bent(&|_| zero.clone()),
+            Activation::LeakyRelu(slope) => bent(&|x| x.clone() * (*slope).into()),
+            Activation::Elu(alpha) => bent(&|x| (x.exp() - one()) * (*alpha).into()),
+            Activation::Tanh => x.tanh(),
             // 1 / (1 + e⁻ˣ) = (1 + tanh(x/2)) / 2.
-            Each::Sigmoid => ((x * 0.5.into()).tanh() + one()) * 0.5.into(),
-            Each::Add(operands) => x + operands[number].into(),
-            Each::Multiply(operands) => x * operands[number].into(),
-            Each::Divide(operands) => x.over(&operands[number].into()),
-            Each::Clip { low, high } => x.clamp(low[number], high[number]),
+            Activation::Sigmoid => ((x * 0.5.into()).tanh() + one()) * 0.5.into(),
+            Activation::Add(operands) => x + operands[number].into(),
+            Activation::Multiply(operands) => x * operands[number].into(),
+            Activation::Divide(operands) => x.over(&operands[number].into()),
+            Activation::Clip { low, high } => x.clamp(low[number], high[number]),
         }
     };
     h.into_iter().enumerate().map(of).collect()
 }
 
 /// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
-fn idm_acceleration(law: &Idm, [gap, v, ahead]: [&FixedPointInterval; 3]) -> FixedPointInterval {
+fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> FixedPointInterval {
     let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let mean = (of(law.accel_mps2) * of(law.comfortable_brake_mps2)).sqrt();
@@ -271,7 +271,7 @@ fn idm_acceleration(law: &Idm, [gap, v, ahead]: [&FixedPointInterval; 3]) -> Fix
 /// What somebody asks for who departs from a law, and how far he has departed, from -1 to 1: towards what his action says, 0 within the
 /// dead zone, by so much a step at most.
 fn residual_acceleration(
-    departure: &Departure,
+    departure: &ResidualPolicy,
     so_far: &mut FixedPointInterval,
     action: &FixedPointInterval,
     [low, high]: [f64; 2],
@@ -283,14 +283,14 @@ fn residual_acceleration(
     let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
     let most = step.clone() * departure.rate_per_s.into();
     *so_far = aim.max(&(so_far.clone() - most.clone())).min(&(so_far.clone() + most));
-    let law = idm(&departure.idm, seen).clamp(low, high);
+    let law = idm_acceleration(&departure.idm, seen).clamp(low, high);
     let (share, bound) = if so_far.is_below(&zero)? { (-so_far.clone(), low) } else { (so_far.clone(), high) };
     Ok((one - share.clone()) * law + share * bound.into())
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
 fn law_acceleration(
-    law: &Law,
+    law: &FollowerLaw,
     set_speed: &mut Option<FixedPointInterval>,
     brake: &FixedPointInterval,
     [gap, v, ahead]: [&FixedPointInterval; 3],
@@ -298,9 +298,9 @@ fn law_acceleration(
     let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
-        Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
-        Law::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
-        Law::AccAeb(acc) => {
+        FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) => {
             let gain = of(acc.speed_gain_per_s);
             let cruise = gain.clone() * (set_speed.get_or_insert_with(|| v.clone()).clone() - v.clone());
             let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
@@ -343,12 +343,12 @@ fn advance(speed: &FixedPointInterval, wanted: &FixedPointInterval, step: &Fixed
 /// through something that is closer than numbers are known, or numbers are no longer known to 10⁻²⁰. What is observed differs by `error(decision)` from that, and the leader
 /// brakes at `brake(k)` of the script that its start says, or of nothing, over each step.
 pub fn simulate_exactly(
-    scene: &Scene<'_>,
-    start: Start,
+    scene: &ReachProblem<'_>,
+    start: InitialState,
     error: impl Fn(usize) -> [f64; 8],
     brake: Option<&dyn Fn(u32) -> f64>,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
-    let Scene { actor, follower, steps, decision_steps: every, .. } = *scene;
+    let ReachProblem { controller: actor, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(FixedPointInterval::from);
     let (step, mut set_speed, mut so_far) = (FixedPointInterval::from(scene.step_s), None, FixedPointInterval::zero());
     let zero = FixedPointInterval::zero;
@@ -374,16 +374,16 @@ pub fn simulate_exactly(
         if k % every == 0 {
             let error = error(trace.len());
             let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
-            answer = wanted(actor, &observed, follower.is_some());
+            answer = controller_output(actor, &observed, follower.is_some());
             trace.push(seen.clone());
         }
-        let wants = match &actor.departs_from {
+        let wants = match &actor.residual_over {
             None => answer.clone(),
             Some(departure) => {
                 // What is seen at each step is off by an error of its own.
                 let error = error((k + steps) as usize);
                 let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
-                departed(departure, &mut so_far, &answer, actor.action_mps2, &step, [&gap, &own, &other])?
+                residual_acceleration(departure, &mut so_far, &answer, actor.action_bounds_mps2, &step, [&gap, &own, &other])?
             }
         };
         let wants_r = match follower {
@@ -391,7 +391,7 @@ pub fn simulate_exactly(
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
                 if fired { -brake_r.clone() } else { zero() }
             }
-            Some(Follower::Driven(law)) => followed(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
+            Some(Follower::Driven(law)) => law_acceleration(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
             None => zero(),
         };
         let brakes = match brake {
@@ -399,9 +399,9 @@ pub fn simulate_exactly(
             // The mean over the step it falls into.
             None => brake_l.clone() * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero()),
         };
-        let leader = moved(&v_l, &-brakes, &step)?;
-        let ego = moved(&v_e, &wants, &step)?;
-        let behind_it = moved(&v_r, &wants_r, &step)?;
+        let leader = advance(&v_l, &-brakes, &step)?;
+        let ego = advance(&v_e, &wants, &step)?;
+        let behind_it = advance(&v_r, &wants_r, &step)?;
         if k < steps {
             for place in [0, 1] {
                 let [l, e, r] = [&leader, &ego, &behind_it].map(|moved| moved.covered_m[place].clone());

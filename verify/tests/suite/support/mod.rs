@@ -22,18 +22,18 @@ pub struct SceneMember {
 }
 
 /// The member that `pick` chooses: 0 for the low end of an interval, 1 for the high one.
-pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> Member {
+pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember {
     let mut of = |interval: Interval| {
         let value = interval.low() + pick() * (interval.high() - interval.low());
         value.clamp(interval.low(), interval.high())
     };
-    Member {
+    SceneMember {
         leader: [of(scene.leader.position_m), of(scene.leader.speed_mps)],
         leader_mps2: scene
             .leader
             .acceleration_mps2
             .iter()
-            .flat_map(|&Held(steps, a)| std::iter::repeat_n(a, steps as usize))
+            .flat_map(|&Constant(steps, a)| std::iter::repeat_n(a, steps as usize))
             .map(&mut of)
             .collect(),
         egos: scene.egos.iter().map(|ego| [of(ego.position_m), of(ego.speed_mps)]).collect(),
@@ -61,7 +61,7 @@ pub fn advance([x, v]: [f64; 2], a: f64, dt: f64) -> [f64; 2] {
 }
 
 /// Drives the member with the egos' accelerations in each substep.
-pub fn simulate_scene(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> SimulatedRun {
+pub fn simulate_scene(scene: &Scene, member: &SceneMember, profiles: &[Vec<f64>]) -> SimulatedRun {
     let dt = scene.step_s / SUBSTEPS as f64;
     let mut leader = member.leader;
     let mut egos = member.egos.clone();
@@ -95,11 +95,11 @@ pub fn simulate_scene(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> 
             }
         }
         for substep in 0..SUBSTEPS {
-            leader = moved(leader, member.leader_mps2[k as usize], dt);
+            leader = advance(leader, member.leader_mps2[k as usize], dt);
             for (ego, profile) in egos.iter_mut().zip(profiles) {
-                *ego = moved(*ego, profile[k as usize * SUBSTEPS + substep], dt);
+                *ego = advance(*ego, profile[k as usize * SUBSTEPS + substep], dt);
             }
-            rear = rear.map(|rear| moved(rear, rear_mps2, dt));
+            rear = rear.map(|rear| advance(rear, rear_mps2, dt));
             seen.min_gap_m = seen.min_gap_m.min(gaps(leader, &egos, rear));
         }
         seen.leader_rear_m.push(leader[0] - scene.leader.length_m);
@@ -111,11 +111,11 @@ pub fn simulate_scene(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> 
 }
 
 /// Whether some profile of three levels, each held over a block of substeps, escapes in this member.
-pub fn has_escape(scene: &Scene, member: &Member, blocks: usize) -> bool {
+pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
     let substeps = scene.steps as usize * SUBSTEPS;
     let choices = scene.egos.len() * blocks;
     (0..3_usize.pow(choices as u32)).any(|code| {
-        let level = |ego: &Ego, place: usize| match code / 3_usize.pow(place as u32) % 3 {
+        let level = |ego: &SceneEgo, place: usize| match code / 3_usize.pow(place as u32) % 3 {
             0 => -ego.max_brake_mps2,
             1 => 0.0,
             _ => ego.max_accel_mps2,
@@ -126,12 +126,12 @@ pub fn has_escape(scene: &Scene, member: &Member, blocks: usize) -> bool {
             .enumerate()
             .map(|(i, ego)| (0..substeps).map(|j| level(ego, i * blocks + j * blocks / substeps)).collect())
             .collect();
-        drive(scene, member, &profiles).min_gap_m > 0.0
+        simulate_scene(scene, member, &profiles).min_gap_m > 0.0
     })
 }
 
 /// Rows of a branch as `(multiplier, value)`, spelt out for one drive of one member; contact rows marked.
-pub fn row_values(scene: &Scene, member: &Member, drive: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
+pub fn row_values(scene: &Scene, member: &SceneMember, drive: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
     let h = scene.step_s;
     let (first_ego, last_ego) = (&drive.egos[0], drive.egos.last().unwrap());
     let length_m = scene.egos.last().unwrap().length_m;
@@ -151,7 +151,7 @@ pub fn row_values(scene: &Scene, member: &Member, drive: &SimulatedRun, branch: 
     if let (Some(follower), Some([r0, vr, brake])) = (&scene.follower, member.follower) {
         for &(k, y) in &branch.rear {
             let coast_s = f64::from(k.min(branch.first + follower.reaction_steps)) * h;
-            let braking = moved([r0 + vr * coast_s, vr], -brake, f64::from(k) * h - coast_s);
+            let braking = advance([r0 + vr * coast_s, vr], -brake, f64::from(k) * h - coast_s);
             rows.push((y, braking[0] + length_m - last_ego[k as usize][0], true));
         }
         let guard = |k: u32| {
@@ -180,21 +180,21 @@ prop_compose! {
         follower in prop::option::weighted(0.8, (0.1..15.0_f64, 5.0..30.0_f64, 1.0..8.0_f64, 0.0..3.0_f64, 0..3_u32)),
     ) -> Scene {
         let mut bumper = -2.0;
-        let speed = |v: f64| around(v + width / 2.0, width);
-        let egos: Vec<Ego> = spaced.into_iter().map(|(gap, v, max_brake_mps2, max_accel_mps2)| {
+        let speed = |v: f64| interval_around(v + width / 2.0, width);
+        let egos: Vec<SceneEgo> = spaced.into_iter().map(|(gap, v, max_brake_mps2, max_accel_mps2)| {
             let position_m = bumper - gap;
             bumper = position_m - 3.0;
-            Ego { position_m: around(position_m, width), length_m: 3.0, speed_mps: speed(v), max_brake_mps2, max_accel_mps2 }
+            SceneEgo { position_m: interval_around(position_m, width), length_m: 3.0, speed_mps: speed(v), max_brake_mps2, max_accel_mps2 }
         }).collect();
         Scene {
             step_s, steps,
             leader: Leader {
-                position_m: around(0.0, width), length_m: 2.0, speed_mps: speed(leader.0),
-                acceleration_mps2: vec![Held(1, around(leader.1, width)), Held(steps - 1, around(leader.2, width))],
+                position_m: interval_around(0.0, width), length_m: 2.0, speed_mps: speed(leader.0),
+                acceleration_mps2: vec![ConstantPiece(1, interval_around(leader.1, width)), ConstantPiece(steps - 1, interval_around(leader.2, width))],
             },
             egos,
             follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| Follower {
-                position_m: around(bumper - gap, width), speed_mps: speed(v), brake_mps2: around(brake, width),
+                position_m: interval_around(bumper - gap, width), speed_mps: speed(v), brake_mps2: interval_around(brake, width),
                 ttc_s, reaction_steps,
             }),
         }
@@ -208,7 +208,7 @@ pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
     let levels = prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64], egos.len() * substeps);
     (levels, prop::sample::select(vec![1, 3, SUBSTEPS, 1000])).prop_map(move |(levels, held)| {
         let at = |i: usize, j: usize| levels[i * substeps + j / held * held];
-        let of = |(i, ego): (usize, &Ego)| {
+        let of = |(i, ego): (usize, &SceneEgo)| {
             (0..substeps)
                 .map(|j| at(i, j) * (ego.max_accel_mps2 + ego.max_brake_mps2) - ego.max_brake_mps2)
                 .map(|a| a.clamp(-ego.max_brake_mps2, ego.max_accel_mps2))
@@ -234,11 +234,11 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
         let with_follower = move |end: u32| if has_follower { end } else { 0 };
         let fired = if has_follower && first == last && first < n { 0.0..1.0_f64 } else { 0.0..f64::MIN_POSITIVE };
         (
-            lists(n + 1),
-            prop::collection::vec(lists(n + 1), egos - 1),
-            lists(with_follower(n + 1)),
-            prop::collection::vec(lists(n + 1), egos),
-            lists(with_follower(first)),
+            multiplier_lists(n + 1),
+            prop::collection::vec(multiplier_lists(n + 1), egos - 1),
+            multiplier_lists(with_follower(n + 1)),
+            prop::collection::vec(multiplier_lists(n + 1), egos),
+            multiplier_lists(with_follower(first)),
             fired.prop_map(|fired| if fired < f64::MIN_POSITIVE { 0.0 } else { fired }),
         )
             .prop_map(move |(front, between, rear, speed, unfired, fired)| Branch {
@@ -256,7 +256,7 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
 
 /// A statement with the assumptions it needs.
 pub fn certificate(statement: Statement) -> Certificate {
-    let provenance = Provenance { crumple: "0".into(), scenario: "a test".into(), ..Provenance::default() };
+    let provenance = CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
     Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
 }
 

@@ -6,7 +6,7 @@ type Mutation<'a> = Box<dyn Fn(&mut Value) + 'a>;
 
 /// Every change of one number, one entry or one pair of neighbours: a description, and the changed certificate.
 pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
-    places(original).into_iter().flat_map(move |place| {
+    json_pointers(original).into_iter().flat_map(move |place| {
         let value = original.pointer(&place).unwrap_or(&Value::Null);
         let mut changes: Vec<(String, Mutation<'_>)> = Vec::new();
         match value {
@@ -72,7 +72,7 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
 /// A pointer to every value.
 pub fn json_pointers(value: &Value) -> Vec<String> {
     let mut places = Vec::new();
-    collect(value, String::new(), &mut places);
+    collect_pointers(value, String::new(), &mut places);
     places
 }
 
@@ -83,10 +83,10 @@ fn array(value: &mut Value) -> &mut Vec<Value> {
 fn collect_pointers(value: &Value, place: String, places: &mut Vec<String>) {
     match value {
         Value::Array(list) => {
-            list.iter().enumerate().for_each(|(i, entry)| collect(entry, format!("{place}/{i}"), places));
+            list.iter().enumerate().for_each(|(i, entry)| collect_pointers(entry, format!("{place}/{i}"), places));
         }
         Value::Object(fields) => {
-            fields.iter().for_each(|(name, field)| collect(field, format!("{place}/{name}"), places));
+            fields.iter().for_each(|(name, field)| collect_pointers(field, format!("{place}/{name}"), places));
         }
         _ => {}
     }

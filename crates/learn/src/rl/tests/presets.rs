@@ -22,14 +22,14 @@ fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
         match value.get_ref() {
             DeValue::Table(table) => collect_table(path, table, found),
             DeValue::Array(list) => {
-                list.iter().enumerate().for_each(|(index, value)| within(&format!("{path}[{index}]"), value, found));
+                list.iter().enumerate().for_each(|(index, value)| collect_value(&format!("{path}[{index}]"), value, found));
             }
             _ => found.push((path.to_owned(), value.span())),
         }
     }
     fn collect_table<'t>(path: &str, table: &DeTable<'t>, found: &mut Vec<(String, Range<usize>)>) {
         let dot = if path.is_empty() { "" } else { "." };
-        table.iter().for_each(|(name, value)| within(&format!("{path}{dot}{}", name.get_ref()), value, found));
+        table.iter().for_each(|(name, value)| collect_value(&format!("{path}{dot}{}", name.get_ref()), value, found));
     }
     let mut found = Vec::new();
     collect_table("", DeTable::parse(text).expect("a preset").get_ref(), &mut found);
@@ -48,8 +48,8 @@ fn parse_error(text: &str) -> Option<String> {
 #[test]
 fn whatever_is_spoiled_is_named_with_its_line() {
     for (preset, text) in presets() {
-        assert_eq!(error_of(text), None, "{preset}");
-        for (field, at) in values(text) {
+        assert_eq!(parse_error(text), None, "{preset}");
+        for (field, at) in leaf_values(text) {
             let is_number = text[at.clone()].parse::<f64>().is_ok();
             let spoils: &[&str] = match &*field {
                 // Any text that says something will do, or any that names a space.
@@ -62,8 +62,8 @@ fn whatever_is_spoiled_is_named_with_its_line() {
             };
             for spoil in spoils {
                 let spoiled = format!("{}{spoil}{}", &text[..at.start], &text[at.end..]);
-                let said = error_of(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
-                let expected = format!("own.toml:{}: {field}: ", line_of(text, at.start));
+                let said = parse_error(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
+                let expected = format!("own.toml:{}: {field}: ", line_number(text, at.start));
                 assert!(said.starts_with(&expected), "{preset}: {field} = {spoil}\n{said}\n{expected}");
                 if said.contains("must be between") {
                     assert!(said.ends_with(&format!(", found {spoil}")), "as it is written: {said}");
@@ -95,12 +95,12 @@ fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
             };
 
             let unknown = [&lines[..=index], &["colour = 3"], &lines[index + 1..]].concat().join("\n");
-            let said = error_of(&unknown).unwrap();
+            let said = parse_error(&unknown).unwrap();
             let expected = format!("own.toml:{}: {}: unknown field `colour`", index + 2, nested(&table, "colour"));
             assert!(said.starts_with(&expected), "{preset}: {said}\n{expected}");
 
             let without = [&lines[..index], &["# gone"], &lines[index + 1..]].concat().join("\n");
-            let Some(said) = error_of(&without) else { continue };
+            let Some(said) = parse_error(&without) else { continue };
             if said.contains("missing field") {
                 // What the file as a whole lacks has no line of its own.
                 let at = header.0 + 1;
@@ -125,9 +125,9 @@ fn a_table_that_is_missing_is_named() {
             !is_in
         });
         let text: Vec<&str> = without.collect();
-        assert_eq!(error_of(&text.join("\n")).unwrap(), format!("own.toml:1: missing field `{table}`"));
+        assert_eq!(parse_error(&text.join("\n")).unwrap(), format!("own.toml:1: missing field `{table}`"));
     }
-    assert_eq!(error_of("").unwrap(), "own.toml:1: missing field `version`");
+    assert_eq!(parse_error("").unwrap(), "own.toml:1: missing field `version`");
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn what_contradicts_itself_is_named() {
             "environment.departs_from.idm.haste: unknown field `haste`",
         ),
     ] {
-        let said = error_of(&text.replacen(from, to, 1)).expect(to);
+        let said = parse_error(&text.replacen(from, to, 1)).expect(to);
         let (_, rest) = said.split_once(": ").unwrap();
         assert!(rest.starts_with(expected), "{said}");
         let line = if expected.contains("nothing is seen") { "[environment.observation.inputs]" } else { from };
@@ -224,7 +224,7 @@ fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
     );
     let path = Path::new("own.toml");
     let config = TrainingConfig::parse(&text, path).unwrap();
-    let said = config.source().unwrap_err().with_location(&text, path).to_string();
+    let said = config.scenario_source().unwrap_err().with_location(&text, path).to_string();
     let line = text.lines().count();
     assert!(
         said.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),

@@ -11,9 +11,9 @@ fn small_config() -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = vec![16, 16];
     config.learning.batch = 16;
-    (config.episodes, config.exploration.random_episodes) = (12, 4);
+    (config.episodes, config.exploration.learning_starts_episode) = (12, 4);
     config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.1, target_noise_limit: 0.2 };
-    config.replay = ReplayConfig { capacity: 600, contact_share: 0.1 };
+    config.replay = ReplayConfig { capacity: 600, collision_fraction: 0.1 };
     config.evaluation.master_gap_m = 0.0;
     (config.evaluation.every_episodes, config.evaluation.screening_draws, config.evaluation.ranking_draws) = (3, 4, 4);
     config
@@ -21,23 +21,23 @@ fn small_config() -> TrainingConfig {
 
 #[test]
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
-    let mut config = small();
+    let mut config = small_config();
     // What a training holds besides: its policy looks back, and is a mean of weights; its critics know more than it sees, and steps become smaller.
     (config.environment.observation.history, config.environment.observation.history_every) = (3, 2);
-    config.evaluation.mean_over_updates = 40;
+    config.evaluation.weight_average_updates = 40;
     config.learning.privileged_critic = true;
-    config.learning.rates_fall = Some(LrDecay { until_episode: 10, to_share: 0.2 });
+    config.learning.lr_decay = Some(LrDecay { until_episode: 10, final_factor: 0.2 });
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
     let diary = Mutex::new(Vec::new());
-    train(&mut through, &held_out, &Listener(|event: &Event| diary.lock().unwrap().push(*event))).unwrap();
+    train(&mut through, &held_out, &Listener(|event: &TrainingEvent| diary.lock().unwrap().push(*event))).unwrap();
     let diary = diary.into_inner().unwrap();
     for stop in [2, 5, 9] {
         let mut first = Trainer::new(&TrainingConfig { episodes: stop, ..config.clone() }, 8);
         let result = first.evaluate(&held_out).unwrap();
-        let mut events = vec![Event::Evaluation { episode: 0, best: true, result }];
+        let mut events = vec![TrainingEvent::Evaluation { episode: 0, best: true, result }];
         while first.episode() < stop {
-            events.push(Event::Episode(first.run_episode().unwrap()));
+            events.push(TrainingEvent::Episode(first.run_episode().unwrap()));
             if first.episode() > 4 && first.episode().is_multiple_of(3) {
                 first.evaluate(&held_out).unwrap();
             }
@@ -45,7 +45,7 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
         let bytes = first.to_checkpoint().unwrap();
         let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperSource)).unwrap();
         let events = Mutex::new(events);
-        train(&mut second, &held_out, &Listener(|event: &Event| events.lock().unwrap().push(*event))).unwrap();
+        train(&mut second, &held_out, &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event))).unwrap();
         let events = events.into_inner().unwrap();
         assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
         assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
@@ -56,7 +56,7 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
 
 #[test]
 fn checkpoints_of_another_training_are_refused() {
-    let config = small();
+    let config = small_config();
     let bytes = Trainer::new(&config, 1).to_checkpoint().unwrap();
     assert!(Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperSource)).is_ok());
     let mut other = config.clone();
@@ -90,9 +90,9 @@ fn checkpoints_of_another_training_are_refused() {
 
 #[test]
 fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
-    let config = small();
+    let config = small_config();
     let source = |name| -> Arc<dyn ScenarioSource> {
-        Arc::new(Mixed::new(vec![crumple_world::scenario::built_in(name).unwrap()], 0.5, Arc::new(PaperSource)))
+        Arc::new(CaseMixture::new(vec![crumple_world::scenario::built_in_scenario(name).unwrap()], 0.5, Arc::new(PaperSource)))
     };
     let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
     trainer.run_episode().unwrap();
@@ -138,10 +138,10 @@ fn without_ranking_draws_nothing_is_mastered() {
 
 #[test]
 fn a_seed_gives_the_same_policy_whatever_the_threads() {
-    let config = TrainingConfig { episodes: 8, ..small() };
+    let config = TrainingConfig { episodes: 8, ..small_config() };
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let policies = |threads| {
-        side_by_side(&[1, 2, 3], threads, |&seed| {
+        parallel_map(&[1, 2, 3], threads, |&seed| {
             let mut trainer = Trainer::new(&config, seed);
             train(&mut trainer, &held_out, &Quiet).unwrap();
             trainer.policy().unwrap().to_bytes().unwrap()
@@ -155,7 +155,7 @@ fn a_seed_gives_the_same_policy_whatever_the_threads() {
 #[test]
 fn divergence_stops_with_a_message() {
     for factor in [f32::NAN, 1e6] {
-        let mut trainer = Trainer::new(&small(), 1);
+        let mut trainer = Trainer::new(&small_config(), 1);
         for parameter in trainer.learner.critics[0].network.parameters_mut() {
             *parameter *= factor;
         }
@@ -172,10 +172,10 @@ fn divergence_stops_with_a_message() {
 /// What values are too large follows the costs of what is drawn from, and not of spaces that a configuration only names.
 #[test]
 fn divergence_is_judged_by_what_is_trained_on() {
-    let mut config = small();
+    let mut config = small_config();
     config.environment.costs = TrainingConfig::preset("road").unwrap().environment.costs;
-    config.environment.costs.departure = 1.0;
-    config.spaces = vec![SpaceShare { space: "traffic".to_owned(), weight: 1.0, costs_times: 500.0 }];
+    config.environment.costs.residual = 1.0;
+    config.spaces = vec![TrainingSpace { space: "traffic".to_owned(), weight: 1.0, cost_multiplier: 500.0 }];
     let largest = |source: Arc<dyn ScenarioSource>| {
         let mut trainer = Trainer::with_source(&config, 1, source);
         trainer.learner.critics[0].network.parameters_mut().fill(f32::NAN);
@@ -184,11 +184,11 @@ fn divergence_is_judged_by_what_is_trained_on() {
             other => panic!("{other:?}"),
         }
     };
-    let spaces = config.source().unwrap();
+    let spaces = config.scenario_source().unwrap();
     let (of_paper, of_spaces) = (largest(Arc::new(PaperSource)), largest(Arc::clone(&spaces)));
     assert!((of_spaces / of_paper - 500.0).abs() < 1e-6, "{of_paper} {of_spaces}");
     // However they are mixed.
-    let mixed = Mixed::new(Vec::new(), 0.5, Arc::new(Blend::new(Arc::new(PaperSource), 0.5, spaces)));
+    let mixed = CaseMixture::new(Vec::new(), 0.5, Arc::new(SourceMixture::new(Arc::new(PaperSource), 0.5, spaces)));
     assert_eq!(largest(Arc::new(mixed)), of_spaces);
 }
 
@@ -196,7 +196,7 @@ fn divergence_is_judged_by_what_is_trained_on() {
 fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     use crumple_world::observation::EstimatorKind;
     use crumple_world::policy::Policy;
-    use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+    use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
     use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 
     let policy = Policy::reference();
@@ -208,7 +208,7 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
         let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome == Outcome::NoCollision);
         safe.into_iter().filter(|safe| !safe).count()
     };
-    let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in(name).unwrap()).into();
+    let paper: Vec<_> = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap()).into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
         assert_eq!(contacts(&paper, estimator), 0, "{estimator:?}");
     }

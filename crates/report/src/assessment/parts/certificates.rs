@@ -516,14 +516,14 @@ mod tests {
     #[test]
     fn where_nothing_is_verified_nothing_is_bounded() {
         let reach = |verified_share, falsified_share, smallest_gap_m| {
-            shown(&Accepted::Reach {
+            describe_accepted(&ProvedClaim::Reach {
                 verified_share,
                 falsified_share,
-                smallest_gap_m,
+                min_gap_m: smallest_gap_m,
                 horizon_s: 15.0,
                 has_follower: true,
                 leader_brakes_at_most_mps2: None,
-                departs_from: None,
+                residual_over: None,
             })
         };
         let nothing = "nothing was verified of any part of the box, and so no gap is bounded";

@@ -201,13 +201,13 @@ mod tests {
 
     fn small_maps() -> (AssessmentPlan, FailureMaps) {
         let plan = AssessmentPlan::built_in();
-        let maps = FailureMaps::over(&plan, [ACROSS, UP], (4, 5)).unwrap().unwrap();
+        let maps = FailureMaps::compute(&plan, [ACROSS, UP], (4, 5)).unwrap().unwrap();
         (plan, maps)
     }
 
     #[test]
     fn cells_agree_with_single_runs_of_the_values_beside_them() {
-        let (plan, maps) = small();
+        let (plan, maps) = small_maps();
         let space = built_in_space(SPACE).unwrap();
         assert!(maps.maps.len() >= 2 && maps.maps.iter().any(|map| map.controller == "policy"));
         let mut kinds = std::collections::HashSet::new();
@@ -235,7 +235,7 @@ mod tests {
 
     #[test]
     fn what_one_controller_survives_is_unavoidable_for_none() {
-        let (_, maps) = small();
+        let (_, maps) = small_maps();
         for (row, _) in maps.up.values.iter().enumerate() {
             for column in 0..maps.across.values.len() {
                 let cells: Vec<_> = maps.maps.iter().map(|map| map.rows[row].0[column]).collect();
@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn the_evidence_reads_back_as_it_was() {
-        let (_, maps) = small();
+        let (_, maps) = small_maps();
         let text = serde_json::to_string(&maps).unwrap();
         assert_eq!(serde_json::from_str::<FailureMaps>(&text).unwrap(), maps);
         assert!(serde_json::from_str::<MapRow>("\".x#!\"").is_err());

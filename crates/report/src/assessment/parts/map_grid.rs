@@ -113,12 +113,12 @@ mod tests {
         let space = built_in_space("high-risk").unwrap();
         let axis = |name: &str| {
             let parameter = space.parameters().iter().find(|p| p.name() == name).unwrap();
-            FailureMapAxis::of(&space, parameter, "", 8)
+            FailureMapAxis::new(&space, parameter, "", 8)
         };
         for (axis, by_factor) in [(axis("gap_behind_m"), true), (axis("speed_mps"), false)] {
-            assert_eq!(axis.by_factor, by_factor);
+            assert_eq!(axis.is_logarithmic, by_factor);
             for (cell, value) in axis.values.iter().enumerate() {
-                assert!((axis.share(value.value()) - (cell as f64 + 0.5) / 8.0).abs() < 2e-3);
+                assert!((axis.normalize(value.value()) - (cell as f64 + 0.5) / 8.0).abs() < 2e-3);
             }
         }
     }

@@ -132,10 +132,10 @@ mod tests {
     fn a_straight_line_is_two_vertices_and_a_corner_is_kept() {
         let time_s: Vec<f64> = (0..=100).map(|k| f64::from(k) * 0.01).collect();
         let straight: Vec<f64> = time_s.iter().map(|t| 5.0 + 20.0 * t).collect();
-        assert_eq!(needed(&time_s, &straight, 1e-3, |_| None), [0, 100]);
+        assert_eq!(simplify_polyline(&time_s, &straight, 1e-3, |_| None), [0, 100]);
         let corner: Vec<f64> = time_s.iter().map(|t| (t - 0.5).abs()).collect();
-        assert_eq!(needed(&time_s, &corner, 1e-6, |_| None), [0, 50, 100]);
-        assert_eq!(needed(&time_s[..1], &straight[..1], 1e-3, |_| None), [0]);
-        assert_eq!(needed(&[], &[], 1e-3, |_| None), [0usize; 0]);
+        assert_eq!(simplify_polyline(&time_s, &corner, 1e-6, |_| None), [0, 50, 100]);
+        assert_eq!(simplify_polyline(&time_s[..1], &straight[..1], 1e-3, |_| None), [0]);
+        assert_eq!(simplify_polyline(&[], &[], 1e-3, |_| None), [0usize; 0]);
     }
 }

@@ -83,11 +83,11 @@ mod tests {
         for tenth in 0..10 {
             coverage.add(&[f64::from(tenth) / 10.0 + 0.05; 3]);
         }
-        assert_eq!(coverage.covered(), Covered { tenths_percent: 100.0, pairs_percent: 10.0 });
+        assert_eq!(coverage.percentages(), CoveragePercentages { tenths_percent: 100.0, pairs_percent: 10.0 });
         let mut corner = Coverage::new(3);
         corner.add(&[1.0, 0.0, 1.0]);
-        assert!((corner.covered().pairs_percent - 1.0).abs() < 1e-12);
-        coverage.join(&corner);
-        assert!((coverage.covered().pairs_percent - 100.0 * 32.0 / 300.0).abs() < 1e-9);
+        assert!((corner.percentages().pairs_percent - 1.0).abs() < 1e-12);
+        coverage.merge(&corner);
+        assert!((coverage.percentages().pairs_percent - 100.0 * 32.0 / 300.0).abs() < 1e-9);
     }
 }

@@ -134,11 +134,11 @@ mod tests {
                 values: Vec::new(),
                 verdict: RunVerdict::new(-1.0 - f64::from(deep)),
                 ln_likelihood: if likely == 0 { f64::NEG_INFINITY } else { f64::from(likely) },
-                departure: f64::from(far) / 4.0,
+                distance_from_nominal: f64::from(far) / 4.0,
             }).collect();
             let mut front = ParetoFront::default();
             candidates.iter().for_each(|candidate| front.add(candidate));
-            let key = |c: &FailureCandidate| (-c.verdict.robustness, (c.ln_likelihood, -c.departure));
+            let key = |c: &FailureCandidate| (-c.verdict.robustness, (c.ln_likelihood, -c.distance_from_nominal));
             let beats = |a: &FailureCandidate, b: &FailureCandidate| {
                 let ((s, l), (t, m)) = (key(a), key(b));
                 s >= t && l >= m && ((s, l) != (t, m) || a.number < b.number)

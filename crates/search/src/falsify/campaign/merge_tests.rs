@@ -10,12 +10,12 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::super::shard::ShardedCampaign;
-use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, Summary};
+use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, CampaignSummary};
 use super::MergedCampaign;
 use crate::falsify::Method;
 use crumple_core::observer::{Observer, Quiet};
-use crumple_store::shard::{MergeError, Shard, open_shard};
-use crumple_store::work::{Found, find};
+use crumple_store::shard::{MergeError, ShardId, open_shard};
+use crumple_store::run_folder::{RunState, read_state};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
@@ -30,7 +30,7 @@ fn campaign(method: Method, seed: u64) -> Campaign {
         method,
         budget: BUDGET,
         seed,
-        ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+        ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
     }
 }
 
@@ -45,25 +45,25 @@ fn stop_immediately() -> impl Observer<CampaignProgress> {
 
 /// All shards of all numbers, each in a folder of its own.
 fn run_all_shards(campaign: &Campaign, root: &Path) {
-    for of in 1..=MOST {
+    for of in 1..=MAX_TEST_SHARDS {
         for index in 1..=of {
-            let shard = Shard::new(index, of).unwrap();
-            campaign.run_shard(shard, &folder(root, shard), false, &Quiet).unwrap();
+            let shard = ShardId::new(index, of).unwrap();
+            campaign.run_shard(shard, &shard_folder(root, shard), false, &Quiet).unwrap();
         }
     }
 }
 
-fn shard_folder(root: &Path, shard: Shard) -> PathBuf {
-    root.join(format!("{}-of-{}", shard.index(), shard.of()))
+fn shard_folder(root: &Path, shard: ShardId) -> PathBuf {
+    root.join(format!("{}-of-{}", shard.index(), shard.count()))
 }
 
 fn merge(folders: &[PathBuf]) -> Result<MergedCampaign, MergeError> {
     let mut merged: Option<MergedCampaign> = None;
     for folder in folders {
-        let Found::Finished(found) = find(folder)? else { panic!("{} is not finished", folder.display()) };
+        let RunState::Complete(found) = read_state(folder)? else { panic!("{} is not finished", folder.display()) };
         match &mut merged {
-            None => merged = Some(MergedCampaign::of(folder, &found)?),
-            Some(merged) => merged.take(folder, &found)?,
+            None => merged = Some(MergedCampaign::from_shard(folder, &found)?),
+            Some(merged) => merged.add_shard(folder, &found)?,
         }
     }
     Ok(merged.unwrap())
@@ -74,7 +74,7 @@ fn read_files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
-            found.extend(files(&path));
+            found.extend(read_files(&path));
         } else {
             found.insert(path.clone(), fs::read(&path).unwrap());
         }
@@ -92,16 +92,16 @@ fn run_unsharded(campaign: &Campaign) -> TempDir {
 }
 
 /// Shards of a random division, some of them divided once more, in a random order, with some twice.
-fn divisions() -> impl Strategy<Value = Vec<Shard>> {
-    let halves = |shard: Shard| {
-        [2 * shard.index() - 1, 2 * shard.index()].map(|index| Shard::new(index, 2 * shard.of()).unwrap())
+fn divisions() -> impl Strategy<Value = Vec<ShardId>> {
+    let halves = |shard: ShardId| {
+        [2 * shard.index() - 1, 2 * shard.index()].map(|index| ShardId::new(index, 2 * shard.count()).unwrap())
     };
-    let divided = (1..=MOST).prop_flat_map(move |of| {
+    let divided = (1..=MAX_TEST_SHARDS).prop_flat_map(move |of| {
         prop::collection::vec((any::<bool>(), 1..3_usize), of as usize).prop_map(move |choices| {
             let mut shards = Vec::new();
             for (index, (again, times)) in (1..=of).zip(choices) {
-                let shard = Shard::new(index, of).unwrap();
-                let parts = if again && 2 * of <= MOST { halves(shard).to_vec() } else { vec![shard] };
+                let shard = ShardId::new(index, of).unwrap();
+                let parts = if again && 2 * of <= MAX_TEST_SHARDS { halves(shard).to_vec() } else { vec![shard] };
                 shards.extend(parts.iter().flat_map(|part| vec![*part; times]));
             }
             shards
@@ -117,20 +117,20 @@ fn a_divided_reference_search_is_that_of_one_machine() {
     for (method, seed) in [(Method::Uniform, 3), (Method::Halton, 4)] {
         let (campaign, root) = (campaign(method, seed), tempfile::tempdir().unwrap());
         run_all_shards(&campaign, root.path());
-        let single = single(&campaign);
-        let expected = files(single.path());
+        let single = run_unsharded(&campaign);
+        let expected = read_files(single.path());
         assert!(expected.len() > 8, "it finds failures: {:?}", expected.keys());
-        proptest!(crumple_cases::cases(2), |(shards in divisions())| {
-            let folders: Vec<PathBuf> = shards.iter().map(|shard| folder(root.path(), *shard)).collect();
+        proptest!(crumple_cases::with_cases(2), |(shards in divisions())| {
+            let folders: Vec<PathBuf> = shards.iter().map(|shard| shard_folder(root.path(), *shard)).collect();
             let out = tempfile::tempdir().unwrap();
-            let merged = merged(&folders).unwrap();
+            let merged = merge(&folders).unwrap();
             for _ in 0..2 {
-                merged.write_in(out.path()).unwrap();
-                prop_assert!(files(out.path()) == expected);
+                merged.write_to(out.path()).unwrap();
+                prop_assert!(read_files(out.path()) == expected);
             }
         });
         // What it wrote is the campaign's own folder.
-        assert!(campaign.run(single.path(), summary_only(true), &stop()).is_ok());
+        assert!(campaign.run(single.path(), summary_only(true), &stop_immediately()).is_ok());
     }
 }
 
@@ -140,28 +140,28 @@ fn a_divided_reference_search_is_that_of_one_machine() {
 fn a_divided_search_is_one_campaign_with_what_is_missing() {
     let (campaign, root) = (campaign(Method::Auto, 5), tempfile::tempdir().unwrap());
     run_all_shards(&campaign, root.path());
-    let single = single(&campaign);
-    let one = merged(&[folder(root.path(), Shard::new(1, 1).unwrap())]).unwrap();
+    let single = run_unsharded(&campaign);
+    let one = merge(&[shard_folder(root.path(), ShardId::new(1, 1).unwrap())]).unwrap();
     let out = tempfile::tempdir().unwrap();
-    one.write_in(out.path()).unwrap();
-    assert!(files(out.path()) == files(single.path()), "shard 1/1 is the campaign");
+    one.write_to(out.path()).unwrap();
+    assert!(read_files(out.path()) == read_files(single.path()), "shard 1/1 is the campaign");
     let of_one = one.summary().unwrap();
-    proptest!(crumple_cases::cases(2), |(shards in divisions(), keep in 1..20_usize)| {
+    proptest!(crumple_cases::with_cases(2), |(shards in divisions(), keep in 1..20_usize)| {
         let mut parts = shards.clone();
         parts.truncate(keep);
-        let folders: Vec<PathBuf> = parts.iter().map(|shard| folder(root.path(), *shard)).collect();
-        let merged = merged(&folders).unwrap();
+        let folders: Vec<PathBuf> = parts.iter().map(|shard| shard_folder(root.path(), *shard)).collect();
+        let merged = merge(&folders).unwrap();
         let summary = merged.summary().unwrap();
-        let missing: u64 = merged.missing().iter().map(|range| range.end - range.start).sum();
+        let missing: u64 = merged.missing_ranges().iter().map(|range| range.end - range.start).sum();
         let made = BUDGET - missing;
         prop_assert!(summary.methods.iter().all(|method| method.evaluations == made));
         let mut sorted = parts.clone();
         sorted.sort_by_key(|shard| shard.range(BUDGET, "").unwrap().start);
         sorted.dedup();
-        let alone = |shard: &Shard| -> Summary {
-            self::merged(&[folder(root.path(), *shard)]).unwrap().summary().unwrap()
+        let alone = |shard: &ShardId| -> CampaignSummary {
+            self::merge(&[shard_folder(root.path(), *shard)]).unwrap().summary().unwrap()
         };
-        let alone: Vec<Summary> = sorted.iter().map(alone).collect();
+        let alone: Vec<CampaignSummary> = sorted.iter().map(alone).collect();
         for (place, method) in summary.methods.iter().enumerate() {
             prop_assert_eq!(method.failures, alone.iter().map(|one| one.methods[place].failures).sum::<u64>());
             let best = alone.iter().filter_map(|one| one.methods[place].best_robustness).fold(f64::INFINITY, f64::min);
@@ -171,11 +171,11 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
             summary.methods.iter().map(|method| method.failures).sum::<u64>());
         // No failure of any shard beats one of the front.
         for found in alone.iter().flat_map(|one| &one.front) {
-            let key = |p: &super::super::FrontPoint| (-p.robustness, p.ln_likelihood, -p.departure);
+            let key = |p: &super::super::FrontPoint| (-p.robustness, p.ln_likelihood, -p.distance_from_nominal);
             prop_assert!(!summary.front.iter().any(|kept| key(found).0 > key(kept).0 && (key(found).1, key(found).2) > (key(kept).1, key(kept).2)));
             prop_assert!(summary.front.contains(found) || summary.front.iter().any(|kept| key(kept).0 >= key(found).0));
         }
-        let divided = summary.divided.clone();
+        let divided = summary.sharding.clone();
         prop_assert_eq!(divided.is_some(), sorted.len() > 1 || missing > 0);
         if missing == 0 {
             // The reference searches are those of one machine.
@@ -184,10 +184,10 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
         }
         // In another order, and with everything twice, it is the same folder.
         let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        merged.write_in(here.path()).unwrap();
+        merged.write_to(here.path()).unwrap();
         let again: Vec<PathBuf> = folders.iter().rev().chain(&folders).cloned().collect();
-        self::merged(&again).unwrap().write_in(there.path()).unwrap();
-        prop_assert!(files(here.path()) == files(there.path()));
+        self::merge(&again).unwrap().write_to(there.path()).unwrap();
+        prop_assert!(read_files(here.path()) == read_files(there.path()));
         for found in &summary.counterexamples {
             prop_assert!(here.path().join(&found.file).is_file() && here.path().join(&found.original_file).is_file());
         }
@@ -199,17 +199,17 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     let root = tempfile::tempdir().unwrap();
     let make = |campaign: &Campaign, index, of, name: &str| {
         let folder = root.path().join(name);
-        campaign.run_shard(Shard::new(index, of).unwrap(), &folder, false, &Quiet).unwrap();
+        campaign.run_shard(ShardId::new(index, of).unwrap(), &folder, false, &Quiet).unwrap();
         folder
     };
     let own = campaign(Method::Halton, 1);
     let a = make(&own, 1, 2, "a");
-    let refused = |other: &PathBuf| merged(&[a.clone(), other.clone()]).unwrap_err().to_string();
+    let refused = |other: &PathBuf| merge(&[a.clone(), other.clone()]).unwrap_err().to_string();
     let b = make(&campaign(Method::Halton, 2), 2, 2, "b");
     assert!(refused(&b).ends_with("campaign.seed differs"), "{}", refused(&b));
     let c = make(&own, 1, 3, "c");
     assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
-    let error = own.run_shard(Shard::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &Quiet);
+    let error = own.run_shard(ShardId::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &Quiet);
     assert!(error.unwrap_err().to_string().contains("there are 40 evaluations of each method"));
     // Every place that is changed is named.
     let d = make(&own, 2, 2, "d");
@@ -225,17 +225,17 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
         }
         fs::write(&path, genuine).unwrap();
     }
-    assert!(merged(&[a.clone(), d]).is_ok());
+    assert!(merge(&[a.clone(), d]).is_ok());
 }
 
 /// Broken off at any moment, it ends with the same bytes, in four files.
 #[test]
 fn an_interrupted_shard_ends_with_the_same_files() {
     let (campaign, root) = (campaign(Method::CmaEs, 6), tempfile::tempdir().unwrap());
-    let shard = Shard::new(2, 3).unwrap();
+    let shard = ShardId::new(2, 3).unwrap();
     let [whole, part] = ["whole", "part"].map(|name| root.path().join(name));
     campaign.run_shard(shard, &whole, false, &Quiet).unwrap();
-    assert_eq!(files(&whole).len(), 4, "{:?}", files(&whole).keys());
+    assert_eq!(read_files(&whole).len(), 4, "{:?}", read_files(&whole).keys());
     for most in [0, 1, 2, 5, 7, 100] {
         let reports = AtomicU64::new(0);
         let ended = campaign.run_shard(shard, &part, true, &|_: &CampaignProgress| {
@@ -243,22 +243,22 @@ fn an_interrupted_shard_ends_with_the_same_files() {
         });
         assert!(matches!(ended, Err(CampaignError::Stopped(_))) == (most < 100), "{most}: {ended:?}");
     }
-    assert!(files(&part) == files(&whole));
+    assert!(read_files(&part) == read_files(&whole));
 }
 
 /// Where the same campaign was broken off, what is put together there leaves nothing of it.
 #[test]
 fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
     let (campaign, root) = (campaign(Method::Halton, 6), tempfile::tempdir().unwrap());
-    let shards = [1, 2].map(|index| Shard::new(index, 2).unwrap());
+    let shards = [1, 2].map(|index| ShardId::new(index, 2).unwrap());
     for shard in shards {
-        campaign.run_shard(shard, &folder(root.path(), shard), false, &Quiet).unwrap();
+        campaign.run_shard(shard, &shard_folder(root.path(), shard), false, &Quiet).unwrap();
     }
     let broken_off = root.path().join("broken-off");
-    let ended = campaign.run(&broken_off, summary_only(false), &stop());
+    let ended = campaign.run(&broken_off, summary_only(false), &stop_immediately());
     assert!(matches!(ended, Err(CampaignError::Stopped(_))) && broken_off.join("evaluations.journal").exists());
-    merged(&shards.map(|shard| folder(root.path(), shard))).unwrap().write_in(&broken_off).unwrap();
-    assert!(files(&broken_off) == files(single(&campaign).path()));
+    merge(&shards.map(|shard| shard_folder(root.path(), shard))).unwrap().write_to(&broken_off).unwrap();
+    assert!(read_files(&broken_off) == read_files(run_unsharded(&campaign).path()));
 }
 
 /// What no evaluations can have come to is refused, though files and manifest fit together.
@@ -266,7 +266,7 @@ fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
 fn findings_that_cannot_be_are_refused() {
     let campaign = campaign(Method::Halton, 4);
     let root = tempfile::tempdir().unwrap();
-    let shard = Shard::new(1, 2).unwrap();
+    let shard = ShardId::new(1, 2).unwrap();
     type FindingsMutation = fn(&mut Value);
     let changes: [(FindingsMutation, &str); 11] = [
         (|_| (), ""),
@@ -301,7 +301,7 @@ fn findings_that_cannot_be_are_refused() {
     campaign.run_shard(shard, &genuine, false, &Quiet).unwrap();
     for (place, (change, said)) in changes.into_iter().enumerate() {
         let folder = root.path().join(place.to_string());
-        for (path, bytes) in files(&genuine) {
+        for (path, bytes) in read_files(&genuine) {
             let path = folder.join(path);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, bytes).unwrap();
@@ -314,7 +314,7 @@ fn findings_that_cannot_be_are_refused() {
         work.write("findings.json", findings.to_string()).unwrap();
         work.finish().unwrap();
         drop(work);
-        match merged(&[folder]) {
+        match merge(&[folder]) {
             Ok(_) => assert_eq!(said, ""),
             Err(error) => assert!(!said.is_empty() && error.to_string().contains(said), "{place}: {error}"),
         }

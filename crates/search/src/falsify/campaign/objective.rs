@@ -83,9 +83,9 @@ mod tests {
     use crumple_world::measure::RunVerdict;
     use proptest::prelude::*;
 
-    fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> Evaluated {
+    fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> EvaluatedPoint {
         let verdict = RunVerdict::new(robustness);
-        Evaluated { number: 1, point: vec![0.5], values: vec![0.5], ln_likelihood, departure, verdict }
+        EvaluatedPoint { number: 1, point: vec![0.5], values: vec![0.5], ln_likelihood, distance_from_nominal: departure, verdict }
     }
 
     proptest! {
@@ -100,11 +100,11 @@ mod tests {
             let [one, other] = [0, 1].map(|i| evaluated(deep[i], likely[i], far[i]));
             for aim in SearchObjective::ALL {
                 prop_assert_eq!(aim.name().parse::<SearchObjective>(), Ok(aim));
-                prop_assert!(aim.value(&one) < aim.value(&evaluated(safe, likely[0], far[0])));
+                prop_assert!(aim.cost(&one) < aim.cost(&evaluated(safe, likely[0], far[0])));
             }
-            prop_assert_eq!(SearchObjective::Severest.value(&one) < SearchObjective::Severest.value(&other), deep[0] < deep[1]);
-            prop_assert_eq!(SearchObjective::Nearest.value(&one) < SearchObjective::Nearest.value(&other), far[0] < far[1]);
-            prop_assert_eq!(SearchObjective::Likeliest.value(&one) < SearchObjective::Likeliest.value(&other), likely[0] > likely[1]);
+            prop_assert_eq!(SearchObjective::Severest.cost(&one) < SearchObjective::Severest.cost(&other), deep[0] < deep[1]);
+            prop_assert_eq!(SearchObjective::Nearest.cost(&one) < SearchObjective::Nearest.cost(&other), far[0] < far[1]);
+            prop_assert_eq!(SearchObjective::Likeliest.cost(&one) < SearchObjective::Likeliest.cost(&other), likely[0] > likely[1]);
         }
     }
 }

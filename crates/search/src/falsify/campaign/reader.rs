@@ -293,7 +293,7 @@ impl JournalTail {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{Aim, Campaign, CampaignOptions, CampaignProgress};
+    use crate::falsify::campaign::{SearchObjective, Campaign, CampaignOptions, CampaignProgress};
     use crumple_core::observer::{Listener, Quiet};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
@@ -301,28 +301,28 @@ mod tests {
     use std::sync::Mutex;
 
     fn read_all(look: &mut CampaignReader) {
-        while look.go_on(37).unwrap() {}
+        while look.poll(37).unwrap() {}
     }
 
     /// What is seen of a campaign at any moment is the beginning of what is seen of it in the end, to the last bit.
     #[test]
     fn a_campaign_looks_the_same_while_it_runs_and_afterwards() {
         for (method, aim, space) in [
-            (Method::Auto, Aim::Likeliest, "high-risk"),
-            (Method::CmaEs, Aim::Severest, "high-risk"),
-            (Method::Uniform, Aim::Severest, "paper"),
+            (Method::Auto, SearchObjective::Likeliest, "high-risk"),
+            (Method::CmaEs, SearchObjective::Severest, "high-risk"),
+            (Method::Uniform, SearchObjective::Severest, "paper"),
         ] {
             let campaign = Campaign {
                 estimator: EstimatorKind::Truth,
                 method,
-                aim,
+                objective: aim,
                 budget: 300,
                 seed: 7,
-                ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space(space).unwrap())
+                ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space(space).unwrap())
             };
             let parent = tempfile::tempdir().unwrap();
             let folder = parent.path().join("campaign");
-            assert!(CampaignReader::at(&folder).is_err());
+            assert!(CampaignReader::open(&folder).is_err());
             // The early look, what it saw, and the reports of progress so far.
             let state = Mutex::new((None::<CampaignReader>, Vec::new(), 0));
             let observer = Listener(|progress: &CampaignProgress| {
@@ -330,11 +330,11 @@ mod tests {
                 *reports += 1;
                 // As it writes: now and then, beginning in its middle too.
                 if *reports % 5 == 2 {
-                    let look = early.get_or_insert_with(|| CampaignReader::at(&folder).unwrap());
-                    all(look);
+                    let look = early.get_or_insert_with(|| CampaignReader::open(&folder).unwrap());
+                    read_all(look);
                     seen.push((progress.evaluations, look.evaluations().len() as u64));
-                    let mut fresh = CampaignReader::at(&folder).unwrap();
-                    all(&mut fresh);
+                    let mut fresh = CampaignReader::open(&folder).unwrap();
+                    read_all(&mut fresh);
                     assert_eq!(fresh.evaluations(), look.evaluations());
                 }
             });
@@ -343,17 +343,17 @@ mod tests {
             assert!(seen.iter().any(|(_, seen)| *seen > 100), "{seen:?}");
             assert!(seen.iter().all(|(made, seen)| seen >= made), "{seen:?}");
             let while_running = early.as_ref().unwrap().evaluations().to_vec();
-            let mut finished = CampaignReader::at(&folder).unwrap();
-            all(&mut finished);
-            assert_eq!(finished.evaluations().len() as u64, finished.total());
+            let mut finished = CampaignReader::open(&folder).unwrap();
+            read_all(&mut finished);
+            assert_eq!(finished.evaluations().len() as u64, finished.total_evaluations());
             // Tables hold values, and of a choice any point of its share has the same.
             let seen =
-                |(method, one): &(Method, Evaluated)| (method.clone(), one.number, one.values.clone(), one.verdict);
+                |(method, one): &(Method, EvaluatedPoint)| (method.clone(), one.number, one.values.clone(), one.verdict);
             let same = finished.evaluations()[..while_running.len()].iter().map(seen);
             assert!(same.eq(while_running.iter().map(seen)));
             assert_eq!((finished.summary(), finished.front()), (Some(&summary), summary.front.clone()));
             let mut early = early.unwrap();
-            all(&mut early);
+            read_all(&mut early);
             assert!(early.evaluations().iter().map(seen).eq(finished.evaluations().iter().map(seen)));
             for (place, found) in summary.counterexamples.iter().enumerate() {
                 assert_eq!(
@@ -372,7 +372,7 @@ mod tests {
             method: Method::Uniform,
             budget: 40,
             seed: 7,
-            ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+            ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
         };
         let folder = tempfile::tempdir().unwrap();
         campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
@@ -381,13 +381,13 @@ mod tests {
         let mut damaged = whole.clone();
         damaged[whole.len() / 2] ^= 1;
         fs::write(&table, damaged).unwrap();
-        let mut look = CampaignReader::at(folder.path()).unwrap();
+        let mut look = CampaignReader::open(folder.path()).unwrap();
         for _ in 0..3 {
-            let error = look.go_on(1000).unwrap_err().to_string();
+            let error = look.poll(1000).unwrap_err().to_string();
             assert!(error.ends_with("not as it was written"), "{error}");
         }
         fs::write(&table, whole).unwrap();
-        all(&mut look);
-        assert_eq!(look.evaluations().len() as u64, look.total());
+        read_all(&mut look);
+        assert_eq!(look.evaluations().len() as u64, look.total_evaluations());
     }
 }

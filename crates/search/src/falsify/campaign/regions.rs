@@ -205,7 +205,7 @@ mod tests {
             let fails = values[2] < 22.0 && values[10] == 1.0;
             sample.add(values, fails);
         }
-        let regions = sample.regions(&space);
+        let regions = sample.find_regions(&space);
         let first = &regions[0];
         assert!(first.failing_percent > 90.0 && first.failures_percent > 90.0, "{regions:?}");
         assert!(first.conditions.iter().any(|c| c == "follower_class = heavy"), "{regions:?}");

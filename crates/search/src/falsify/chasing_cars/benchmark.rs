@@ -159,7 +159,7 @@ mod tests {
     fn the_portfolio_falsifies_all_six_whatever_the_number_of_threads() {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| benchmark(&Method::Auto, 1500, 0, 3).unwrap())
+            pool.install(|| run_benchmark(&Method::Auto, 1500, 0, 3).unwrap())
         };
         let result = on(2);
         for row in &result.rows {

@@ -199,17 +199,17 @@ pub fn robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, 
 mod tests {
     use super::*;
 
-    fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> Inputs {
+    fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> ChasingCarsInputs {
         let at = |piece: usize| rows.iter().rfind(|row| row.0 <= 5.0 * piece as f64).unwrap();
-        Inputs { throttle: std::array::from_fn(|p| at(p).1), brake: std::array::from_fn(|p| at(p).2) }
+        ChasingCarsInputs { throttle: std::array::from_fn(|p| at(p).1), brake: std::array::from_fn(|p| at(p).2) }
     }
 
     #[test]
     fn published_counterexamples_have_the_published_robustness() {
         let published = [
-            ("CC1", "-3.14", held(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)])),
-            ("CC2", "-5.00", held(&[(0., 0., 1.), (25., 1., 0.)])),
-            ("CC3", "-25.07", held(&[(0., 0., 1.), (10., 1., 0.)])),
+            ("CC1", "-3.14", piecewise_inputs(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)])),
+            ("CC2", "-5.00", piecewise_inputs(&[(0., 0., 1.), (25., 1., 0.)])),
+            ("CC3", "-25.07", piecewise_inputs(&[(0., 0., 1.), (10., 1., 0.)])),
         ];
         for (name, expected, inputs) in published {
             let (_, text) = SPECIFICATIONS.iter().find(|(known, _)| *known == name).unwrap();

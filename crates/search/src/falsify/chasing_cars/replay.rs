@@ -102,9 +102,9 @@ mod tests {
     #[test]
     fn agrees_with_the_fast_model_and_monitor() {
         for seed in 0..3 {
-            let mut random = stream(seed, Purpose::ScenarioDraw, 0);
+            let mut random = stream(seed, Purpose::ScenarioSampling, 0);
             let mut extreme = |_| if random.random() { f64::from(random.random::<bool>()) } else { random.random() };
-            let inputs = Inputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
+            let inputs = ChasingCarsInputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
             for (name, text) in SPECIFICATIONS {
                 let formula = text.parse().unwrap();
                 let (fast, plain) =

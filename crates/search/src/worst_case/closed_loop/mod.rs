@@ -174,13 +174,13 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{AvoidOptions, AvoidanceVerdict, Reason, avoid};
+    use super::super::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
     use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in};
+    use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario};
 
     /// A vehicle that cuts in 20 m/s slower, with so much time to collision.
     fn cut_in(ttc_s: f64) -> Scenario {
-        let paper = built_in("paper-1").unwrap();
+        let paper = built_in_scenario("paper-1").unwrap();
         let changed = paper.edited(|spec| {
             let profile = Driver::Profile(crumple_world::scenario::LeadProfile::ConstantSpeed);
             let mut lead = VehicleSpec::new(VehicleClass::Light, 62.0, 10.0, profile);
@@ -203,11 +203,11 @@ mod tests {
     /// No program models these followers.
     #[test]
     fn any_follower_will_do_for_an_escape() {
-        let paper = built_in("paper-1").unwrap();
+        let paper = built_in_scenario("paper-1").unwrap();
         for follower in ["idm", "acc-aeb"] {
             let behind = |gap_m: f64| {
                 let changed = paper.edited(|spec| {
-                    spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named(follower).unwrap());
+                    spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name(follower).unwrap());
                     spec.vehicles[1].position_m = spec.vehicles[0].position_m - 2.0 - gap_m;
                     spec.vehicles[2].position_m = spec.vehicles[1].position_m - 20.0;
                 });
@@ -215,7 +215,7 @@ mod tests {
             };
             let verdict = behind(20.0);
             assert!(verdict.escape().is_some_and(|escape| escape.min_gap_m > 0.0), "{follower}: {verdict:?}");
-            assert!(!matches!(behind(0.01), AvoidanceVerdict::Undecided(Reason::Replay)));
+            assert!(!matches!(behind(0.01), AvoidanceVerdict::Undecided(UndecidedReason::Replay)));
         }
     }
 }

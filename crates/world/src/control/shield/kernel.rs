@@ -74,7 +74,7 @@ mod tests {
     /// A soft brake ahead stops late: between w c and w/c, half a second and two, the two are equally fast.
     #[test]
     fn the_gap_is_smallest_before_either_stands() {
-        assert!((largest_closing_m(2.0, -2.0, 1.0, 0.5, 2.0) - 1.0 / 3.0).abs() < 1e-12);
+        assert!((max_closing_m(2.0, -2.0, 1.0, 0.5, 2.0) - 1.0 / 3.0).abs() < 1e-12);
     }
 
     #[test]
@@ -92,9 +92,9 @@ mod tests {
             let until_standstill_s = (v / b).max(w / c) + 0.01;
             for (rate, horizon_s, claimed) in [
                 (-b, until_standstill_s, ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
-                (a, dt, largest_closing_m(v, a, w, c, dt)),
+                (a, dt, max_closing_m(v, a, w, c, dt)),
             ] {
-                let closing = |t: f64| moved(v, rate, t)[0] - moved(w, -c, t)[0];
+                let closing = |t: f64| distance_and_speed_after(v, rate, t)[0] - distance_and_speed_after(w, -c, t)[0];
                 let brute = (0..=4000).map(|k| closing(horizon_s * f64::from(k) / 4000.0)).fold(0.0, f64::max);
                 prop_assert!(claimed >= brute - 1e-9, "{claimed} {brute}");
                 prop_assert!(claimed <= brute + 20.0 * (horizon_s / 4000.0).powi(2) + 1e-9, "{claimed} {brute}");

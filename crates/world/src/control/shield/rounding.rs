@@ -138,14 +138,14 @@ mod tests {
     use super::*;
     use crate::control::ErrorBounds;
 
-    const PARAMS: Frame = Frame {
+    const PARAMS: ShieldParams = ShieldParams {
         step_s: 0.01,
         brake_mps2: 7.5,
         accel_mps2: 3.0,
         noise_mps2: 0.5,
         ahead_brake_mps2: 6.0,
         delay_steps: 2,
-        share: 0.25,
+        response_fraction: 0.25,
         errors: ErrorBounds { gap_m: 0.0, speed_mps: 0.0, ahead_speed_mps: 0.0 },
         behind: None,
         margin_m: 0.0,
@@ -174,7 +174,7 @@ mod tests {
         near(short.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0));
         // Terms that large positions hide.
         let still = MotionBounds { position_m: 0.0, speed_mps: 1e5, steps: 1_000_000_000, substeps: 1, ..travel };
-        let slow = Frame { share: 0.001, delay_steps: 0, step_s: 1.0, ..PARAMS };
+        let slow = ShieldParams { response_fraction: 0.001, delay_steps: 0, step_s: 1.0, ..PARAMS };
         near(still.margin_m(&slow), expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0));
     }
 
@@ -183,13 +183,13 @@ mod tests {
     fn the_margin_covers_a_vehicle_ahead_that_accelerates_hard() {
         let tame = MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
         let wild = MotionBounds { ahead_accel_mps2: 90.0, ..tame };
-        let slow = Frame { step_s: 1.0, ..PARAMS };
+        let slow = ShieldParams { step_s: 1.0, ..PARAMS };
         assert!(wild.margin_m(&slow) > tame.margin_m(&slow));
     }
 
     #[test]
     fn near_the_origin_the_margin_is_a_micrometre() {
         let near = MotionBounds { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
-        assert_eq!(near.margin_m(&PARAMS), MARGIN_M);
+        assert_eq!(near.margin_m(&PARAMS), MIN_MARGIN_M);
     }
 }

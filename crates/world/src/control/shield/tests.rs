@@ -8,18 +8,18 @@ use crate::observation::Neighbour;
 use proptest::prelude::*;
 
 /// The car brakes at 8 m/s², the truck ahead of it at 5, and a step is a second.
-fn slow_step_params() -> Frame {
-    Frame {
+fn slow_step_params() -> ShieldParams {
+    ShieldParams {
         step_s: 1.0,
         brake_mps2: 8.0,
         accel_mps2: 3.0,
         noise_mps2: 0.0,
         ahead_brake_mps2: 5.0,
         delay_steps: 0,
-        share: 1.0,
+        response_fraction: 1.0,
         errors: ErrorBounds::default(),
         behind: None,
-        margin_m: MARGIN_M,
+        margin_m: MIN_MARGIN_M,
     }
 }
 
@@ -47,7 +47,7 @@ fn the_step_has_to_end_in_the_kernel_by_the_margin() {
     let needed_m = 2.5 + 25.0 / 6.0;
     for (more, is_admitted) in [(0.0, false), (0.5, false), (1.5, true)] {
         assert_eq!(
-            frame.admits(state(needed_m + more * MARGIN_M, 20.0, 20.0), 0.0),
+            frame.admits(state(needed_m + more * MIN_MARGIN_M, 20.0, 20.0), 0.0),
             is_admitted,
             "{more} margins more"
         );
@@ -66,9 +66,9 @@ prop_compose! {
             (prop_oneof![0.0..0.5_f64, 0.0..0.02_f64], 0.0..30.0_f64, prop_oneof![3 => 0.0..30.0_f64, 1 => Just(0.0)]),
         near in prop::option::of(-1.0..1.0_f64),
         (response, wanted) in (0.0..1.0_f64, prop_oneof![0.0..1.0_f64, 0.0..0.2_f64]),
-    ) -> (Frame, ShieldState, f64) {
+    ) -> (ShieldParams, ShieldState, f64) {
         let noise_mps2 = noise_share * brake_mps2;
-        let frame = Frame { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, share, ..slow_step_params() };
+        let frame = ShieldParams { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, response_fraction: share, ..slow_step_params() };
         let between = |part: f64| -brake_mps2 + part * (brake_mps2 + frame.accel_mps2);
         let ahead_mps = near.map_or(ahead_mps, |by| (speed_mps + by).max(0.0));
         let response_mps2 = if share < 1.0 { between(response) } else { 0.0 };
@@ -79,20 +79,20 @@ prop_compose! {
 }
 
 /// The gap at an instant of the step if the own vehicle does as wanted and the one ahead holds an acceleration.
-fn gap_m(frame: &Frame, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, ahead_mps2: f64, t: f64) -> f64 {
+fn gap_m(frame: &ShieldParams, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, ahead_mps2: f64, t: f64) -> f64 {
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
     let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
     let own_mps2 = if held { 0.0 } else { response_mps2 + noise_mps2 };
-    state.gap_m + moved(state.ahead_mps, ahead_mps2, t)[0] - moved(state.speed_mps, own_mps2, t)[0]
+    state.gap_m + distance_and_speed_after(state.ahead_mps, ahead_mps2, t)[0] - distance_and_speed_after(state.speed_mps, own_mps2, t)[0]
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(2000))]
+    #![proptest_config(crumple_cases::with_cases(2000))]
 
     /// At every instant of a step that is let through the gap is open, and a way out is left at its end, whatever the vehicle
     /// ahead and noise do; and whatever is held back has one reason or the other.
     #[test]
-    fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in question(),
+    fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in any_state_and_action(),
                                                                ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
         let worst = |t: f64| gap_m(&frame, now, wanted_mps2, frame.noise_mps2, -frame.ahead_brake_mps2, t);
         let grid = || (0..=400).map(|k| frame.step_s * f64::from(k) / 400.0);
@@ -114,7 +114,7 @@ proptest! {
 
     /// What full braking leaves of the spare gap, and of the gap inside the step, whatever the lag.
     #[test]
-    fn full_braking_never_lessens_the_spare_gap((frame, now, _) in question()) {
+    fn full_braking_never_lessens_the_spare_gap((frame, now, _) in any_state_and_action()) {
         let mut state = now;
         for _ in 0..50 {
             let before_m = frame.spare_m(state);
@@ -129,17 +129,17 @@ proptest! {
     }
 }
 
-fn full_throttle_shield(frame: Frame) -> Shield {
+fn full_throttle_shield(frame: ShieldParams) -> ShieldedController {
     let full_throttle = ControllerSpec::FullThrottle(Default::default());
-    Shield::new(AnyController::built_in(&full_throttle, &EGO, 0), frame)
+    ShieldedController::new(AnyController::from_spec(&full_throttle, &EGO, 0), frame)
 }
 
 /// The gap from which full throttle is just let through, to a micrometre.
-fn min_admitted_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
+fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f64 {
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
         let gap_m = 0.5 * (low_m + high_m);
-        let command_mps2 = shield(frame).decide(&behind(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
+        let command_mps2 = full_throttle_shield(frame).decide(&behind(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
         assert!(command_mps2 == -frame.brake_mps2 || command_mps2 == frame.accel_mps2);
         if command_mps2 > 0.0 { high_m = gap_m } else { low_m = gap_m }
     }
@@ -149,34 +149,34 @@ fn min_admitted_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
 /// 20 m/s against 15, step 0.1 s: worked out by hand with exact quotients.
 #[test]
 fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
-    let plain = Frame { step_s: 0.1, ..slow_step_params() };
-    let least_m = |frame: Frame| least_gap_m(frame, 20.0, 15.0);
-    let demanded_m = |v: f64, w: f64| Kernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
+    let plain = ShieldParams { step_s: 0.1, ..slow_step_params() };
+    let least_m = |frame: ShieldParams| min_admitted_gap_m(frame, 20.0, 15.0);
+    let demanded_m = |v: f64, w: f64| ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
     let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
     // 2.015 m against 1.475 m, and 20.3 m/s behind 14.5.
     near(least_m(plain), 0.54 + demanded_m(20.3, 14.5));
     // Seen wrongly: 0.3 m less, 20.2 m/s behind 14.6.
     let errors = ErrorBounds { gap_m: 0.3, speed_mps: 0.2, ahead_speed_mps: 0.4 };
-    near(least_m(Frame { errors, ..plain }), 0.3 + 0.6 + demanded_m(20.5, 14.1));
+    near(least_m(ShieldParams { errors, ..plain }), 0.3 + 0.6 + demanded_m(20.5, 14.1));
     // Two steps at 20 m/s first, against one that brakes: 4 m against 2.9.
-    near(least_m(Frame { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
+    near(least_m(ShieldParams { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
     // Half of 3 m/s² in this step; the lag's 0.1 s at 9.5 m/s² more than full braking is still to lose.
-    near(least_m(Frame { share: 0.5, ..plain }), 2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5));
+    near(least_m(ShieldParams { response_fraction: 0.5, ..plain }), 2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5));
     // Noise of 1 m/s² drives, and takes from the brake.
-    let noisy = Kernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
-    near(least_m(Frame { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
+    let noisy = ViabilityKernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
+    near(least_m(ShieldParams { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
 }
 
 /// Delay and lag go on through the steps: what was decided before is on its way.
 #[test]
 fn commands_under_way_are_counted_on() {
-    let frame = Frame { step_s: 0.1, delay_steps: 1, share: 0.5, ..slow_step_params() };
+    let frame = ShieldParams { step_s: 0.1, delay_steps: 1, response_fraction: 0.5, ..slow_step_params() };
     let seen = behind(10.0, 100.0, 10.0, 0.0);
-    let mut shield = shield(frame);
+    let mut shield = full_throttle_shield(frame);
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
-    assert_eq!((shield.response_mps2, shield.pending.as_slices().0), (0.0, &[3.0][..]));
+    assert_eq!((shield.response_mps2, shield.pending_mps2.as_slices().0), (0.0, &[3.0][..]));
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
-    assert_eq!((shield.response_mps2, shield.pending.as_slices().0), (1.5, &[3.0][..]));
+    assert_eq!((shield.response_mps2, shield.pending_mps2.as_slices().0), (1.5, &[3.0][..]));
     let worst = shield.worst_state(&seen).unwrap();
     assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
     assert!((worst.speed_mps - 10.225).abs() < 1e-12 && (worst.gap_m - (100.0 + 0.975 - 1.01125)).abs() < 1e-12);
@@ -185,9 +185,9 @@ fn commands_under_way_are_counted_on() {
 #[test]
 fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
     for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
-        let frame = Frame { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
+        let frame = ShieldParams { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
         let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
-        let mut shield = shield(frame);
+        let mut shield = full_throttle_shield(frame);
         assert_eq!(shield.decide(&behind(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
         let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
         assert_eq!(shield.overrides(), [expected]);
@@ -197,23 +197,23 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
 /// It holds 20 m/s for 0.4 s while the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m, then brakes at 6 m/s².
 #[test]
 fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
-    let behind_it = Behind { brake_mps2: 6.0, reaction_s: 0.4 };
-    let conflict = |frame: Frame, rear_gap_m: Option<f64>| {
+    let behind_it = RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.4 };
+    let conflict = |frame: ShieldParams, rear_gap_m: Option<f64>| {
         let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
-        let mut shield = shield(frame);
+        let mut shield = full_throttle_shield(frame);
         assert_eq!(shield.decide(&Observation { behind: rear, ..behind(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
-    let frame = Frame { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
+    let frame = ShieldParams { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
     let least_m = 8.0 - 7.36 + 400.0 / 12.0 - 16.8 * 16.8 / 16.0;
     assert!(conflict(frame, Some(least_m - 1e-9)) && !conflict(frame, Some(least_m + 1e-9)));
-    assert!(!conflict(frame, None) && !conflict(Frame { behind: None, ..frame }, Some(0.1)));
+    assert!(!conflict(frame, None) && !conflict(ShieldParams { behind: None, ..frame }, Some(0.1)));
 }
 
 #[test]
 fn overrides_in_successive_steps_are_one() {
-    let frame = Frame { step_s: 0.1, behind: Some(Behind { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_step_params() };
-    let mut shield = shield(frame);
+    let frame = ShieldParams { step_s: 0.1, behind: Some(RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_step_params() };
+    let mut shield = full_throttle_shield(frame);
     let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
     let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
     let far = behind(20.0, 500.0, 15.0, 0.0);
@@ -230,11 +230,11 @@ fn overrides_in_successive_steps_are_one() {
 /// Whoever brakes fully is not overruled, but told of where nothing is promised any more; whoever answers with more than can be had is cut to that.
 #[test]
 fn only_what_is_changed_is_an_override() {
-    let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
-    let mut shield = shield(frame);
+    let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
+    let mut shield = full_throttle_shield(frame);
     assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
-    let full_brake = Frame { accel_mps2: -2.0, ..frame };
-    let mut braking = self::shield(full_brake);
+    let full_brake = ShieldParams { accel_mps2: -2.0, ..frame };
+    let mut braking = self::full_throttle_shield(full_brake);
     let near_m = full_brake.kernel().demanded_gap_m(20.0, 20.0) + 0.01;
     assert_eq!(braking.decide(&behind(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
     assert_eq!(braking.overrides(), []);
@@ -246,7 +246,7 @@ fn only_what_is_changed_is_an_override() {
 #[test]
 fn settings_are_said_as_they_are_read() {
     let errors = Some(ErrorBounds { gap_m: 0.5, speed_mps: 0.25, ahead_speed_mps: 1.0 });
-    assert_eq!(ShieldSettings::default().words(), "");
-    let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.words();
+    assert_eq!(ShieldSettings::default().to_arg(), "");
+    let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.to_arg();
     assert_eq!(words, ",ahead=6,gap-error=0.5,speed-error=0.25,ahead-speed-error=1");
 }

@@ -2,12 +2,12 @@
 
 use proptest::prelude::*;
 
-use super::formula::{Formula, Interval};
+use super::formula::{Formula, TimeWindow};
 
 /// Formulas over given comparisons and windows, at most `depth` deep and about `size` nodes large.
 pub(super) fn any_formula(
     comparison: impl Strategy<Value = Formula> + 'static,
-    window: impl Strategy<Value = Interval> + 'static,
+    window: impl Strategy<Value = TimeWindow> + 'static,
     depth: u32,
     size: u32,
 ) -> impl Strategy<Value = Formula> {

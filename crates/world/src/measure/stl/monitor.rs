@@ -233,7 +233,7 @@ impl Monitor<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::generate::any_formula;
-    use super::super::{Relation, naive_robustness};
+    use super::super::{ComparisonOp, naive_robustness};
     use super::*;
     use proptest::prelude::*;
 
@@ -241,21 +241,21 @@ mod tests {
 
     fn comparison() -> impl Strategy<Value = Formula> {
         let relation =
-            prop_oneof![Just(Relation::Below), Just(Relation::AtMost), Just(Relation::Above), Just(Relation::AtLeast)];
+            prop_oneof![Just(ComparisonOp::Below), Just(ComparisonOp::AtMost), Just(ComparisonOp::Above), Just(ComparisonOp::AtLeast)];
         let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
         let term = (weight, prop_oneof![Just("x"), Just("y")].prop_map(str::to_owned));
         // Small whole numbers make margins of exactly zero common.
         (prop::collection::vec(term, 1..3), relation, -2i32..3)
-            .prop_filter_map("no signal", |(terms, relation, c)| Comparison::new(terms, relation, f64::from(c)).ok())
+            .prop_filter_map("no signal", |(terms, relation, c)| LinearPredicate::new(terms, relation, f64::from(c)).ok())
             .prop_map(Formula::Compare)
     }
 
-    fn window() -> impl Strategy<Value = Interval> {
+    fn window() -> impl Strategy<Value = TimeWindow> {
         prop_oneof![
-            Just(Interval::ALL),
+            Just(TimeWindow::ALL),
             // Multiples of the step in decimal, which are not multiples in binary.
             (0u32..12, 0u32..25)
-                .prop_map(|(a, b)| { Interval::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap() }),
+                .prop_map(|(a, b)| { TimeWindow::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap() }),
         ]
     }
 
@@ -268,15 +268,15 @@ mod tests {
         prop::collection::vec((value.clone(), value), 1..60).prop_map(|pairs| pairs.into_iter().unzip())
     }
 
-    fn signals<'a>(x: &'a [f64], y: &'a [f64]) -> Signals<'a> {
-        let mut signals = Signals::new(STEP_S, x.len()).unwrap();
+    fn signals<'a>(x: &'a [f64], y: &'a [f64]) -> SampledSignals<'a> {
+        let mut signals = SampledSignals::new(STEP_S, x.len()).unwrap();
         signals.insert("x", x).unwrap();
         signals.insert("y", y).unwrap();
         signals
     }
 
     proptest! {
-        #![proptest_config(crumple_cases::cases(2000))]
+        #![proptest_config(crumple_cases::with_cases(2000))]
 
         #[test]
         fn equals_the_definition((x, y) in trace(), formula in formula()) {

@@ -93,7 +93,7 @@ fn lead_quantity(quantity: &str) -> Option<LeadQuantity> {
 mod tests {
     use super::*;
     use crate::control::ControllerSpec;
-    use crate::measure::Ahead;
+    use crate::measure::LeadMeasures;
     use crate::measure::stl::Formula;
     use crate::scenario::built_in;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -101,7 +101,7 @@ mod tests {
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {
         let scenario = built_in("paper-1").unwrap();
-        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("match-leader").unwrap())).unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("match-leader").unwrap())).unwrap();
         let result = simulate(&run, RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         let names = motion_signal_names(3);
@@ -110,7 +110,7 @@ mod tests {
         let signals = motion_signals(&trace, 0.01, &names).unwrap();
         assert_eq!(signals.names().collect::<Vec<_>>(), names);
         let least = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap();
-        let ahead = Ahead::of(&trace, &result.impacts, 1).unwrap();
+        let ahead = LeadMeasures::from_trace(&trace, &result.impacts, 1).unwrap();
         assert!((least("always v1.gap_m > 0") - ahead.min_gap_m.unwrap()).abs() < 1e-3);
         assert_eq!(least("always v1.ttc_s > 1"), ahead.min_ttc_s.unwrap() - 1.0);
         assert_eq!(least("always v1.headway_s > 0"), ahead.min_time_headway_s.unwrap());

@@ -66,7 +66,7 @@ impl fmt::Display for LinearPredicate {
 #[cfg(test)]
 mod tests {
     use super::super::generate::any_formula;
-    use super::super::{Relation, SyntaxProblem};
+    use super::super::{ComparisonOp, SyntaxProblem};
     use super::*;
     use proptest::prelude::*;
 
@@ -74,17 +74,17 @@ mod tests {
         let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::DEFAULT_CASES];
         let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
         let relation =
-            prop_oneof![Just(Relation::Below), Just(Relation::AtMost), Just(Relation::Above), Just(Relation::AtLeast)];
+            prop_oneof![Just(ComparisonOp::Below), Just(ComparisonOp::AtMost), Just(ComparisonOp::Above), Just(ComparisonOp::AtLeast)];
         (prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..4), relation, -1e9..1e9)
-            .prop_filter_map("no signal left", |(terms, relation, bound)| Comparison::new(terms, relation, bound).ok())
+            .prop_filter_map("no signal left", |(terms, relation, bound)| LinearPredicate::new(terms, relation, bound).ok())
             .prop_map(Formula::Compare)
     }
 
-    fn window() -> impl Strategy<Value = Interval> {
+    fn window() -> impl Strategy<Value = TimeWindow> {
         prop_oneof![
-            Just(Interval::ALL),
-            (0.0..50.0, 0.0..50.0).prop_map(|(a, b): (f64, f64)| Interval::new(a, a + b).unwrap()),
-            (0.0..50.0).prop_map(|a| Interval::new(a, f64::INFINITY).unwrap()),
+            Just(TimeWindow::ALL),
+            (0.0..50.0, 0.0..50.0).prop_map(|(a, b): (f64, f64)| TimeWindow::new(a, a + b).unwrap()),
+            (0.0..50.0).prop_map(|a| TimeWindow::new(a, f64::INFINITY).unwrap()),
         ]
     }
 

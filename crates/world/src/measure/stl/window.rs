@@ -106,8 +106,8 @@ mod tests {
             let window = |k: usize| values.iter().skip(k).take(width).copied();
             let least: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::INFINITY, f64::min)).collect();
             let most: Vec<f64> = (0..outputs).map(|k| window(k).fold(f64::NEG_INFINITY, f64::max)).collect();
-            prop_assert_eq!(sliding::<Minimum>(values.clone(), width, outputs), least);
-            prop_assert_eq!(sliding::<Maximum>(values.clone(), width, outputs), most);
+            prop_assert_eq!(sliding_extremum::<Minimum>(values.clone(), width, outputs), least);
+            prop_assert_eq!(sliding_extremum::<Maximum>(values.clone(), width, outputs), most);
         }
     }
 }

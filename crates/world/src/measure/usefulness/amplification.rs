@@ -66,30 +66,30 @@ impl SpeedAmplification {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::testing::{driven, trace};
+    use crate::measure::testing::{driven_track, trace};
 
     /// After a second at 20 m/s each vehicle brakes for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {
         let dips = brakes_mps2
             .iter()
             .enumerate()
-            .map(|(i, &brake)| driven(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25));
+            .map(|(i, &brake)| driven_track(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25));
         trace(dips.collect(), 0.25)
     }
 
     #[test]
     fn amplification_by_hand() {
-        let found = SpeedAmplification::of(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
+        let found = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
         assert_eq!(found, SpeedAmplification { of_each: vec![Some(1.5), Some(0.5)], overall: 0.75 });
-        assert!(found.grows() && !SpeedAmplification::of(&line(&[2.0, 1.0]), 0.0).unwrap().grows());
-        assert_eq!(SpeedAmplification::of(&line(&[2.0, 0.0, 1.0]), 0.0).unwrap().of_each, [Some(0.0), None]);
+        assert!(found.has_amplification() && !SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap().has_amplification());
+        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0).unwrap().of_each, [Some(0.0), None]);
     }
 
     #[test]
     fn what_is_no_disturbance_of_a_line_is_none() {
-        assert_eq!(SpeedAmplification::of(&line(&[0.0, 1.0]), 0.0), None, "the leader keeps its speed");
-        assert_eq!(SpeedAmplification::of(&line(&[2.0, 1.0]), 2.0), None, "speeds differ by then");
-        assert_eq!(SpeedAmplification::of(&line(&[2.0, 1.0]), 9.0), None, "after the end");
-        assert_eq!(SpeedAmplification::of(&Trace { time_s: vec![], vehicles: vec![] }, 0.0), None);
+        assert_eq!(SpeedAmplification::from_trace(&line(&[0.0, 1.0]), 0.0), None, "the leader keeps its speed");
+        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 2.0), None, "speeds differ by then");
+        assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 9.0), None, "after the end");
+        assert_eq!(SpeedAmplification::from_trace(&Trace { time_s: vec![], vehicles: vec![] }, 0.0), None);
     }
 }

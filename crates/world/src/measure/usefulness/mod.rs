@@ -135,7 +135,7 @@ mod tests {
 
     use super::*;
     use crate::control::ControllerSpec;
-    use crate::measure::testing::{driven, trace};
+    use crate::measure::testing::{driven_track, trace};
     use crate::scenario::PaperDistribution;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
@@ -143,9 +143,9 @@ mod tests {
     fn how_a_vehicle_follows_by_hand() {
         // Ahead 20 m/s throughout: 40 m in 2 s. Behind 20 m/s for 1 s, then -8 m/s² to 12 m/s: 20 + 16 m.
         // Gaps at 0, 0.5, 1, 1.5 s: 20, 20, 20, 21 m at 20, 20, 20, 16 m/s: 1, 1, 1, 1.3125 s.
-        let front = driven(4.0, 24.0, 20.0, &[(2.0, 0.0)], 0.5);
-        let rear = driven(4.0, 0.0, 20.0, &[(1.0, 0.0), (1.0, -8.0)], 0.5);
-        let found = UsefulnessMeasures::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let front = driven_track(4.0, 24.0, 20.0, &[(2.0, 0.0)], 0.5);
+        let rear = driven_track(4.0, 0.0, 20.0, &[(1.0, 0.0), (1.0, -8.0)], 0.5);
+        let found = UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
         let following = found.following.unwrap();
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(following.progress, 0.9));
@@ -153,23 +153,23 @@ mod tests {
         assert!(near(following.time_gap_deviation_s, (0.3125_f64.powi(2) * 3.0 / 16.0).sqrt()));
         assert!(!following.left_behind);
         assert!(near(found.rms_acceleration_mps2, 32.0_f64.sqrt()));
-        assert!(found.needless.count == 1 && found.imposed.is_none());
+        assert!(found.unnecessary.count == 1 && found.induced.is_none());
         // Steps of 0.5 s are longer than the window, so that one of three sees the jump of 8 m/s².
         assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
 
-        let still = UsefulnessMeasures::of(&trace(vec![driven(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5), &[], 1).unwrap();
+        let still = UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5), &[], 1).unwrap();
         let following = still.following.unwrap();
         assert_eq!((following.progress, following.mean_time_gap_s, following.left_behind), (None, None, false));
         let left =
-            trace(vec![driven(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)], 0.5);
-        assert!(UsefulnessMeasures::of(&left, &[], 1).unwrap().following.unwrap().left_behind);
+            trace(vec![driven_track(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven_track(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)], 0.5);
+        assert!(UsefulnessMeasures::from_trace(&left, &[], 1).unwrap().following.unwrap().left_behind);
     }
 
     #[test]
     fn jerk_of_a_ramp_is_its_slope() {
         // 3 m/s³ in stairs of 0.01 s: each differs from that a window before by 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
-        let found = UsefulnessMeasures::of(&trace(vec![driven(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0).unwrap();
+        let found = UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0).unwrap();
         assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
     }
 
@@ -178,10 +178,10 @@ mod tests {
     fn the_reference_driver_brakes_with_cause() {
         for index in 0..20 {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
-            let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("idm").unwrap())).unwrap();
+            let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
-            let found = UsefulnessMeasures::of(&result.trace.unwrap(), &result.impacts, 1).unwrap();
-            assert!(found.needless.is_none() && found.hard.is_none(), "{found:?}");
+            let found = UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap();
+            assert!(found.unnecessary.is_empty() && found.hard.is_empty(), "{found:?}");
         }
     }
 
@@ -195,10 +195,10 @@ mod tests {
             let at = |shift_m: f64| {
                 let vehicle = |i: usize| {
                     let pieces: Vec<_> = halves[2 * i..2 * i + 2].iter().map(|&a| (2.0, 0.5 * f64::from(a))).collect();
-                    driven(4.0, shift_m - 20.0 * i as f64, 20.0, &pieces, 0.125)
+                    driven_track(4.0, shift_m - 20.0 * i as f64, 20.0, &pieces, 0.125)
                 };
                 let line = trace((0..3).map(vehicle).collect(), 0.125);
-                (0..3).map(|index| UsefulnessMeasures::of(&line, &[], index).unwrap()).collect::<Vec<_>>()
+                (0..3).map(|index| UsefulnessMeasures::from_trace(&line, &[], index).unwrap()).collect::<Vec<_>>()
             };
             let found = at(0.0);
             prop_assert_eq!(&found, &at(f64::from(shift_m)));

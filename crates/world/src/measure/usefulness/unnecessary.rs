@@ -209,13 +209,13 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven, impact, trace};
+    use crate::measure::testing::{driven_track, impact, trace};
 
     /// A vehicle at 20 m/s, 200 m behind one that keeps that speed, and what it does.
     fn steady_leader_trace(pieces: &[(f64, f64)]) -> Trace {
         let total_s = pieces.iter().map(|(held_s, _)| held_s).sum();
-        let front = driven(4.0, 204.0, 20.0, &[(total_s, 0.0)], 0.05);
-        trace(vec![front, driven(4.0, 0.0, 20.0, pieces, 0.05)], 0.05)
+        let front = driven_track(4.0, 204.0, 20.0, &[(total_s, 0.0)], 0.05);
+        trace(vec![front, driven_track(4.0, 0.0, 20.0, pieces, 0.05)], 0.05)
     }
 
     /// (2 + 1.6 * 20)² / 200² of 0.73 m/s²: what the reference driver demands at the start.
@@ -223,51 +223,51 @@ mod tests {
 
     #[test]
     fn braking_without_cause_by_hand() {
-        let needless = |pieces: &[(f64, f64)]| UnnecessaryBraking::of(&behind(pieces), &[], 1).unwrap();
+        let needless = |pieces: &[(f64, f64)]| UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap();
         let found = needless(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
         let hardest = found.hardest.unwrap();
         assert!((found.time_s - 0.8).abs() < 1e-9 && found.count == 2, "{found:?}");
         assert!(
-            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0) && (hardest.caused_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
+            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0) && (hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
         );
-        assert!(needless(&[(1.0, -2.0)]).is_none(), "within the margin");
-        assert!(needless(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_none(), "too short");
+        assert!(needless(&[(1.0, -2.0)]).is_empty(), "within the margin");
+        assert!(needless(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_empty(), "too short");
         let bursts = needless(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
         assert!((bursts.time_s - 0.2).abs() < 1e-9 && bursts.count == 1, "{bursts:?}");
-        assert_eq!(UnnecessaryBraking::of(&behind(&[(1.0, 0.0)]), &[], 2), None);
+        assert_eq!(UnnecessaryBraking::from_trace(&steady_leader_trace(&[(1.0, 0.0)]), &[], 2), None);
     }
 
     #[test]
     fn braking_harder_than_a_limit_without_cause_by_hand() {
         let harder = |limit_mps2: f64, pieces: &[(f64, f64)]| {
-            UnnecessaryBraking::from_trace_above_limit(limit_mps2, &behind(pieces), &[], 1).unwrap().count
+            UnnecessaryBraking::from_trace_above_limit(limit_mps2, &steady_leader_trace(pieces), &[], 1).unwrap().count
         };
         assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.1), (1.0, 0.0), (0.5, -5.0)]), 2, "no margin");
         assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.0)]), 0, "no harder");
         assert_eq!(harder(2.0, &[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]), 0, "too short");
         assert_eq!(harder(0.9 * JUSTIFIED_MPS2, &[(0.5, -0.1)]), 0, "that much had a cause");
-        assert_eq!(UnnecessaryBraking::from_trace_above_limit(2.0, &behind(&[(1.0, 0.0)]), &[], 2), None);
+        assert_eq!(UnnecessaryBraking::from_trace_above_limit(2.0, &steady_leader_trace(&[(1.0, 0.0)]), &[], 2), None);
     }
 
     #[test]
     fn an_emergency_is_a_cause_and_what_follows_an_impact_is_not_braking() {
         // Half a second behind one that brakes at 8 m/s² less would do: 20² / (2 * (10 + 25)) = 5.7 m/s².
-        let front = driven(4.0, 14.0, 20.0, &[(3.0, -8.0)], 0.05);
-        let rear = driven(4.0, 0.0, 20.0, &[(3.0, -7.6)], 0.05);
-        assert!(UnnecessaryBraking::of(&trace(vec![front, rear], 0.05), &[], 1).unwrap().is_none());
+        let front = driven_track(4.0, 14.0, 20.0, &[(3.0, -8.0)], 0.05);
+        let rear = driven_track(4.0, 0.0, 20.0, &[(3.0, -7.6)], 0.05);
+        assert!(UnnecessaryBraking::from_trace(&trace(vec![front, rear], 0.05), &[], 1).unwrap().is_empty());
         let mut hit = impact(1.0, 1, 20.0, 25.0);
         (hit.first_involved, hit.last_involved) = (1, 2);
-        let braking = behind(&[(1.0, 0.0), (2.0, -7.0)]);
-        assert!(UnnecessaryBraking::of(&braking, &[hit], 1).unwrap().is_none(), "hit from behind before it braked");
-        assert!(!UnnecessaryBraking::of(&braking, &[], 1).unwrap().is_none());
+        let braking = steady_leader_trace(&[(1.0, 0.0), (2.0, -7.0)]);
+        assert!(UnnecessaryBraking::from_trace(&braking, &[hit], 1).unwrap().is_empty(), "hit from behind before it braked");
+        assert!(!UnnecessaryBraking::from_trace(&braking, &[], 1).unwrap().is_empty());
     }
 
     #[test]
     fn with_nobody_ahead_nothing_calls_for_braking() {
-        let leader = UnnecessaryBraking::of(&trace(vec![driven(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05), &[], 0);
+        let leader = UnnecessaryBraking::from_trace(&trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05), &[], 0);
         let UnnecessaryBraking { time_s, count, hardest } = leader.unwrap();
         assert!((time_s - 1.0).abs() < 1e-9 && count == 1);
-        assert_eq!(hardest, Some(BrakeInstant { time_s: 0.0, brake_mps2: 3.0, caused_mps2: 0.0 }));
+        assert_eq!(hardest, Some(BrakeInstant { time_s: 0.0, brake_mps2: 3.0, justified_mps2: 0.0 }));
     }
 
     proptest! {
@@ -281,18 +281,18 @@ mod tests {
         ) {
             let pieces = |a: &[f64]| a.iter().map(|&a| (0.5, a)).collect::<Vec<_>>();
             let line = |own: &[f64], step_s: f64| {
-                let front = driven(4.0, gap_m + 4.0, 25.0, &pieces(&front), step_s);
-                trace(vec![front, driven(4.0, 0.0, 25.0, &pieces(own), step_s)], step_s)
+                let front = driven_track(4.0, gap_m + 4.0, 25.0, &pieces(&front), step_s);
+                trace(vec![front, driven_track(4.0, 0.0, 25.0, &pieces(own), step_s)], step_s)
             };
-            let needless = |own: &[f64], step_s| UnnecessaryBraking::of(&line(own, step_s), &[], 1).unwrap();
+            let needless = |own: &[f64], step_s| UnnecessaryBraking::from_trace(&line(own, step_s), &[], 1).unwrap();
             let coasting: Vec<f64> = own.iter().map(|a| a.max(0.0)).collect();
-            prop_assert!(needless(&coasting, 0.05).is_none());
+            prop_assert!(needless(&coasting, 0.05).is_empty());
             let (coarse, fine) = (needless(&own, 0.05), needless(&own, 0.01));
-            let beyond_s = 0.5 * own.iter().filter(|a| **a < -NEEDLESS_MARGIN_MPS2).count() as f64;
+            let beyond_s = 0.5 * own.iter().filter(|a| **a < -UNNECESSARY_MARGIN_MPS2).count() as f64;
             prop_assert!(coarse.time_s <= beyond_s + 1e-9);
             prop_assert!((coarse.time_s - fine.time_s).abs() <= 6.0 * 0.05 + 3.0 * MIN_BRAKING_S, "{coarse:?} {fine:?}");
             if let Some(hardest) = coarse.hardest {
-                prop_assert!(hardest.brake_mps2 - hardest.caused_mps2 > NEEDLESS_MARGIN_MPS2 && hardest.caused_mps2 >= 0.0);
+                prop_assert!(hardest.brake_mps2 - hardest.justified_mps2 > UNNECESSARY_MARGIN_MPS2 && hardest.justified_mps2 >= 0.0);
             }
         }
     }

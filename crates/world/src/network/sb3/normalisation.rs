@@ -187,13 +187,13 @@ mod tests {
             if let Some(wanted) = &wanted {
                 fs::write(wanted, "").unwrap();
             }
-            assert_eq!(VecNormalizeStats::beside(&folder.path().join(model)), wanted, "{model}");
+            assert_eq!(VecNormalizeStats::find_for_model(&folder.path().join(model)), wanted, "{model}");
         }
         let folder = tempfile::tempdir().unwrap();
         for steps in [128, 256] {
             fs::write(folder.path().join(format!("rl_model_vecnormalize_{steps}_steps.pkl")), "").unwrap();
         }
-        let found = VecNormalizeStats::beside(&folder.path().join("rl_model_256_steps.zip"));
+        let found = VecNormalizeStats::find_for_model(&folder.path().join("rl_model_256_steps.zip"));
         assert_eq!(found, Some(folder.path().join("rl_model_vecnormalize_256_steps.pkl")));
     }
 

@@ -40,7 +40,7 @@ high = 1.0
 values = [0.5, 0.6, 0.9]
 "#;
 
-fn space(text: &str) -> Result<Space, String> {
+fn space(text: &str) -> Result<ScenarioSpace, String> {
     file::from_toml(text, Path::new("pairs.toml")).map_err(|error| error.to_string())
 }
 
@@ -140,7 +140,7 @@ proptest! {
         let space = space(SPACE).unwrap();
         let point = space.quantile(&u);
         prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{point:?}");
-        prop_assert!(space.at(&point).is_ok());
+        prop_assert!(space.scenario_at(&point).is_ok());
         prop_assert!(!space.ln_likelihood(&point).is_nan());
     }
 }

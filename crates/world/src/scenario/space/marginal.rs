@@ -263,43 +263,43 @@ impl CoordinateMarginal {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::{Choice, Distribution, LogNormal, Normal, PointMass, ShapeScaleSpec, Uniform, Value};
-    use super::Marginal;
+    use super::super::spec::{ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ParameterValue};
+    use super::CoordinateMarginal;
     use proptest::prelude::*;
 
     fn any_marginal() -> impl Strategy<Value = CoordinateMarginal> {
         let range = (-50.0..50.0f64, 0.1..60.0f64);
         let normal = (range.clone(), -0.3..1.3f64, 0.15..2.0f64).prop_map(|((low, width), at, deviation)| {
             let (mean, deviation) = (low + at * width, deviation * width);
-            Distribution::Normal(Normal { mean, deviation, low, high: low + width })
+            DistributionSpec::Normal(NormalSpec { mean, deviation, low, high: low + width })
         });
         // Shapes above 1: where the density has no bounds, cells would have to be finer.
         let positive = (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
             let high = low + 4.0 * scale;
             match law {
-                0 => Distribution::LogNormal(LogNormal { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high }),
-                1 => Distribution::Gamma(ShapeScaleSpec { shape, scale: scale / shape, low, high }),
-                _ => Distribution::Weibull(ShapeScaleSpec { shape, scale, low, high }),
+                0 => DistributionSpec::LogNormal(LogNormalSpec { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high }),
+                1 => DistributionSpec::Gamma(ShapeScaleSpec { shape, scale: scale / shape, low, high }),
+                _ => DistributionSpec::Weibull(ShapeScaleSpec { shape, scale, low, high }),
             }
         });
         let weights = prop::collection::vec(0.01..5.0f64, 1..6);
         let with_point = (range.clone(), 0.02..0.9f64, -5.0..0.0f64, any::<(bool, bool)>());
         let with_point = with_point.prop_map(|((low, width), probability, apart, (is_first, is_end))| {
             let (apart, high) = (if is_end { 0.0 } else { apart }, low + width);
-            let others = Normal { mean: low + 0.3 * width, deviation: 0.5 * width, low, high };
+            let others = NormalSpec { mean: low + 0.3 * width, deviation: 0.5 * width, low, high };
             let at = if is_first { low + apart } else { high - apart };
-            Distribution::PointMass(PointMass { at, probability, others: Box::new(Distribution::Normal(others)) })
+            DistributionSpec::PointMass(PointMassSpec { at, probability, others: Box::new(DistributionSpec::Normal(others)) })
         });
         prop_oneof![
             with_point,
-            range.prop_map(|(low, width)| Distribution::Uniform(Uniform { low, high: low + width })),
+            range.prop_map(|(low, width)| DistributionSpec::Uniform(UniformSpec { low, high: low + width })),
             (0.01..5.0f64, 1.1..50.0f64)
-                .prop_map(|(low, times)| Distribution::LogUniform(Uniform { low, high: low * times })),
+                .prop_map(|(low, times)| DistributionSpec::LogUniform(UniformSpec { low, high: low * times })),
             normal,
             positive,
             weights.prop_map(|weights| {
-                let values = (0..weights.len()).map(|i| Value::Number(1.5 * i as f64 - 2.0)).collect();
-                Distribution::Choice(Choice { values, weights: Some(weights) })
+                let values = (0..weights.len()).map(|i| ParameterValue::Number(1.5 * i as f64 - 2.0)).collect();
+                DistributionSpec::Choice(ChoiceSpec { values, weights: Some(weights) })
             }),
         ]
         .prop_filter_map("its range holds next to nothing", |distribution| distribution.marginal().ok())
@@ -314,16 +314,16 @@ mod tests {
             for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
                 for scale in [1e-9, 1e-3, 1.0, 1e9] {
                     let of = ShapeScaleSpec { shape, scale, low, high };
-                    let lognormal = LogNormal { ln_mean: scale.ln(), ln_deviation: shape, low, high };
+                    let lognormal = LogNormalSpec { ln_mean: scale.ln(), ln_deviation: shape, low, high };
                     for law in
-                        [Distribution::Gamma(of.clone()), Distribution::Weibull(of), Distribution::LogNormal(lognormal)]
+                        [DistributionSpec::Gamma(of.clone()), DistributionSpec::Weibull(of), DistributionSpec::LogNormal(lognormal)]
                     {
                         let Ok(marginal) = law.marginal() else { continue };
                         for u in shares {
                             let at = marginal.quantile(u);
                             assert!((0.0..=1.0).contains(&at), "{law:?} {u}: {at}");
                             assert!(!marginal.ln_density(at).is_nan(), "{law:?} {u}");
-                            assert!((0.0..=1.0).contains(&marginal.share_below(at)), "{law:?} {u}");
+                            assert!((0.0..=1.0).contains(&marginal.cdf(at)), "{law:?} {u}");
                         }
                     }
                 }
@@ -346,8 +346,8 @@ mod tests {
             let whole = place as usize;
             let below: f64 = (0..whole).map(cell).sum::<f64>() + (place - whole as f64) * cell(whole);
             prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
-            prop_assert!((marginal.share_below(at) - u).abs() < 1e-8);
-            let point = if let CoordinateMarginal::PointMass { share, .. } = &marginal { *share } else { 0.0 };
+            prop_assert!((marginal.cdf(at) - u).abs() < 1e-8);
+            let point = if let CoordinateMarginal::PointMass { probability: share, .. } = &marginal { *share } else { 0.0 };
             let is_choice = matches!(marginal, CoordinateMarginal::Choice { .. });
             let off = marginal.cdf_of_value(marginal.value(at)) - u;
             prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");

@@ -4,16 +4,16 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::control::ControllerSpec;
-use crate::measure::Usefulness;
+use crate::measure::UsefulnessMeasures;
 use crate::scenario::{Driver, LeadProfile, PaperDistribution};
 use crate::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
-fn space(name: &str) -> Space {
+fn space(name: &str) -> ScenarioSpace {
     built_in_space(name).expect("built in")
 }
 
 /// A space over `paper-1` with these parameters.
-fn over_paper_1(parameters: &str) -> Result<Space, String> {
+fn over_paper_1(parameters: &str) -> Result<ScenarioSpace, String> {
     let text = format!("version = 1\nname = \"s\"\nbase = \"paper-1\"\n{parameters}");
     file::from_toml(&text, Path::new("s.toml")).map_err(|error| error.to_string())
 }
@@ -52,7 +52,7 @@ proptest! {
         for (name, ..) in BUILT_IN_SPACES {
             let space = space(name);
             let point = &point[..space.dimension()];
-            let scenario = space.at(point).unwrap();
+            let scenario = space.scenario_at(point).unwrap();
             prop_assert!(scenario.has_vehicle_under_test());
             let values = space.values(point);
             for (again, value) in space.values(&space.point(&values)).iter().zip(&values) {
@@ -100,7 +100,7 @@ fn the_paper_space_has_the_papers_law() {
     // Two samples of one law are further apart than this once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
     for (name, of) in quantities {
-        let found = distance(ours.iter().map(of).collect(), theirs.iter().map(of).collect());
+        let found = ks_distance(ours.iter().map(of).collect(), theirs.iter().map(of).collect());
         assert!(found < limit, "{name}: {found}");
     }
     let (ours, theirs) = (ours[0].spec(), theirs[0].spec());
@@ -192,7 +192,7 @@ proptest! {
             let parameter = space.parameters().iter().find(|parameter| parameter.name() == name).unwrap();
             values[parameter.coordinates().start]
         };
-        let scenario = space.at(&point).unwrap();
+        let scenario = space.scenario_at(&point).unwrap();
         let [leader, _, follower] = scenario.vehicles() else { panic!("three") };
         for (index, name) in [(1, "time_gap_ahead_s"), (2, "time_gap_behind_s")] {
             let gap_m = scenario.initial_gap_m(index).unwrap();
@@ -209,7 +209,7 @@ proptest! {
         let follower = follower.driver.name();
         prop_assert!(["idm", "acc-aeb"].contains(&follower));
         let parameter = space.parameters().iter().find(|parameter| parameter.name() == "follower").unwrap();
-        prop_assert_eq!(parameter.show(value("follower")), follower);
+        prop_assert_eq!(parameter.format_value(value("follower")), follower);
     }
 }
 
@@ -224,11 +224,11 @@ fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
     };
     assert!((35..=65).contains(&scenarios.iter().filter(steady).count()), "a quarter keep their speed");
     for (name, least, most) in [("idm", 0, 0), ("acc-aeb", 0, 0), ("policy", 80, 200), ("retrained", 160, 200)] {
-        let options = RunOptions::new(ControllerSpec::named(name).unwrap());
+        let options = RunOptions::new(ControllerSpec::from_name(name).unwrap());
         let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
         let needless = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             assert!(result.outcome.is_safe(), "{name}: {:?}", result.outcome);
-            !Usefulness::of(&result.trace.unwrap(), &result.impacts, 1).unwrap().needless.is_none()
+            !UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap().unnecessary.is_empty()
         });
         let found = needless.into_iter().filter(|needless| *needless).count();
         assert!((least..=most).contains(&found), "{name} brakes without cause in {found} of 200 draws");

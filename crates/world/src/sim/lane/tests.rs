@@ -1,8 +1,8 @@
 use proptest::prelude::*;
 
-use super::super::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, Track, simulate};
+use super::super::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use crate::control::ControllerSpec;
-use crate::measure::{Ahead, InducedBraking};
+use crate::measure::{LeadMeasures, InducedBraking};
 use crate::observation::EstimatorKind;
 use crate::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in,
@@ -19,11 +19,11 @@ fn scripted_vehicle(position_m: f64, speed_mps: f64, profile: LeadProfile) -> Ve
 }
 
 fn steady_vehicle(position_m: f64, speed_mps: f64) -> VehicleSpec {
-    scripted(position_m, speed_mps, LeadProfile::ConstantSpeed)
+    scripted_vehicle(position_m, speed_mps, LeadProfile::ConstantSpeed)
 }
 
 fn controlled_vehicle(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
-    let controller = ControllerSpec::named(controller).unwrap();
+    let controller = ControllerSpec::from_name(controller).unwrap();
     VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Controller(controller))
 }
 
@@ -35,15 +35,15 @@ fn with_exit(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
     VehicleSpec { leaves: Some(leaves), ..vehicle }
 }
 
-fn run(scenario: &Scenario) -> Simulated {
-    run_with(scenario, RunOptions::new(ControllerSpec::named("idm").unwrap()))
+fn run(scenario: &Scenario) -> SimulationResult {
+    run_with(scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap()))
 }
 
-fn run_with(scenario: &Scenario, options: RunOptions) -> Simulated {
+fn run_with(scenario: &Scenario, options: RunOptions) -> SimulationResult {
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
 
-fn tracks(simulated: &Simulated) -> &[Track] {
+fn tracks(simulated: &SimulationResult) -> &[Track] {
     &simulated.trace.as_ref().unwrap().vehicles
 }
 
@@ -55,7 +55,7 @@ fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
 fn the_moment_is_that_of_the_closed_form() {
     // 20 m/s behind 14 m/s: a gap of 50 m is 17 m after 5.5 s, and lasts 2 s, at 6 m/s, once it is 12 m.
     let entered = |enters| {
-        let line = vec![entering(steady(52.0, 14.0), enters), steady(0.0, 20.0)];
+        let line = vec![with_entry(steady_vehicle(52.0, 14.0), enters), steady_vehicle(0.0, 20.0)];
         tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0]
     };
     assert!((entered(LaneChange::Gap(17.0)) - 5.5).abs() < 1e-9);
@@ -63,7 +63,7 @@ fn the_moment_is_that_of_the_closed_form() {
     assert_eq!(entered(LaneChange::At(3.456)), 3.456);
     assert_eq!(entered(LaneChange::At(9.0)), f64::INFINITY);
     // From behind: 26 m/s past 20 m/s is 9 m ahead, bumper to bumper, (15 + 2 + 9) / 6 s later.
-    let line = vec![entering(steady(-15.0, 26.0), LaneChange::Gap(9.0)), steady(0.0, 20.0)];
+    let line = vec![with_entry(steady_vehicle(-15.0, 26.0), LaneChange::Gap(9.0)), steady_vehicle(0.0, 20.0)];
     assert!((tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0] - 26.0 / 6.0).abs() < 1e-9);
 }
 
@@ -71,7 +71,7 @@ fn the_moment_is_that_of_the_closed_form() {
 fn who_leaves_counts_from_the_one_ahead() {
     // Standing 100 m ahead of one that drives at 20 m/s and leaves 1.5 s before it would hit; who follows it sees it then.
     let line =
-        vec![steady(140.0, 0.0), leaving(steady(38.0, 20.0), LaneChange::TimeToCollision(1.5)), steady(0.0, 20.0)];
+        vec![steady_vehicle(140.0, 0.0), with_exit(steady_vehicle(38.0, 20.0), LaneChange::TimeToCollision(1.5)), steady_vehicle(0.0, 20.0)];
     let simulated = run(&scenario(line, 8.0));
     assert!((tracks(&simulated)[1].in_lane_s[1] - 3.5).abs() < 1e-9);
     let contact = simulated.outcome.contact().unwrap();
@@ -87,7 +87,7 @@ fn who_leaves_counts_from_the_one_ahead() {
 #[test]
 fn who_finds_no_room_stays_beside() {
     for beside_m in [1.0, 0.0, -1.5] {
-        let line = vec![entering(steady(beside_m, 20.0), LaneChange::At(1.0)), steady(0.0, 20.0)];
+        let line = vec![with_entry(steady_vehicle(beside_m, 20.0), LaneChange::At(1.0)), steady_vehicle(0.0, 20.0)];
         let simulated = run(&scenario(line, 3.0));
         assert_eq!(tracks(&simulated)[0].in_lane_s, [f64::INFINITY; 2]);
         assert!(simulated.outcome.is_safe());
@@ -99,10 +99,10 @@ fn who_finds_no_room_stays_beside() {
 #[test]
 fn who_leaves_at_the_start_was_never_there() {
     for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
-        let simulated = run(&scenario(vec![steady(12.0, 20.0), leaving(steady(0.0, 28.0), leaves)], 3.0));
+        let simulated = run(&scenario(vec![steady_vehicle(12.0, 20.0), with_exit(steady_vehicle(0.0, 28.0), leaves)], 3.0));
         let trace = simulated.trace.as_ref().unwrap();
         assert_eq!((simulated.vehicles[1].min_gap_m, trace.pairs(1).len()), (None, 0), "{leaves:?}");
-        assert_eq!(Ahead::of(trace, &simulated.impacts, 1), None);
+        assert_eq!(LeadMeasures::from_trace(trace, &simulated.impacts, 1), None);
     }
 }
 
@@ -111,17 +111,17 @@ fn who_leaves_at_the_start_was_never_there() {
 fn all_whose_moment_it_is_change_together() {
     // 100 m ahead one stands; the second lasts 1.5 s to it, and the third, faster, 1 s to the second: with that one gone it would stay.
     let line = vec![
-        steady(134.0, 0.0),
-        leaving(steady(100.0, 20.0), LaneChange::TimeToCollision(2.0)),
-        leaving(steady(90.0, 28.0), LaneChange::TimeToCollision(1.2)),
-        steady(0.0, 20.0),
+        steady_vehicle(134.0, 0.0),
+        with_exit(steady_vehicle(100.0, 20.0), LaneChange::TimeToCollision(2.0)),
+        with_exit(steady_vehicle(90.0, 28.0), LaneChange::TimeToCollision(1.2)),
+        steady_vehicle(0.0, 20.0),
     ];
     let simulated = run(&scenario(line, 2.0));
     assert_eq!([1, 2].map(|vehicle| tracks(&simulated)[vehicle].in_lane_s[1]), [0.0, 0.0]);
 }
 
 /// Everything but the time in the lane.
-fn without_lanes(mut simulated: Simulated) -> Simulated {
+fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
     for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
         track.in_lane_s = Track::THROUGHOUT_S;
     }
@@ -130,7 +130,7 @@ fn without_lanes(mut simulated: Simulated) -> Simulated {
 
 #[test]
 fn who_enters_at_the_start_has_been_there() {
-    for spec in ControllerSpec::built_in() {
+    for spec in ControllerSpec::all() {
         for estimator in EstimatorKind::ALL {
             let paper = built_in("paper-1").unwrap();
             let entering = paper.edited(|spec| spec.vehicles[0].enters = Some(LaneChange::At(0.0))).unwrap();
@@ -153,8 +153,8 @@ proptest! {
         let (onset_s, enters_s) = (2.5, 2.5 - reaction_s);
         let start_m = gap_m + closing_mps * enters_s;
         let line = vec![
-            entering(steady(start_m + 2.0, 30.0 - closing_mps), LaneChange::At(enters_s)),
-            scripted(0.0, 30.0, onset(onset_s, brake_mps2)),
+            with_entry(steady_vehicle(start_m + 2.0, 30.0 - closing_mps), LaneChange::At(enters_s)),
+            scripted_vehicle(0.0, 30.0, brake_profile(onset_s, brake_mps2)),
         ];
         let simulated = run(&scenario(line, 12.0));
         let needed_m = closing_mps * reaction_s + closing_mps * closing_mps / (2.0 * brake_mps2);
@@ -169,12 +169,12 @@ proptest! {
     #[test]
     fn far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
         let line = |far: Option<VehicleSpec>| {
-            let near = [scripted(40.0, 20.0, onset(2.0, brake_mps2)), driven(10.0, 20.0, "idm"), driven(-20.0, 20.0, "acc-aeb")];
+            let near = [scripted_vehicle(40.0, 20.0, brake_profile(2.0, brake_mps2)), controlled_vehicle(10.0, 20.0, "idm"), controlled_vehicle(-20.0, 20.0, "acc-aeb")];
             scenario(far.into_iter().chain(near).collect(), 6.0)
         };
         let change = LaneChange::At(time_s);
-        let far = steady(1e6, 20.0);
-        let far = if leaves { leaving(far, change) } else { entering(far, change) };
+        let far = steady_vehicle(1e6, 20.0);
+        let far = if leaves { with_exit(far, change) } else { with_entry(far, change) };
         let (with, without) = (run(&line(Some(far))), run(&line(None)));
         prop_assert_eq!(&tracks(&with)[1..], tracks(&without));
     }
@@ -184,17 +184,17 @@ proptest! {
     #[test]
     fn a_twin_that_takes_over_changes_nothing(
         time_s in prop_oneof![Just(0.0), 0.0..5.0_f64], ahead_m in 5.0..60.0_f64, speed_mps in 10.0..30.0_f64,
-        brakes_mps2 in prop::array::uniform2(0.0..7.0_f64), waits in change(), enters in any::<bool>(),
+        brakes_mps2 in prop::array::uniform2(0.0..7.0_f64), waits in any_lane_change(), enters in any::<bool>(),
     ) {
-        let twin = || scripted(ahead_m, speed_mps, onset(1.5, brakes_mps2[0]));
+        let twin = || scripted_vehicle(ahead_m, speed_mps, brake_profile(1.5, brakes_mps2[0]));
         let line = |twins: Vec<VehicleSpec>| {
-            let mut waiting = scripted(0.0, 20.0, onset(2.5, brakes_mps2[1]));
+            let mut waiting = scripted_vehicle(0.0, 20.0, brake_profile(2.5, brakes_mps2[1]));
             *(if enters { &mut waiting.enters } else { &mut waiting.leaves }) = Some(waits);
-            let rest = [waiting, driven(-30.0, 20.0, "idm"), driven(-60.0, 20.0, "acc-aeb")];
-            scenario([steady(500.0, 20.0)].into_iter().chain(twins).chain(rest).collect(), 8.0)
+            let rest = [waiting, controlled_vehicle(-30.0, 20.0, "idm"), controlled_vehicle(-60.0, 20.0, "acc-aeb")];
+            scenario([steady_vehicle(500.0, 20.0)].into_iter().chain(twins).chain(rest).collect(), 8.0)
         };
         let change = LaneChange::At(time_s);
-        let (one, two) = (run(&line(vec![twin()])), run(&line(vec![leaving(twin(), change), entering(twin(), change)])));
+        let (one, two) = (run(&line(vec![twin()])), run(&line(vec![with_exit(twin(), change), with_entry(twin(), change)])));
         prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
     }
 
@@ -202,10 +202,10 @@ proptest! {
     #[test]
     fn who_leaves_behind_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
         let line = |last: VehicleSpec| {
-            scenario(vec![scripted(40.0, 20.0, onset(1.0, brake_mps2)), driven(10.0, 20.0, "idm"), last], 6.0)
+            scenario(vec![scripted_vehicle(40.0, 20.0, brake_profile(1.0, brake_mps2)), controlled_vehicle(10.0, 20.0, "idm"), last], 6.0)
         };
-        let last = || steady(-100.0, 20.0);
-        let (stays, leaves) = (run(&line(last())), run(&line(leaving(last(), LaneChange::At(time_s)))));
+        let last = || steady_vehicle(-100.0, 20.0);
+        let (stays, leaves) = (run(&line(last())), run(&line(with_exit(last(), LaneChange::At(time_s)))));
         prop_assert_eq!(&tracks(&stays)[..2], &tracks(&leaves)[..2]);
     }
 
@@ -213,23 +213,23 @@ proptest! {
     /// trace is what the engine saw.
     #[test]
     fn steps_do_not_matter(
-        enters in change(), leaves in prop::option::of(change()), place_m in -20.0..60.0_f64, speed_mps in 10.0..30.0_f64,
+        enters in any_lane_change(), leaves in prop::option::of(any_lane_change()), place_m in -20.0..60.0_f64, speed_mps in 10.0..30.0_f64,
         brakes_mps2 in prop::array::uniform3(0.0..7.0_f64), goes_on in any::<bool>(),
     ) {
-        let mut cutter = scripted(place_m, speed_mps, onset(2.0, brakes_mps2[1]));
+        let mut cutter = scripted_vehicle(place_m, speed_mps, brake_profile(2.0, brakes_mps2[1]));
         (cutter.enters, cutter.leaves) = (Some(enters), leaves);
         let line = vec![
-            scripted(50.0, 20.0, onset(1.5, brakes_mps2[0])),
+            scripted_vehicle(50.0, 20.0, brake_profile(1.5, brakes_mps2[0])),
             cutter,
-            scripted(0.0, 20.0, onset(2.5, brakes_mps2[2])),
-            scripted(-12.0, 20.0, onset(3.0, 6.0)),
+            scripted_vehicle(0.0, 20.0, brake_profile(2.5, brakes_mps2[2])),
+            scripted_vehicle(-12.0, 20.0, brake_profile(3.0, 6.0)),
         ];
         let spec = built_in("paper-1").unwrap().spec().clone();
         let Ok(scenario) = Scenario::new(ScenarioSpec { duration_s: 8.0, vehicles: line, ..spec }) else {
             return Err(TestCaseError::reject("leaves before it enters"));
         };
         let after = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        let options = || RunOptions::new(ControllerSpec::named("idm").unwrap()).with_after_contact(after);
+        let options = || RunOptions::new(ControllerSpec::from_name("idm").unwrap()).with_after_contact(after);
         let (coarse, fine) = (run_with(&scenario, options()), run_with(&scenario, options().with_dt_s(0.002)));
         let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-6;
         prop_assert_eq!(coarse.impacts.len(), fine.impacts.len());
@@ -247,10 +247,10 @@ proptest! {
         }
         let trace = coarse.trace.as_ref().unwrap();
         for (index, summary) in coarse.vehicles.iter().enumerate() {
-            let measured_m = Ahead::of(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
+            let measured_m = LeadMeasures::from_trace(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
             let gaps_m = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
             prop_assert!(close(gaps_m[0], gaps_m[1]), "vehicle {index}: {gaps_m:?}");
-            prop_assert!(InducedBraking::of(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
+            prop_assert!(InducedBraking::from_trace(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
         }
     }
 }

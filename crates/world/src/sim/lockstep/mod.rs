@@ -124,13 +124,13 @@ mod tests {
         let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());
         let lines = draws.map(|draw| draw.edited(|spec| spec.vehicles[2].driver = Driver::UnderTest).unwrap());
         let lines: Vec<_> = lines.collect();
-        for spec in ControllerSpec::built_in() {
+        for spec in ControllerSpec::all() {
             let runs: Vec<_> =
                 lines.iter().map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap()).collect();
             let members: Vec<usize> = (0..runs.len()).collect();
             let results = available_archs().into_iter().map(|path| {
                 let mut results = Vec::new();
-                Block::new(path, &runs, &members, RecordingLevel::Trace)
+                LockstepBlock::new(path, &runs, &members, RecordingLevel::Trace)
                     .run(&mut |index, result| results.push((index, result)));
                 results
             });

@@ -131,12 +131,12 @@ mod tests {
         /// Both behave as the plain containers they stand for.
         #[test]
         fn removing_by_swapping_is_that_of_a_list(
-            mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::MOST),
+            mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::CAPACITY),
             set in any::<u64>(),
             removals in prop::collection::vec(any::<prop::sample::Index>(), 0..70),
         ) {
-            let mut per_run = PerRun::of(values.iter().copied());
-            let mut runs = RunSet(set).and(RunSet::first(values.len()));
+            let mut per_run = PerRun::from_values(values.iter().copied());
+            let mut runs = RunSet(set).intersection(RunSet::first(values.len()));
             let mut members: Vec<bool> = (0..values.len()).map(|run| runs.iter().any(|member| member == run)).collect();
             for removal in removals {
                 if values.is_empty() {
@@ -147,7 +147,7 @@ mod tests {
                 members.swap_remove(run);
                 prop_assert_eq!(per_run.swap_remove(run), values.swap_remove(run));
                 prop_assert_eq!(per_run.as_slice(), values.as_slice());
-                prop_assert_eq!(per_run.filled().len(), values.len().next_multiple_of(MAX_F64_LANES));
+                prop_assert_eq!(per_run.padded().len(), values.len().next_multiple_of(MAX_F64_LANES));
                 let expected: Vec<usize> = (0..members.len()).filter(|&run| members[run]).collect();
                 prop_assert_eq!(runs.iter().collect::<Vec<_>>(), expected);
             }

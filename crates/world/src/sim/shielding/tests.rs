@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use super::*;
-use crate::control::{ControllerKind, ControllerSpec, Shielded};
+use crate::control::{ControllerKind, ControllerSpec, ShieldedSource};
 use crate::observation::EstimatorKind;
 use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in};
-use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, Simulated, simulate};
+use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
 /// Two vehicles of one class, the second under test, in steps of `step_s`. The one ahead brakes fully from `onset_s` on, until
@@ -47,7 +47,7 @@ impl FarAway {
 
     fn scenario(&self) -> Scenario {
         let ([ahead, own], [ahead_mps2, own_mps2], [w, v]) = (self.classes, self.brakes_mps2(), self.speeds_mps);
-        let kernel = Kernel { own_brake_mps2: own_mps2, ahead_brake_mps2: ahead_mps2 };
+        let kernel = ViabilityKernel { own_brake_mps2: own_mps2, ahead_brake_mps2: ahead_mps2 };
         let gap_m = kernel.demanded_gap_m(v, w) + self.spare_m;
         let brake = Brake { onset_s: self.onset_s, rate_mps2: ahead.max_brake_mps2() };
         let rear_m = self.position_m - ahead.length_m() - gap_m;
@@ -69,8 +69,8 @@ impl FarAway {
         Scenario::new(spec).unwrap()
     }
 
-    fn simulate(&self) -> Simulated {
-        let controller = Shielded { controller: self.driver.clone().into(), settings: ShieldSettings::default() };
+    fn simulate(&self) -> SimulationResult {
+        let controller = ShieldedSource { controller: self.driver.clone().into(), settings: ShieldSettings::default() };
         let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
         let options = options.with_dt_s(self.step_s / f64::from(self.substeps));
         simulate(&Run::new(&self.scenario(), options).unwrap(), RecordingLevel::Summary)
@@ -78,7 +78,7 @@ impl FarAway {
 }
 
 fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
-    let result = far.simulated();
+    let result = far.simulate();
     prop_assert_eq!(&result.outcome, &Outcome::NoCollision);
     prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel), "{:?}", result.interventions);
     Ok(())
@@ -88,15 +88,15 @@ fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
 fn rounding_far_from_the_origin_costs_no_contact() {
     use VehicleClass::{Heavy, Light};
     let found = [
-        FarAway { spare_m: 1.0, onset_s: 6.78, ..FarAway::reported(0.6, 8e5, [Light, Heavy]) },
-        FarAway { spare_m: 1.0, onset_s: 7.0, ..FarAway::reported(0.6, 8e5, [Light, Heavy]) },
-        FarAway::reported(0.6, 8e5, [Light, Heavy]),
-        FarAway::reported(0.5, 8e5, [Light, Heavy]),
-        FarAway { onset_s: 1.0, ..FarAway::reported(0.5, 3e5, [Heavy, Light]) },
+        FarAway { spare_m: 1.0, onset_s: 6.78, ..FarAway::from_report(0.6, 8e5, [Light, Heavy]) },
+        FarAway { spare_m: 1.0, onset_s: 7.0, ..FarAway::from_report(0.6, 8e5, [Light, Heavy]) },
+        FarAway::from_report(0.6, 8e5, [Light, Heavy]),
+        FarAway::from_report(0.5, 8e5, [Light, Heavy]),
+        FarAway { onset_s: 1.0, ..FarAway::from_report(0.5, 3e5, [Heavy, Light]) },
     ];
     for far in found {
-        for driver in ControllerSpec::built_in() {
-            keeps_clear(&FarAway { driver, ..far.clone() }).unwrap();
+        for driver in ControllerSpec::all() {
+            check_no_collision(&FarAway { driver, ..far.clone() }).unwrap();
         }
     }
 }
@@ -104,19 +104,19 @@ fn rounding_far_from_the_origin_costs_no_contact() {
 /// Behind somebody who may accelerate for hours, far from any origin.
 #[test]
 fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
-    let far = FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]);
+    let far = FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]);
     let refusal = |duration_s: f64| {
         let long = far.scenario().edited(|spec| {
             (spec.duration_s, spec.step_s) = (duration_s, 0.01);
             spec.vehicles[0].driver = Driver::Controller(ControllerSpec::Idm(Default::default()));
         });
-        let controller = Shielded { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
+        let controller = ShieldedSource { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
         let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
         Run::new(&long.unwrap(), options).err()
     };
     assert!(refusal(3600.0).is_none());
-    let Some(RunError::Shield { vehicle: 1, why }) = refusal(20_000.0) else { panic!("not refused") };
-    let ShieldRefusal::Rounding { half_m, position_m, most_m } = why else { panic!("{why}") };
+    let Some(RunError::Shield { vehicle: 1, refusal: why }) = refusal(20_000.0) else { panic!("not refused") };
+    let ShieldRefusal::Rounding { rounding_m: half_m, position_m, max_margin_m: most_m } = why else { panic!("{why}") };
     assert!(2.0 * half_m > most_m && most_m == MAX_MARGIN_M && position_m > 1e8, "{why}");
 }
 
@@ -124,15 +124,15 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
 #[test]
 fn travel_bounds_what_happens() {
     let controller =
-        |far: &FarAway| Shielded { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
+        |far: &FarAway| ShieldedSource { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
     for (onset_s, bound_by_kernel) in [(2.0, false), (40.0, true)] {
         let classes = [VehicleClass::Heavy, VehicleClass::Light];
-        let far = FarAway { onset_s, spare_m: 50.0, ..FarAway::reported(0.6, 1e4, classes) };
+        let far = FarAway { onset_s, spare_m: 50.0, ..FarAway::from_report(0.6, 1e4, classes) };
         let scenario = far.scenario();
         let travel = |dt_s: f64| {
             let options = RunOptions::new(ControllerKind::from(controller(&far))).with_dt_s(dt_s);
             let run = Run::new(&scenario, options.with_estimator(EstimatorKind::Truth)).unwrap();
-            run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap())
+            run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap())
         };
         let (whole, halves) = (travel(2e-4), travel(1e-4));
         assert_eq!((whole.steps, whole.substeps), (scenario.steps(), 1));
@@ -150,11 +150,11 @@ fn travel_bounds_what_happens() {
 /// With noise ahead, and where the one under test is farther from the origin than anybody will be.
 #[test]
 fn travel_counts_noise_and_both_ends_of_the_road() {
-    let far = FarAway { onset_s: 2.0, ..FarAway::reported(1.0, -1e4, [VehicleClass::Light; 2]) };
+    let far = FarAway { onset_s: 2.0, ..FarAway::from_report(1.0, -1e4, [VehicleClass::Light; 2]) };
     let scenario = far.scenario().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
     let options = RunOptions::new(far.driver.clone()).with_estimator(EstimatorKind::Truth);
     let run = Run::new(&scenario, options).unwrap();
-    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
     let [ahead, own] = [&scenario.vehicles()[0], &scenario.vehicles()[1]];
     let spare_m = ahead.length_m() + (100.0 + 60.0 * 2e-4) * 2e-4;
     assert!((travel.position_m - (spare_m - own.position_m)).abs() < 1e-9, "{}", travel.position_m);
@@ -162,7 +162,7 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
     // Where it is the one ahead that counts.
     let near = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|vehicle| vehicle.position_m += 2e4)).unwrap();
     let run = Run::new(&near, RunOptions::new(far.driver).with_estimator(EstimatorKind::Truth)).unwrap();
-    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
     let duration_s = near.spec().duration_s;
     let farthest_m = 1e4 + (29.7 + 0.3 * duration_s) * duration_s + spare_m;
     assert!((travel.position_m - farthest_m).abs() < 1e-9, "{} {farthest_m}", travel.position_m);
@@ -173,7 +173,7 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
 fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
     let noisy = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
     let run = Run::new(&noisy, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
     assert_eq!(travel.ahead_accel_mps2, noisy.vehicles()[0].max_accel_mps2() + 1.5);
 }
 
@@ -192,7 +192,7 @@ prop_compose! {
         onset_s in 0.0..4.0_f64,
         driver in prop_oneof![
             Just(ControllerSpec::FullThrottle(Default::default())),
-            prop::sample::select(ControllerSpec::built_in()),
+            prop::sample::select(ControllerSpec::all()),
         ],
     ) -> FarAway {
         let speeds_mps = speeds_mps.map(|speed| speed * friction.sqrt());
@@ -201,12 +201,12 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { max_shrink_iters: 50, ..crumple_cases::cases(128) })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 50, ..crumple_cases::with_cases(128) })]
 
     /// Wherever, in whatever steps, on whatever road, whoever drives.
     #[test]
     fn from_inside_the_kernel_nobody_touches_wherever_and_in_whatever_steps(far in far_away()) {
-        keeps_clear(&far)?;
+        check_no_collision(&far)?;
     }
 }
 
@@ -221,7 +221,7 @@ fn delays_add_up() {
         });
         let late = late.unwrap();
         let run = Run::new(&late, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        run.frame(1, &ShieldSettings::default()).unwrap()
+        run.shield_params(1, &ShieldSettings::default()).unwrap()
     };
     let frames = [(0.3, 0.1), (0.1, 0.3), (0.4, 0.0), (0.0, 0.4)].map(|(seeing, acting)| frame(seeing, acting));
     assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
@@ -249,7 +249,7 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
     let asked = |scenario: &Scenario, eyes: EstimatorKind| {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(eyes);
         let run = Run::new(scenario, options).unwrap();
-        (run.frame(1, &ShieldSettings::default()), run.tuning().worst_errors([3.0 + 2.5 + 0.36, 3.62 + 2.62], 6.0))
+        (run.shield_params(1, &ShieldSettings::default()), run.tuning().worst_errors([3.0 + 2.5 + 0.36, 3.62 + 2.62], 6.0))
     };
     let is_near = |found: f64, expected: f64| (found - expected).abs() < 1e-12;
     let slow = scenario(&|_| ());
@@ -260,11 +260,11 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
     assert!(is_near(behind.brake_mps2, 3.2) && is_near(behind.reaction_s, 0.3), "{behind:?}");
     let found = [frame.errors.gap_m, frame.errors.speed_mps, frame.errors.ahead_speed_mps];
     assert!(found.iter().zip(errors).all(|(&found, expected)| is_near(found, expected)), "{found:?} {errors:?}");
-    assert!(is_near(frame.share, 1.0 - (-0.01_f64 / 0.2).exp()), "{}", frame.share);
+    assert!(is_near(frame.response_fraction, 1.0 - (-0.01_f64 / 0.2).exp()), "{}", frame.response_fraction);
     let prompt = scenario(&|spec| spec.vehicles[1].actuator_lag_s = 0.0);
     let (frame, _) = asked(&prompt, EstimatorKind::Truth);
     assert_eq!(
-        (frame.unwrap().share, asked(&slow, EstimatorKind::Truth).0.unwrap().errors),
+        (frame.unwrap().response_fraction, asked(&slow, EstimatorKind::Truth).0.unwrap().errors),
         (1.0, ErrorBounds::default())
     );
     let blind = scenario(&|spec| spec.sensors.dropout = 0.1);
@@ -275,8 +275,8 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
 /// A shield of who never brakes by itself takes over once and keeps to it: from a step of the run on, to its end.
 #[test]
 fn what_it_did_is_told_in_the_seconds_of_the_run() {
-    let far = FarAway { onset_s: 1.0, step_s: 0.01, ..FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]) };
-    let done = far.simulated().interventions;
+    let far = FarAway { onset_s: 1.0, step_s: 0.01, ..FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]) };
+    let done = far.simulate().interventions;
     let end_s = far.scenario().spec().duration_s;
     let (Some(first), Some(last)) = (done.first(), done.last()) else { panic!("nothing was done") };
     assert!(first.vehicle == 1 && first.from_s > 0.5 && first.from_s < end_s, "{first:?}");

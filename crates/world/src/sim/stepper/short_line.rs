@@ -158,7 +158,7 @@ mod tests {
     use crate::control::ControllerSpec;
     use crate::observation::EstimatorKind;
     use crate::scenario::space::{BUILT_IN_SPACES, built_in_space};
-    use crate::scenario::{LaneChange, built_in, built_in_names};
+    use crate::scenario::{LaneChange, built_in, built_in_scenario_names};
     use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions};
 
     /// What a driver from outside wants: enough of what is seen that any difference shows, and a contact now and then.
@@ -173,25 +173,25 @@ mod tests {
         let mut stepper = keep.map_or_else(|| Stepper::without_summaries(run), |keep| Stepper::new(run, keep));
         let mut moments = Vec::new();
         let mut note = |now: &StepView<'_>| {
-            let StepView { motion, gap_m, has_touched, has_ended } = *now;
+            let StepView { motion, gap_m, has_collided: has_touched, has_ended } = *now;
             let touched = if has_touched { "touched" } else { "apart" };
             moments.push((motion.to_vec(), format!("{gap_m:?} {touched} {has_ended}")));
             if moments.len() % 37 == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         while !stepper.has_ended() {
             if together > 0 {
-                stepper.drive(index, together, wanted_mps2, &mut note);
+                stepper.drive(index, together, test_command_mps2, &mut note);
                 continue;
             }
             if let Some(seen) = stepper.observe(index) {
-                stepper.command(index, wanted_mps2(&seen));
+                stepper.command(index, test_command_mps2(&seen));
             }
             stepper.step();
             let motion = stepper.motion().to_vec();
             let now = StepView {
                 motion: &motion,
                 gap_m: stepper.gap_m(index),
-                has_touched: stepper.has_touched(),
+                has_collided: stepper.has_collided(),
                 has_ended: stepper.has_ended(),
             };
             let _ = note(&now);
@@ -207,7 +207,7 @@ mod tests {
             let space = built_in_space(name).unwrap();
             (0..4).map(move |index| space.draw(11, index).unwrap())
         });
-        let others = built_in_names().into_iter().flat_map(|(name, _)| {
+        let others = built_in_scenario_names().into_iter().flat_map(|(name, _)| {
             let paper = built_in(name).unwrap();
             let leaves = paper.edited(|spec| spec.vehicles[0].leaves = Some(LaneChange::At(2.0))).unwrap();
             [paper, leaves]
@@ -216,14 +216,14 @@ mod tests {
         for (number, scenario) in draws.chain(others).enumerate() {
             for estimator in EstimatorKind::ALL {
                 let after = if number % 2 == 0 { AfterContact::Continue } else { AfterContact::Stop };
-                let options = RunOptions::new(ControllerSpec::named("idm").unwrap());
+                let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
                 let run = Run::new(&scenario, options.with_estimator(estimator).with_after_contact(after)).unwrap();
                 let name = &scenario.spec().name;
-                let alone = driven(&run, 0, None);
+                let alone = drive_and_record(&run, 0, None);
                 for together in [1, 10, 1000] {
-                    assert_eq!(driven(&run, together, None), alone, "{name} {together}");
+                    assert_eq!(drive_and_record(&run, together, None), alone, "{name} {together}");
                 }
-                assert_eq!(driven(&run, 10, Some(RecordingLevel::Trace)).0, alone.0, "{name}");
+                assert_eq!(drive_and_record(&run, 10, Some(RecordingLevel::Trace)).0, alone.0, "{name}");
                 touched += usize::from(alone.0.iter().any(|(_, of)| of.contains("touched")));
             }
         }

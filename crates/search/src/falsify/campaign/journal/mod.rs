@@ -207,16 +207,16 @@ fn header_line(identity: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_world::measure::{Braking, FirstContact};
+    use crumple_world::measure::{BrakingLevel, FirstContact};
     use crumple_world::scenario::VehicleClass;
 
     fn identity() -> String {
         "1a".repeat(32)
     }
 
-    fn problem(error: WorkError) -> String {
+    fn problem(error: RunFolderError) -> String {
         match error {
-            WorkError::Damaged { problem, .. } => problem,
+            RunFolderError::Damaged { problem, .. } => problem,
             other => panic!("{other}"),
         }
     }
@@ -230,22 +230,22 @@ mod tests {
             front_vehicle: 1,
             rear_vehicle: 2,
             impact_speed_mps: 7.5,
-            ego_braking: Braking::Full,
+            ego_braking: BrakingLevel::Full,
             rear_class: VehicleClass::Heavy,
         };
-        let failed = RunVerdict { failed: Some((0.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        let failed = RunVerdict { failure: Some((0.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
         let verdicts = [failed, RunVerdict { contact: Some(struck), ..RunVerdict::new(-7.5) }];
         Journal::create(&path, &identity()).unwrap().append(&verdicts).unwrap();
-        OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD - 1]).unwrap();
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(&[1; RECORD_BYTES - 1]).unwrap();
         let mut journal = Journal::resume(&path, &identity()).unwrap();
-        assert_eq!(journal.next().unwrap(), Some(verdicts[0]));
-        assert_eq!(journal.next().unwrap(), Some(verdicts[1]));
-        assert_eq!(journal.next().unwrap(), None);
+        assert_eq!(journal.next_verdict().unwrap(), Some(verdicts[0]));
+        assert_eq!(journal.next_verdict().unwrap(), Some(verdicts[1]));
+        assert_eq!(journal.next_verdict().unwrap(), None);
         journal.append(&verdicts[..1]).unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().len(), (HEADER + 3 * RECORD) as u64);
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), (HEADER_BYTES + 3 * RECORD_BYTES) as u64);
         let mut again = Journal::resume(&path, &identity()).unwrap();
         for expected in [verdicts[0], verdicts[1], verdicts[0]] {
-            assert_eq!(again.next().unwrap(), Some(expected));
+            assert_eq!(again.next_verdict().unwrap(), Some(expected));
         }
     }
 
@@ -263,7 +263,7 @@ mod tests {
                 Err(error) => return Some(problem(error)),
             };
             loop {
-                match journal.next() {
+                match journal.next_verdict() {
                     Ok(Some(_)) => {}
                     Ok(None) => return None,
                     Err(error) => return Some(problem(error)),
@@ -272,7 +272,7 @@ mod tests {
         };
         let first_damage = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
-            let looked = Journal::look(&path, &identity()).err().map(problem);
+            let looked = Journal::verify(&path, &identity()).err().map(problem);
             assert_eq!(std::fs::read(&path).unwrap(), bytes, "looking changes nothing");
             let found = going_on();
             assert_eq!(looked, found);
@@ -282,18 +282,18 @@ mod tests {
         for bit in 0..8 * whole.len() {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
-            let expected = match (bit / 8).checked_sub(HEADER) {
+            let expected = match (bit / 8).checked_sub(HEADER_BYTES) {
                 None => OTHER_CAMPAIGN_MESSAGE.to_owned(),
-                Some(beyond) => format!("record {} is damaged", beyond / RECORD + 1),
+                Some(beyond) => format!("record {} is damaged", beyond / RECORD_BYTES + 1),
             };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));
             assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is cut from what is refused");
         }
-        let (header, [one, two]) = (&whole[..HEADER], [0, 1].map(|at| &whole[HEADER + at * RECORD..][..RECORD]));
+        let (header, [one, two]) = (&whole[..HEADER_BYTES], [0, 1].map(|at| &whole[HEADER_BYTES + at * RECORD_BYTES..][..RECORD_BYTES]));
         assert!(first_damage(&[header, two, one].concat()).unwrap().starts_with("record 1 is damaged"));
         assert_eq!(first_damage(&header[1..]), None, "it begins anew");
-        assert_eq!(first_damage(&[header, one, &[0; 3 * RECORD + 5]].concat()), None, "what a loss of power leaves");
+        assert_eq!(first_damage(&[header, one, &[0; 3 * RECORD_BYTES + 5]].concat()), None, "what a loss of power leaves");
         assert_eq!(std::fs::read(&path).unwrap(), [header, one].concat());
-        assert!(first_damage(&[header, one, &[0; RECORD], two].concat()).unwrap().starts_with("record 2 is damaged"));
+        assert!(first_damage(&[header, one, &[0; RECORD_BYTES], two].concat()).unwrap().starts_with("record 2 is damaged"));
     }
 }
