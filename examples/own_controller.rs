@@ -11,7 +11,7 @@ use crumple::report::assessment::{AssessConfig, EvidenceCache};
 use crumple::store::disk;
 use crumple::world::control::Ego;
 use crumple::world::observation::Observation;
-use crumple::world::scenario::{built_in, space::built_in_space};
+use crumple::world::scenario::{built_in_scenario, space::built_in_space};
 use crumple::{
     AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController, Quiet,
     RecordingLevel, Run, RunOptions, assess, simulate,
@@ -54,7 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let own = NamedController::from_source("soft-follower", Arc::new(SoftFollower { time_gap_s: 0.8 }));
 
     for name in ["paper-1", "paper-2", "paper-3"] {
-        let scenario = built_in(name).ok_or("not built in")?;
+        let scenario = built_in_scenario(name).ok_or("not built in")?;
         let run = Run::new(&scenario, RunOptions::new(own.kind.clone()))?;
         println!("{name}: {:?}", simulate(&run, RecordingLevel::Summary).outcome);
     }

@@ -78,7 +78,7 @@ fn all_under_test_scenario() -> Scenario {
 }
 
 proptest! {
-    #![proptest_config(cases(64))]
+    #![proptest_config(with_cases(64))]
 
     /// Whenever and however a controller fails, beside runs that go on: one outcome and one trace in both engines, which
     /// end at the instant at which it was to decide.

@@ -6,7 +6,7 @@ use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
 
-use crate::generate::{any_controller, cases};
+use crate::generate::{any_controller, with_cases};
 
 prop_compose! {
     fn any_ego()(max_brake_mps2 in 0.1..30.0_f64, max_accel_mps2 in 0.0..30.0_f64, length_m in 0.1..100.0_f64,
@@ -28,7 +28,7 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 }
 
 proptest! {
-    #![proptest_config(cases(1024))]
+    #![proptest_config(with_cases(1024))]
 
     /// Commands are numbers.
     #[test]

@@ -8,7 +8,7 @@ use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
-use crate::generate::{any_after_contact, any_setup, any_shape, cases, any_scenario_of_shape};
+use crate::generate::{any_after_contact, any_setup, any_shape, with_cases, any_scenario_of_shape};
 
 /// A scenario and how to run it.
 type ScenarioSetup = (Scenario, RunSetup);
@@ -48,7 +48,7 @@ fn batch_bits(runs: &[Run], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(with_cases(256))]
 
     /// Traces, impacts and summaries of a mixed batch are those of the runs one by one.
     #[test]

@@ -19,7 +19,7 @@ use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use self::world::WhiteJerk;
-use crate::generate::{any_test_case, check_oracle, cases, simulate_traced};
+use crate::generate::{any_test_case, check_oracle, with_cases, simulate_traced};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
 fn is_in_band(sum: f64, count: usize, share: f64) -> bool {
@@ -274,7 +274,7 @@ fn losing_one_measurement_in_five_changes_no_verdict() {
 }
 
 proptest! {
-    #![proptest_config(cases(512))]
+    #![proptest_config(with_cases(512))]
 
     /// Whatever happens, estimates are finite, speeds are not negative, and where no measurement is lost errors are what
     /// noise and lag explain. Who sees the truth sees the truth.

@@ -7,10 +7,10 @@ use crumple_world::measure::stl::{
 use crumple_world::sim::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, cases, simulate_traced};
+use crate::generate::{any_test_case, with_cases, simulate_traced};
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(with_cases(256))]
 
     /// What a formula is followed by is told where it stands, not passed over.
     #[test]

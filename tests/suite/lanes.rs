@@ -15,10 +15,10 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::generate::{any_lane_case, check_oracle, cases};
+use crate::generate::{any_lane_case, check_oracle, with_cases};
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(with_cases(256))]
 
     /// All laws but that of the step, which rounding leaves undecided now and then.
     #[test]

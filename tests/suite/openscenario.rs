@@ -11,7 +11,7 @@ use crumple_world::sim::{AfterContact, RunOptions, Trace};
 use proptest::prelude::*;
 use roxmltree::{Document, Node};
 
-use crate::generate::{any_scenario, cases, simulate_traced};
+use crate::generate::{any_scenario, with_cases, simulate_traced};
 
 /// Best agreement asked for: a centimetre, and a centimetre a second.
 const TOLERANCE: f64 = 0.01;
@@ -128,7 +128,7 @@ fn changes_of_lanes_are_refused() {
 }
 
 proptest! {
-    #![proptest_config(cases(200))]
+    #![proptest_config(with_cases(200))]
 
     #[test]
     fn random_scenarios_are_read_back_as_they_ran(scenario in any_scenario(), goes_on: bool) {

@@ -6,7 +6,7 @@ use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, json_schema};
 use proptest::prelude::*;
 
-use crate::generate::{any_scenario, cases};
+use crate::generate::{any_scenario, with_cases};
 use crate::schema::{assert_committed, validate};
 
 fn to_json(scenario: &Scenario) -> String {
@@ -89,7 +89,7 @@ fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
 }
 
 proptest! {
-    #![proptest_config(cases(512))]
+    #![proptest_config(with_cases(512))]
 
     /// Every valid scenario survives both formats, to the last bit of every number.
     #[test]

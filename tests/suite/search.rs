@@ -60,7 +60,7 @@ fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
 }
 
 proptest! {
-    #![proptest_config(cases(2))]
+    #![proptest_config(with_cases(2))]
 
     /// Every counterexample is a file that fails as it is said to, as found and as shrunk, and somebody's budget paid for it.
     #[test]

@@ -134,7 +134,7 @@ fn check_no_front_contact(chase: &Chase) -> Result<(), TestCaseError> {
 }
 
 proptest! {
-    #![proptest_config(cases(192))]
+    #![proptest_config(with_cases(192))]
 
     #[test]
     fn nobody_hits_the_vehicle_ahead_from_behind_a_shield(chase in chase(false)) {

@@ -14,7 +14,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
 use self::fault_injection::{Fault, FaultySystem};
-use crate::generate::{any_test_case, check_oracle, any_bytes, cases};
+use crate::generate::{any_test_case, check_oracle, any_bytes, with_cases};
 
 /// Where the corpora of the fuzz targets are.
 fn fuzz_seeds(target: &str) -> Vec<PathBuf> {
@@ -54,7 +54,7 @@ fn hardly_any_trial_is_left_undecided() {
 }
 
 proptest! {
-    #![proptest_config(cases(12))]
+    #![proptest_config(with_cases(12))]
 
     /// Whatever is done to the files of a campaign's folder, it is not taken for the genuine one.
     #[test]
@@ -66,7 +66,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(with_cases(256))]
 
     /// Full throttle behind a shield keeps clear of the vehicle ahead.
     #[test]

@@ -91,7 +91,7 @@ fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
 
 #[test]
 fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
-    let place = folder();
+    let place = temp_folder();
     let source = "extern int missing_symbol; int *reference = &missing_symbol;";
     let Some(undefined) = compile_library(place.path(), source, "-DNOTHING") else { return };
     for (library, reason) in [(undefined.as_slice(), "missing_symbol"), (&[b'x'; 100], "binaries/")] {

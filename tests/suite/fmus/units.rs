@@ -74,10 +74,10 @@ fn largest_difference_m(one: &SimulationResult, other: &SimulationResult) -> f64
 fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     let Some(plain) = example_fmu_folder() else { return };
     fs::write(plain.path().join("f.toml"), PARAMETERS).unwrap();
-    let scenario = built_in("paper-1").unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap();
     let expected = simulate_with_truth(&find_controller("f.toml", plain.path()).kind, &scenario);
 
-    let two = folder();
+    let two = temp_folder();
     let library = compile_library(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
     let xml = other_units_xml();
     let bytes = zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library_member(2, "follower"), &library)]);
@@ -91,7 +91,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     let apart_m = largest_difference_m(&by_names(plain.path()), &by_names(two.path()));
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
 
-    let three = folder();
+    let three = temp_folder();
     let library = compile_library(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
     let xml = other_units_odd_xml();
     fs::write(
@@ -108,7 +108,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 /// Nothing of an FMU runs here, so that its library may be empty.
 #[test]
 fn units_that_cannot_be_converted_are_refused_by_name() {
-    let place = folder();
+    let place = temp_folder();
     let found = |xml: &str, toml: &str| {
         let library = library_member(2, "follower");
         fs::write(
@@ -179,7 +179,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
 /// Limits of an input are in SI units, and so are scale and offset.
 #[test]
 fn numbers_of_a_controller_file_are_in_si_units() {
-    let place = folder();
+    let place = temp_folder();
     let library = library_member(2, "follower");
     let bytes = zip_archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
     fs::write(place.path().join("follower.fmu"), bytes).unwrap();

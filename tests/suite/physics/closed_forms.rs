@@ -9,7 +9,7 @@ use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_profile, cases, simulate_traced};
+use crate::generate::{any_profile, with_cases, simulate_traced};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
@@ -142,7 +142,7 @@ fn any_step_s() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    #![proptest_config(cases(1024))]
+    #![proptest_config(with_cases(1024))]
 
     /// Stopping takes v / b and v² / 2b, however long the steps, from an onset at any step.
     #[test]

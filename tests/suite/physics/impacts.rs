@@ -7,7 +7,7 @@ use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_scenario, check_oracle, cases, simulate_traced};
+use crate::generate::{any_scenario, check_oracle, with_cases, simulate_traced};
 
 /// A line in which some vehicles do not look and the one ahead of them is slower.
 fn any_pile_up() -> impl Strategy<Value = Scenario> {
@@ -30,7 +30,7 @@ fn continuing_setup() -> RunSetup {
 }
 
 proptest! {
-    #![proptest_config(cases(512))]
+    #![proptest_config(with_cases(512))]
 
     /// Every impact keeps the momentum of its two bodies and never adds energy; each body's change of speed is told right;
     /// whoever touches stays together, with one speed and no gap, to the end.

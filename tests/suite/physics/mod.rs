@@ -10,14 +10,14 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::{SimulationResult, Trace};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, check_oracle, cases, simulate_traced};
+use crate::generate::{any_test_case, check_oracle, with_cases, simulate_traced};
 
 fn trace_of(result: &SimulationResult) -> &Trace {
     result.trace.as_ref().expect("kept")
 }
 
 proptest! {
-    #![proptest_config(cases(512))]
+    #![proptest_config(with_cases(512))]
 
     /// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
     #[test]

@@ -23,7 +23,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_test_case, any_bytes, cases};
+use crate::generate::{any_test_case, any_bytes, with_cases};
 
 /// A proof, of something else than what it is shown for.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
@@ -293,7 +293,7 @@ fn every_oracle_notices_its_fault() {
     for (fault, oracle, law) in wrong {
         let system = FaultySystem(fault);
         // As a property of the suite.
-        let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..cases(256) };
+        let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..with_cases(256) };
         let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
         let property = runner.run(&any_test_case(), |test_case| match test_case.check(oracle, &system) {
             Err(violation) if violation.invariant == law => Err(TestCaseError::fail(violation.to_string())),

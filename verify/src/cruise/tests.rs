@@ -94,12 +94,12 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
 fn affine_controller(of_speed: f64, a: f64) -> NeuralController {
     let layer = LinearLayer { inputs: 5, outputs: 1, weights: vec![0.0, 0.0, of_speed, 0.0, 0.0], biases: vec![a] };
     NeuralController {
-        inputs: inputs().to_vec(),
+        inputs: expected_inputs().to_vec(),
         layers: vec![NetworkLayer::Linear(layer)],
         output_index: 0,
         scale_mps2: 1.0,
         offset_mps2: 0.0,
-        action_bounds_mps2: [-FARTHEST, FARTHEST],
+        action_bounds_mps2: [-CLIP_LIMIT, CLIP_LIMIT],
         is_clipped: true,
         residual_over: None,
         empty_gap_m: 80.0,
@@ -109,7 +109,7 @@ fn affine_controller(of_speed: f64, a: f64) -> NeuralController {
 }
 
 fn bound_point(actor: &NeuralController, distance_m: f64) -> CruiseBounds {
-    driven(actor, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
+    bound_cell(actor, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
 }
 
 /// The own car brakes harder than the lead car and falls behind: nearest at the start, but for what may be between decisions.
@@ -153,7 +153,7 @@ fn the_time_at_which_bounds_are_too_wide_is_said() {
             periods += 1;
         }
         assert!(periods > 1, "{periods}");
-        let given_up = driven(&actor, point(95.0), &OpBudget::new(WorkLimit::UNLIMITED));
+        let given_up = bound_cell(&actor, point(95.0), &OpBudget::new(WorkLimit::UNLIMITED));
         assert_eq!(given_up, Err(CruiseBoundsError::TooWide(f64::from(periods) * 0.1)));
     }
 }

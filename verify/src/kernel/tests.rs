@@ -25,7 +25,7 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
         let (v, w) = (&b * a, &c * stop_ahead);
         &p * &v * &v + &q * &w * &w
     };
-    let pair = Pair { b: &b, c: &c, stopping: [&p, &q] };
+    let pair = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
     let mut worth = vec![s_of(x, y) - closing(x, y, x.max(y)), s_of(&xyz, x) - closing(&xyz, x, &xy)];
     let mut all = pair.last_stop_cases().to_vec();
     if b > c {

@@ -22,14 +22,14 @@ fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
     let scene = Scene {
         step_s: 0.1,
         steps: 100,
-        leader: Leader {
+        leader: SceneLeader {
             position_m: point(100.0),
             length_m: 2.0,
             speed_mps: point(20.0),
             acceleration_mps2: vec![ConstantPiece(10, point(0.0)), ConstantPiece(90, Interval::new(-4.1, -3.9).unwrap())],
         },
         egos: vec![ego(60.0), ego(40.0)],
-        follower: Some(Follower {
+        follower: Some(FollowerModel {
             position_m: point(10.0),
             speed_mps: point(20.0),
             brake_mps2: Interval::new(6.0, 6.5).unwrap(),
@@ -81,7 +81,7 @@ fn a_near_miss_inside_a_step_is_seen() {
     let scene = |gap: f64| Scene {
         step_s: 1.0,
         steps: 1,
-        leader: Leader {
+        leader: SceneLeader {
             position_m: Interval::point(gap + 2.0),
             length_m: 2.0,
             speed_mps: Interval::point(10.0),
@@ -112,7 +112,7 @@ fn afterwards_is_as_a_closed_form_says() {
         let scene = Scene {
             step_s: 0.5,
             steps: 2,
-            leader: Leader {
+            leader: SceneLeader {
                 position_m: Interval::point(gap_m + 2.0),
                 length_m: 2.0,
                 speed_mps: Interval::point(leader_mps),
@@ -231,7 +231,7 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
     let scene = Scene {
         step_s: 0.25,
         steps: 8,
-        leader: Leader {
+        leader: SceneLeader {
             position_m: point(102.0),
             length_m: 2.0,
             speed_mps: point(10.0),
@@ -244,7 +244,7 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
             max_brake_mps2: 5.0,
             max_accel_mps2: 0.0,
         }],
-        follower: Some(Follower {
+        follower: Some(FollowerModel {
             position_m: point(-2.0 - gap_m),
             speed_mps: point(mps),
             brake_mps2: point(6.0),

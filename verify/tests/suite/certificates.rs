@@ -249,7 +249,7 @@ proptest! {
 /// 1500 steps in 30 branches with every multiplier in use; the time is for optimised builds.
 #[test]
 fn a_long_certificate_is_quick_to_check() {
-    let follower = Follower {
+    let follower = FollowerModel {
         position_m: Interval::point(-10.0),
         speed_mps: Interval::point(20.0),
         brake_mps2: Interval::point(6.0),
@@ -259,7 +259,7 @@ fn a_long_certificate_is_quick_to_check() {
     let scene = Scene {
         step_s: 0.01,
         steps: 1500,
-        leader: Leader {
+        leader: ScriptedLeader {
             position_m: Interval::point(3.0),
             length_m: 2.0,
             speed_mps: Interval::point(10.0),

@@ -1,6 +1,6 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{NeuralController, PartitionCell, Follower, ReachProblem, ReachTube, reach_with_tube};
+use crumple_verify::reach::{NeuralController, PartitionCell, FollowerModel, ReachProblem, ReachTube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
@@ -73,7 +73,7 @@ proptest! {
     #[test]
     fn bounds_hold_to_the_last_bit(
         ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), is_point: bool,
-        follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(Follower::Driven)]),
+        follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(FollowerModel::ByLaw)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
@@ -89,14 +89,14 @@ proptest! {
         for (place, seed) in places {
             let start = box_member(&ranges, place);
             let Ok(run) = simulate_member(&whole, start, seed) else { continue };
-            let point = || ReachProblem { ranges: ranges.at(&start).unwrap(), ..whole.clone() };
+            let point = || ReachProblem { ranges: ranges.at_point(&start).unwrap(), ..whole.clone() };
             let of_point = bounds.is_none().then(|| reach_with_tube(&point()));
             let Some((reached, tube)) = bounds.as_ref().or(of_point.as_ref()) else { continue };
             let is_clear = run.1[0].is_at_least(0.0) && (follower.is_none() || run.1[1].is_at_least(0.0));
-            prop_assert!(!(reached.touches && is_clear), "{start:?}");
+            prop_assert!(!(reached.surely_collides && is_clear), "{start:?}");
             let mut gaps_m = reached.gaps_m;
             if follower.is_none() { gaps_m[1] = f64::NEG_INFINITY; }
-            let is_bounded = is_bounded(tube.as_ref(), reached.doubt.is_none().then_some(gaps_m), &run);
+            let is_bounded = is_bounded(tube.as_ref(), reached.undecided.is_none().then_some(gaps_m), &run);
             prop_assert!(is_bounded.is_ok(), "{start:?} {seed}: {is_bounded:?}");
         }
     }

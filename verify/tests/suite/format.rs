@@ -47,7 +47,7 @@ fn rate() -> Certificate {
     ];
     let configuration: BTreeMap<_, _> = entries.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
     let registration = Registration { configuration, runs: 250, confidence: 0.99, block_runs: Some(100) };
-    let statement = Statement::Rate(Rate {
+    let statement = Statement::Rate(RateClaim {
         registration_sha256: registration.digest(),
         registration,
         failures: 3,
@@ -258,7 +258,7 @@ fn how_far_a_claim_reaches_is_said() {
 /// 250 draws in blocks of 100, that tell two controllers apart.
 fn comparison() -> Certificate {
     let mut certificate = rate();
-    let Statement::Rate(Rate { mut registration, .. }) = certificate.statement else { panic!("a rate") };
+    let Statement::Rate(RateClaim { mut registration, .. }) = certificate.statement else { panic!("a rate") };
     for (key, value) in [("against", "policy"), ("against_sha256", &sha256("policy"))] {
         registration.configuration.insert(key.to_owned(), value.to_owned());
     }

@@ -1,6 +1,6 @@
 //! What is claimed of a follower that drives by a law is true of each member.
 
-use crumple_verify::reach::{AccAebLaw, NeuralController, Follower, IdmLaw, FollowerLaw, InitialRanges, ReachProblem, reach, reach_with_tube};
+use crumple_verify::reach::{AccAebLaw, NeuralController, FollowerModel, IdmLaw, FollowerLaw, InitialRanges, ReachProblem, reach, reach_with_tube};
 use proptest::prelude::*;
 
 use crate::reach::{any_ranges, any_unit, min_gap_under_attack, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem};
@@ -72,7 +72,7 @@ pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
 }
 
 fn with_law_follower<'a>(actor: &'a NeuralController, ranges: InitialRanges, law: FollowerLaw) -> ReachProblem<'a> {
-    ReachProblem { follower: Some(Follower::Driven(law)), ..paper_problem(actor, ranges) }
+    ReachProblem { follower: Some(FollowerModel::ByLaw(law)), ..paper_problem(actor, ranges) }
 }
 
 proptest! {

@@ -5,7 +5,7 @@ use crumple_verify::reach::form::AffineForm;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    NeuralController, PartitionCell, BoxDimension, Undecided, Follower, LinearLayer, InitialRanges, ReachClaim, ReachResult, ReachProblem, NetworkLayer, ReachTube, reach, reach_with_tube,
+    NeuralController, PartitionCell, BoxDimension, Undecided, FollowerModel, LinearLayer, InitialRanges, ReachClaim, ReachResult, ReachProblem, NetworkLayer, ReachTube, reach, reach_with_tube,
 };
 use crumple_verify::{ProvedClaim, Certificate, Interval, CertificateProvenance, Rejection, Statement, WorkLimit, check, check_with};
 use proptest::prelude::*;
@@ -19,7 +19,7 @@ pub fn reference_policy_bytes() -> Vec<u8> {
 }
 
 /// The paper's follower.
-pub const LATCHED: Follower = Follower::Latched { ttc_s: 1.4 };
+pub const LATCHED: FollowerModel = FollowerModel::Latched { ttc_s: 1.4 };
 
 fn between(low: f64, high: f64) -> Interval {
     Interval::new(low, high).unwrap()

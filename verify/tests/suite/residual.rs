@@ -1,7 +1,7 @@
 //! What is claimed of an ego that departs from a law is true of each member.
 
 use crumple_verify::reach::{
-    NeuralController, PartitionCell, ResidualPolicy, BoxDimension, Follower, IdmLaw, FollowerLaw, ReachClaim, ReachProblem, NetworkLayer, reach, reach_with_tube,
+    NeuralController, PartitionCell, ResidualPolicy, BoxDimension, FollowerModel, IdmLaw, FollowerLaw, ReachClaim, ReachProblem, NetworkLayer, reach, reach_with_tube,
 };
 use crumple_verify::{ProvedClaim, Interval, WorkLimit, check_with};
 use proptest::prelude::*;
@@ -45,7 +45,7 @@ proptest! {
     #[test]
     fn bounds_hold_however_an_ego_departs(
         ranges in any_ranges(), departure in any_departure(), seed: u64, gain in 0.2..3.0_f64,
-        follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(Follower::Driven)]),
+        follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(FollowerModel::ByLaw)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), largest in prop::sample::select(vec![1e-9, 0.02]),
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),

@@ -98,7 +98,7 @@ mod tests {
     use super::*;
     use crate::control::ControllerSpec;
     use crate::measure::Specification;
-    use crate::scenario::{PaperDistribution, built_in};
+    use crate::scenario::{PaperDistribution, built_in_scenario};
     use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
     use proptest::prelude::*;
 
@@ -125,7 +125,7 @@ mod tests {
     /// Behind a leader that keeps its speed whoever brakes fully brakes without cause, and a reference driver does not.
     #[test]
     fn full_brakes_without_cause_are_found_and_causes_are_known() {
-        let scenario = built_in("paper-1").unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap();
         let judged = |rule: &str, controller: &str| {
             let rule = Specification::parse(rule, &scenario).unwrap();
             let options = RunOptions::new(ControllerSpec::from_name(controller).unwrap());

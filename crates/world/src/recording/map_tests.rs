@@ -83,7 +83,7 @@ fn as_pairs(motion: &PlatoonMotion) -> String {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(64))]
+    #![proptest_config(crumple_cases::with_cases(64))]
 
     #[test]
     fn one_motion_in_every_layout_is_one_set_of_episodes(mut motion in motion(0.0)) {

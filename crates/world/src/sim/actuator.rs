@@ -120,10 +120,10 @@ impl Disturbance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::{VehicleSpec, built_in};
+    use crate::scenario::{VehicleSpec, built_in_scenario};
 
     fn actuator(change: impl FnOnce(&mut VehicleSpec)) -> Actuator {
-        let scenario = built_in("paper-1").unwrap().edited(|spec| change(&mut spec.vehicles[1])).unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| change(&mut spec.vehicles[1])).unwrap();
         Actuator::new(&scenario, 1)
     }
 

@@ -15,8 +15,8 @@ fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64;
 }
 
 /// Bounds of as many numbers as there are inputs, with slopes, two columns of their own, and ρ.
-fn network_bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> Bounds {
-    Bounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
+fn network_bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> NetworkBounds {
+    NetworkBounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
 }
 
 fn is_near(found: f64, expected: f64, relative: f64) -> bool {
@@ -53,7 +53,7 @@ proptest! {
         let known = InputForms::new(&inputs);
         let rho = if is_sure { [0.0; NUMBERS] } else { rho };
         let mut found = network_bounds(centre, columns, rho);
-        found.each(&Activation::Relu, &known);
+        found.apply_activation(&Activation::Relu, &known);
         let column = |j: usize, number: usize| columns[j][number];
         let mut excess = found.excess.iter();
         for number in 0..NUMBERS {
@@ -95,8 +95,8 @@ proptest! {
     /// A steep function makes rounding larger than the numbers that it was of.
     #[test]
     fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
-        let mut found = Bounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
-        found.each(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
+        let mut found = NetworkBounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
+        found.apply_activation(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
         let line = Activation::Multiply(vec![factor]).relaxation(0, centre - own, centre + own);
         let expected = SUM_REL_ERROR * (centre + own) * factor + line.rounding;
         prop_assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
@@ -112,12 +112,12 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
         (0..wide).map(|i| AffineForm::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
     let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
     let layer = LinearLayer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
-    let mut bounds = Bounds::from_inputs(&inputs);
+    let mut bounds = NetworkBounds::from_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
     // A column of its own.
     bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
-    let found = bounds.through(&layer, &InputForms::new(&inputs));
+    let found = bounds.apply_linear(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
     let of = |i: usize| {
@@ -138,19 +138,19 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
 fn functions_may_follow_each_other() {
     let inputs = input_forms([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
     let known = InputForms::new(&inputs);
-    let mut found = Bounds::from_inputs(&inputs);
-    found.each(&Activation::Relu, &known);
+    let mut found = NetworkBounds::from_inputs(&inputs);
+    found.apply_activation(&Activation::Relu, &known);
     assert_eq!(found.excess.len(), 2);
-    found.each(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
-    assert!(found.excess.is_empty() && found.width() == NUMBERS + 2);
-    let form = found.form(0, &inputs).unwrap();
+    found.apply_activation(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
+    assert!(found.excess.is_empty() && found.column_count() == NUMBERS + 2);
+    let form = found.into_form(0, &inputs).unwrap();
     // From [-1, 1]: half of it and 1/4 on either side, twice.
     assert!(is_near(form.rest(), 0.5, 1e-6) && is_near(form.centre(), 0.5, 1e-6) && form.terms()[0] == 1.0);
     assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
-    let mut alone = Bounds::from_inputs(&inputs);
-    alone.each(&Activation::Relu, &known);
+    let mut alone = NetworkBounds::from_inputs(&inputs);
+    alone.apply_activation(&Activation::Relu, &known);
     let rho = alone.rho[0];
-    let form = alone.form(0, &inputs).unwrap();
+    let form = alone.into_form(0, &inputs).unwrap();
     let rest = (0.25 + rho) * (1.0 + 0.9 * SUM_REL_ERROR);
     assert!(form.rest() >= rest && is_near(form.rest(), rest, 1e-11), "{form:?}");
 }

@@ -28,7 +28,7 @@ proptest! {
     /// One vehicle that brakes from an instant on is where the closed form says, with the acceleration of the step before.
     #[test]
     fn one_vehicle_is_where_the_closed_form_says(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
-        let Seen { distance, speed, acceleration } =
+        let VehicleState { distance, speed, acceleration } =
             braking_vehicle([v; 2], [b; 2], [f64::from(onset); 2]).state_at(k, Interval::point(STEP_S));
         let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];
         let stops = v / b;

@@ -6,8 +6,8 @@ use super::*;
 
 const STEP_S: f64 = 0.1;
 
-fn state_with_speed(speed: AffineForm) -> Seen {
-    Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() }
+fn state_with_speed(speed: AffineForm) -> VehicleState {
+    VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() }
 }
 
 /// Speed and distance after each step, of who accelerates at one rate after the other, and stands where it would reverse.
@@ -47,7 +47,7 @@ proptest! {
         let observed = if before == 0.0 && last <= 0.0 { 0.0 } else { last };
         let holds = |form: &AffineForm, truth: f64| form.range().low() <= truth + 1e-12 && truth - 1e-12 <= form.range().high();
         let is_in = |next: &EgoSet| {
-            let Seen { distance, speed, acceleration } = &next.ego;
+            let VehicleState { distance, speed, acceleration } = &next.ego;
             holds(distance, x) && holds(speed, end) && holds(acceleration, observed)
         };
         let next = course.after_decision(&members, step, rates.len() as u32);
@@ -108,7 +108,7 @@ fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
     let course = CommandProfile::from_steps(&state_with_speed(any(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
     let members = EgoSet::from_speed(any(0, 0.1, 0.5), SHARED_SYMBOLS);
-    let Seen { distance, speed, .. } = course.ego_after(&members, step, 1);
+    let VehicleState { distance, speed, .. } = course.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
     assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);
     // The line of the rectifier from -0.2 to 0.2 m/s: half of both, and a tenth.

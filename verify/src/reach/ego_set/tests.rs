@@ -34,7 +34,7 @@ proptest! {
             .collect();
         let [ego, follower] = [0, 3].map(|from| {
             let [distance, speed, acceleration] = [0, 1, 2].map(|i| forms[from + i].clone());
-            Seen { distance, speed, acceleration }
+            VehicleState { distance, speed, acceleration }
         });
         let follower = is_followed.then_some(follower);
         let symbols = SHARED_SYMBOLS + MAX_SYMBOLS + 10;
@@ -111,7 +111,7 @@ proptest! {
         let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
         let t = f64::from(steps) * 0.1;
         let wanted = any(1, u0, u1);
-        let Seen { distance, speed, acceleration } = egos_at_speed(any(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
+        let VehicleState { distance, speed, acceleration } = egos_at_speed(any(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
         let [least, most] = [v0 + u0 * t, v1 + u1 * t];
         prop_assume!(least.abs() > 1e-6 && most.abs() > 1e-6);
         let free = [v0 * t + 0.5 * u0 * t * t, v1 * t + 0.5 * u1 * t * t + 0.5 * (-least).max(0.0) * t];
@@ -128,7 +128,7 @@ proptest! {
         let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
         let share = size(&p) / (size(&p) + size(&q));
         let cost: f64 = p.iter().zip(q).map(|(p, q)| 2.0 * (p - share * (p + q)).abs()).sum();
-        let found = Pair::new(&p, &q).cost();
+        let found = GeneratorPair::new(&p, &q).cost();
         prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= found && found <= cost + 1e-13, "{found} {cost}");
     }
 
@@ -264,7 +264,7 @@ fn a_direction_is_the_share_of_the_speed() {
 /// Only who stood has started again, and only if it may move.
 #[test]
 fn who_moves_later_within_an_interval_is_of_the_same_kind() {
-    let seen = |speed| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let seen = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let kind = |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
     assert_eq!(kind(point_form(5.0), point_form(4.0)), MotionMode::Moving);
     assert_eq!(kind(point_form(5.0), point_form(0.0)), MotionMode::Moving);

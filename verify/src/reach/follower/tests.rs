@@ -187,19 +187,19 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 #[test]
 fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     let step = Interval::point(0.1);
-    let at = |speed: AffineForm| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let at = |speed: AffineForm| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let (moves, may_stand, stands) = (at(any(0, 5.0, 6.0)), at(any(0, 0.0, 6.0)), at(AffineForm::default()));
     let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| any(1, low, high));
     for wanted in [&brakes, &either, &starts] {
-        assert_eq!(stepped(&moves, wanted, step).acceleration, *wanted);
+        assert_eq!(step_follower(&moves, wanted, step).acceleration, *wanted);
     }
-    assert_eq!(stepped(&may_stand, &starts, step).acceleration, starts);
-    assert_bounds(stepped(&may_stand, &brakes, step).acceleration.range(), [-2.0, 0.0], 1e-10);
-    assert_bounds(stepped(&may_stand, &either, step).acceleration.range(), [-2.0, 1.0], 1e-10);
-    assert!(stepped(&stands, &brakes, step).acceleration.is_zero());
-    assert_eq!(stepped(&stands, &starts, step).acceleration, starts);
+    assert_eq!(step_follower(&may_stand, &starts, step).acceleration, starts);
+    assert_bounds(step_follower(&may_stand, &brakes, step).acceleration.range(), [-2.0, 0.0], 1e-10);
+    assert_bounds(step_follower(&may_stand, &either, step).acceleration.range(), [-2.0, 1.0], 1e-10);
+    assert!(step_follower(&stands, &brakes, step).acceleration.is_zero());
+    assert_eq!(step_follower(&stands, &starts, step).acceleration, starts);
     // The chord of max(0, u) from -2 to 1 has the slope 1/3.
-    assert_bounds(stepped(&stands, &either, step).acceleration.range(), [-2.0 / 3.0, 1.0], 1e-10);
+    assert_bounds(step_follower(&stands, &either, step).acceleration.range(), [-2.0 / 3.0, 1.0], 1e-10);
 }
 
 /// A follower a step later is where the closed form says, and asks for what its law does of the gap and the speeds that it sees.
@@ -208,7 +208,7 @@ fn a_step_by_a_law_is_the_closed_form() {
     let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
     let behind = law_follower(&law, point_form(16.0), point_form(8.0), &start_gap);
     let at =
-        |distance, speed| Seen { distance: point_form(distance), speed: point_form(speed), acceleration: AffineForm::default() };
+        |distance, speed| VehicleState { distance: point_form(distance), speed: point_form(speed), acceleration: AffineForm::default() };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.advance(&own, &ego);
     let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);

@@ -7,7 +7,7 @@ use super::*;
 
 const STEP_S: f64 = 0.1;
 
-fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) -> Leader {
+fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) -> LeaderModel {
     let actor = constant_controller(0.0);
     let mut ranges = point_box([20.0; 8]);
     ranges.leader_speed_mps = interval(speeds[0], speeds[1]);
@@ -19,7 +19,7 @@ fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) ->
         ..default_problem(&actor, ranges)
     };
     let speed = AffineForm::symbol(BoxDimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
-    Leader::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))
+    LeaderModel::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))
 }
 
 /// What the rectifier makes of numbers from l to h.
@@ -42,7 +42,7 @@ proptest! {
         // Beyond its end as well: there it is held to nothing but its limit.
         let (steps, k) = (every * decisions, at % (every * decisions + 4));
         let (v1, leader) = (v0 + width, leader([v0, v0 + width], b, steps, every));
-        let Seen { distance, speed, acceleration } = leader.at(k, Interval::point(STEP_S));
+        let VehicleState { distance, speed, acceleration } = leader.state_at(k, Interval::point(STEP_S));
         let t = f64::from(k) * STEP_S;
         if k == 0 {
             prop_assert!(distance.is_zero() && acceleration.is_zero());
@@ -65,7 +65,7 @@ proptest! {
             prop_assert!(speed.range().low() - slack <= then && then <= speed.range().high() + slack);
         }
         // It has no other symbols than it says.
-        let symbols = leader.symbols();
+        let symbols = leader.symbol_count();
         prop_assert_eq!(symbols, 2 * decisions as usize);
         prop_assert!(distance.terms().len().max(speed.terms().len()) <= SHARED_SYMBOLS + symbols);
         prop_assert!(!leader.has_stood(k, Interval::point(STEP_S)));
@@ -82,7 +82,7 @@ fn then_coast((covered, speed): (f64, f64), t: f64) -> (f64, f64) {
 fn a_leader_that_stands_stays() {
     let leader = leader([0.0, 0.0], 6.0, 20, 2);
     for k in [0, 1, 2, 7, 20] {
-        let Seen { distance, speed, acceleration } = leader.at(k, Interval::point(STEP_S));
+        let VehicleState { distance, speed, acceleration } = leader.state_at(k, Interval::point(STEP_S));
         assert!(distance.is_zero() && acceleration.is_zero() && speed.range().contains(0.0));
         assert!(leader.has_stood(k, Interval::point(STEP_S)));
     }
@@ -92,9 +92,9 @@ fn a_leader_that_stands_stays() {
 #[test]
 fn many_decisions_share_symbols() {
     for (decisions, blocks) in [(200, 200), (201, 101), (400, 200), (401, 134)] {
-        assert_eq!(leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbols(), 2 * blocks);
+        assert_eq!(leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbol_count(), 2 * blocks);
     }
-    assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbols(), 0);
+    assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbol_count(), 0);
 }
 
 /// A script's accelerations are told apart as the script does; within a limit there is nothing to tell apart.
@@ -106,6 +106,6 @@ fn accelerations_of_a_script_are_those_of_its_brake() {
     let braking = BrakingVehicle::new(speed, rate, onset, interval(2.0, 5.5), step);
     let of_braking = braking.possible_accelerations(4, step);
     assert!(of_braking.len() > 1);
-    assert_eq!(Leader::Scripted(Box::new(braking)).accelerations(4, step), of_braking);
-    assert!(leader([10.0, 11.0], 6.0, 20, 2).accelerations(4, step).is_empty());
+    assert_eq!(LeaderModel::Scripted(Box::new(braking)).possible_accelerations(4, step), of_braking);
+    assert!(leader([10.0, 11.0], 6.0, 20, 2).possible_accelerations(4, step).is_empty());
 }

@@ -3,7 +3,7 @@ use super::super::follower::{AccAebLaw, IdmLaw};
 use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
-const LATCHED: Option<Follower> = Some(Follower::Latched { ttc_s: 2.0 });
+const LATCHED: Option<FollowerModel> = Some(FollowerModel::Latched { ttc_s: 2.0 });
 
 fn analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysis<'a> {
     let step = Interval::point(scene.step_s);
@@ -13,7 +13,7 @@ fn analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysi
         scene,
         budget: work,
         step,
-        leader: Leader::new(scene, leader, step),
+        leader: LeaderModel::new(scene, leader, step),
         gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
         result: ReachResult::INITIAL,
         window_count: 0,
@@ -59,7 +59,7 @@ fn who_still_moves_is_driven_on() {
     // It stands behind a leader that stands, and somebody drives into it from behind.
     let actor = constant_controller(-1.0);
     let ranges = point_box([5.0, 2.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0]);
-    for follower in [Follower::Latched { ttc_s: 0.0 }, Follower::Driven(extreme_law(false))] {
+    for follower in [FollowerModel::Latched { ttc_s: 0.0 }, FollowerModel::ByLaw(extreme_law(false))] {
         let reached = reach(&ReachProblem { steps: 20, follower: Some(follower), ..default_problem(&actor, ranges) });
         assert!(reached.surely_collides && reached.gaps_m[1] < 0.0, "{reached:?}");
     }
@@ -73,8 +73,8 @@ fn once_all_stand_nothing_is_left_to_do() {
     for (follower, limit) in [(None, None), (None, Some(6.0))] {
         let scene = ReachProblem { steps: 500, follower, leader_brakes_at_most_mps2: limit, ..stands.clone() };
         let few = OpBudget::new(WorkLimit::from_operations(3_000_000));
-        let (reached, tube) = driven(&scene, &few, Some(ReachTube::new()));
-        assert!(few.charge(0) && reached.doubt.is_none());
+        let (reached, tube) = analyze(&scene, &few, Some(ReachTube::new()));
+        assert!(few.charge(0) && reached.undecided.is_none());
         let tube = tube.unwrap();
         assert!(tube.len() == 501 && tube[2..].iter().all(|seen| *seen == tube[2]));
     }
@@ -97,7 +97,7 @@ fn a_decision_costs_what_is_stated() {
     for (limit, symbols) in [(None, 0), (Some(6.0), 24)] {
         let scene =
             ReachProblem { steps: 36, decision_steps: 3, leader_brakes_at_most_mps2: limit, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
-        let cost = BESIDES + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
+        let cost = OPS_PER_DECISION + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
         let work = OpBudget::new(WorkLimit::from_operations(cost));
         let mut drive = analysis(&scene, &work);
         let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
@@ -120,7 +120,7 @@ fn a_departure_costs_a_law_at_each_step() {
     };
     actor.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
     let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
-    let work = OpBudget::new(WorkLimit::from_operations(BESIDES + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64));
+    let work = OpBudget::new(WorkLimit::from_operations(OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64));
     let mut drive = analysis(&scene, &work);
     let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     assert!(drive.decide(0, &set).is_some());
@@ -194,10 +194,10 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
 fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
     let ranges = point_box([50.0, 10.0, 20.0, 15.0, 20.0, 0.0, 6.0, 0.0]);
-    let law = Some(Follower::Driven(extreme_law(true)));
+    let law = Some(FollowerModel::ByLaw(extreme_law(true)));
     let scene = ReachProblem { follower: law, decision_steps: 3, ..default_problem(&actor, ranges) };
     let drive = analysis(&scene, &work);
-    let at_rest = |speed| Seen { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let members = EgoSet::from_speed(point_form(15.0), SHARED_SYMBOLS).with_follower(Some(at_rest(point_form(20.0))));
     let follow = |mps2: f64| drive.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {

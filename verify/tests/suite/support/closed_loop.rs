@@ -1,6 +1,6 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, Follower, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
+use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, FollowerModel, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type InitialState = [f64; 8];
@@ -141,11 +141,11 @@ pub fn simulate_with_errors(
             }
         };
         let wanted_r = match follower {
-            Some(Follower::Latched { ttc_s }) => {
+            Some(FollowerModel::Latched { ttc_s }) => {
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;
                 if fired { -brake_r } else { 0.0 }
             }
-            Some(Follower::Driven(law)) => law_acceleration(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
+            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
             None => 0.0,
         };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };

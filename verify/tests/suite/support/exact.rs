@@ -6,7 +6,7 @@
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, Follower, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
+use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, FollowerModel, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
 use num_bigint::BigInt;
 
 use super::closed_loop::InitialState;
@@ -387,11 +387,11 @@ pub fn simulate_exactly(
             }
         };
         let wants_r = match follower {
-            Some(Follower::Latched { ttc_s }) => {
+            Some(FollowerModel::Latched { ttc_s }) => {
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
                 if fired { -brake_r.clone() } else { zero() }
             }
-            Some(Follower::Driven(law)) => law_acceleration(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
+            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
             None => zero(),
         };
         let brakes = match brake {

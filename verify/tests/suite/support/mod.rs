@@ -188,12 +188,12 @@ prop_compose! {
         }).collect();
         Scene {
             step_s, steps,
-            leader: Leader {
+            leader: SceneLeader {
                 position_m: interval_around(0.0, width), length_m: 2.0, speed_mps: speed(leader.0),
                 acceleration_mps2: vec![ConstantPiece(1, interval_around(leader.1, width)), ConstantPiece(steps - 1, interval_around(leader.2, width))],
             },
             egos,
-            follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| Follower {
+            follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| FollowerModel {
                 position_m: interval_around(bumper - gap, width), speed_mps: speed(v), brake_mps2: interval_around(brake, width),
                 ttc_s, reaction_steps,
             }),

@@ -117,7 +117,7 @@ fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
         config.network.hidden = vec![4];
         config.exploration.random_hold_steps = hold;
         let mut trainer = Trainer::new(&config, 3);
-        (0..20).filter(|_| trainer.run_episode().unwrap().ending == Ending::Contact).count()
+        (0..20).filter(|_| trainer.run_episode().unwrap().ending == EpisodeEnding::Contact).count()
     };
     let (each_step, each_second) = (contacts(1), contacts(100));
     assert!(each_step <= 5 && each_second >= 12, "{each_step} {each_second} of 20");

@@ -452,6 +452,6 @@ mod tests {
         assert_eq!(retrained.string_stability, StringStabilityVerdict::DoesNotSettle);
         let json = serde_json::to_string(&found).unwrap();
         assert_eq!(serde_json::to_string(&serde_json::from_str::<UsefulnessReport>(&json).unwrap()).unwrap(), json);
-        assert!(found.markdown().into_string().contains("| idm |") && found.html().into_string().contains("<svg"));
+        assert!(found.to_markdown().into_string().contains("| idm |") && found.to_html().into_string().contains("<svg"));
     }
 }

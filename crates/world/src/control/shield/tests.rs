@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::control::ControllerSpec;
-use crate::control::tests::{EGO, behind};
+use crate::control::tests::{EGO, leader_observation};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
@@ -139,7 +139,7 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
         let gap_m = 0.5 * (low_m + high_m);
-        let command_mps2 = full_throttle_shield(frame).decide(&behind(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
+        let command_mps2 = full_throttle_shield(frame).decide(&leader_observation(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
         assert!(command_mps2 == -frame.brake_mps2 || command_mps2 == frame.accel_mps2);
         if command_mps2 > 0.0 { high_m = gap_m } else { low_m = gap_m }
     }
@@ -171,7 +171,7 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
 #[test]
 fn commands_under_way_are_counted_on() {
     let frame = ShieldParams { step_s: 0.1, delay_steps: 1, response_fraction: 0.5, ..slow_step_params() };
-    let seen = behind(10.0, 100.0, 10.0, 0.0);
+    let seen = leader_observation(10.0, 100.0, 10.0, 0.0);
     let mut shield = full_throttle_shield(frame);
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
     assert_eq!((shield.response_mps2, shield.pending_mps2.as_slices().0), (0.0, &[3.0][..]));
@@ -188,7 +188,7 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
         let frame = ShieldParams { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
         let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
         let mut shield = full_throttle_shield(frame);
-        assert_eq!(shield.decide(&behind(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
+        assert_eq!(shield.decide(&leader_observation(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
         let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
         assert_eq!(shield.overrides(), [expected]);
     }
@@ -201,7 +201,7 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
     let conflict = |frame: ShieldParams, rear_gap_m: Option<f64>| {
         let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
         let mut shield = full_throttle_shield(frame);
-        assert_eq!(shield.decide(&Observation { behind: rear, ..behind(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
+        assert_eq!(shield.decide(&Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
     let frame = ShieldParams { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
@@ -216,9 +216,9 @@ fn overrides_in_successive_steps_are_one() {
     let mut shield = full_throttle_shield(frame);
     let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
     let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
-    let far = behind(20.0, 500.0, 15.0, 0.0);
-    let near = behind(20.0, near_m, 15.0, 0.0);
-    let outside = behind(20.0, near_m - 1.0, 15.0, 0.0);
+    let far = leader_observation(20.0, 500.0, 15.0, 0.0);
+    let near = leader_observation(20.0, near_m, 15.0, 0.0);
+    let outside = leader_observation(20.0, near_m - 1.0, 15.0, 0.0);
     for seen in [near, outside, Observation { behind: rear, ..near }, far, near, Observation { ahead: None, ..near }] {
         shield.decide(&seen).unwrap();
     }
@@ -232,13 +232,13 @@ fn overrides_in_successive_steps_are_one() {
 fn only_what_is_changed_is_an_override() {
     let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
     let mut shield = full_throttle_shield(frame);
-    assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
+    assert_eq!(shield.decide(&leader_observation(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
     let full_brake = ShieldParams { accel_mps2: -2.0, ..frame };
     let mut braking = self::full_throttle_shield(full_brake);
     let near_m = full_brake.kernel().demanded_gap_m(20.0, 20.0) + 0.01;
-    assert_eq!(braking.decide(&behind(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(braking.decide(&leader_observation(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
     assert_eq!(braking.overrides(), []);
-    assert_eq!(braking.decide(&behind(20.0, near_m - 1.0, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(braking.decide(&leader_observation(20.0, near_m - 1.0, 20.0, 0.0)).unwrap(), -2.0);
     let told = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
     assert_eq!(braking.overrides(), [told]);
 }

@@ -95,12 +95,12 @@ mod tests {
     use crate::control::ControllerSpec;
     use crate::measure::LeadMeasures;
     use crate::measure::stl::Formula;
-    use crate::scenario::built_in;
+    use crate::scenario::built_in_scenario;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
     #[test]
     fn formulas_over_a_run_agree_with_its_measures() {
-        let scenario = built_in("paper-1").unwrap();
+        let scenario = built_in_scenario("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("match-leader").unwrap())).unwrap();
         let result = simulate(&run, RecordingLevel::Trace);
         let trace = result.trace.unwrap();

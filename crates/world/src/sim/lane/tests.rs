@@ -5,12 +5,12 @@ use crate::control::ControllerSpec;
 use crate::measure::{LeadMeasures, InducedBraking};
 use crate::observation::EstimatorKind;
 use crate::scenario::{
-    Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in,
+    Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in_scenario,
 };
 
 /// Vehicles on a dry road without noise, for `duration_s`.
 fn scenario(vehicles: Vec<VehicleSpec>, duration_s: f64) -> Scenario {
-    let spec = built_in("paper-1").unwrap().spec().clone();
+    let spec = built_in_scenario("paper-1").unwrap().spec().clone();
     Scenario::new(ScenarioSpec { name: "lanes".to_owned(), duration_s, vehicles, ..spec }).unwrap()
 }
 
@@ -132,7 +132,7 @@ fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
 fn who_enters_at_the_start_has_been_there() {
     for spec in ControllerSpec::all() {
         for estimator in EstimatorKind::ALL {
-            let paper = built_in("paper-1").unwrap();
+            let paper = built_in_scenario("paper-1").unwrap();
             let entering = paper.edited(|spec| spec.vehicles[0].enters = Some(LaneChange::At(0.0))).unwrap();
             let options = || RunOptions::new(spec.clone()).with_estimator(estimator);
             if let Ok(run) = Run::new(&entering, options()) {
@@ -224,7 +224,7 @@ proptest! {
             scripted_vehicle(0.0, 20.0, brake_profile(2.5, brakes_mps2[2])),
             scripted_vehicle(-12.0, 20.0, brake_profile(3.0, 6.0)),
         ];
-        let spec = built_in("paper-1").unwrap().spec().clone();
+        let spec = built_in_scenario("paper-1").unwrap().spec().clone();
         let Ok(scenario) = Scenario::new(ScenarioSpec { duration_s: 8.0, vehicles: line, ..spec }) else {
             return Err(TestCaseError::reject("leaves before it enters"));
         };

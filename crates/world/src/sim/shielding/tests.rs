@@ -4,7 +4,7 @@
 use super::*;
 use crate::control::{ControllerKind, ControllerSpec, ShieldedSource};
 use crate::observation::EstimatorKind;
-use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in};
+use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in_scenario};
 use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
@@ -171,7 +171,7 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
 /// What rounding may take of the speed ahead grows with what noise may add to it.
 #[test]
 fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
-    let noisy = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
+    let noisy = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
     let run = Run::new(&noisy, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
     let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
     assert_eq!(travel.ahead_accel_mps2, noisy.vehicles()[0].max_accel_mps2() + 1.5);
@@ -214,7 +214,7 @@ proptest! {
 #[test]
 fn delays_add_up() {
     let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
-        let late = built_in("paper-1").unwrap().edited(|spec| {
+        let late = built_in_scenario("paper-1").unwrap().edited(|spec| {
             for vehicle in &mut spec.vehicles[1..] {
                 (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (reaction_delay_s, actuator_delay_s);
             }
@@ -233,7 +233,7 @@ fn delays_add_up() {
 #[test]
 fn what_is_taken_for_granted_is_what_the_scenario_says() {
     let scenario = |changed: &dyn Fn(&mut ScenarioSpec)| {
-        let edited = built_in("paper-1").unwrap().edited(|spec| {
+        let edited = built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.environment.friction = 0.5;
             for (vehicle, noise_mps2) in spec.vehicles.iter_mut().zip([0.02, 0.03, 0.0]) {
                 vehicle.acceleration_noise_mps2 = noise_mps2;

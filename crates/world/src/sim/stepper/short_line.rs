@@ -158,7 +158,7 @@ mod tests {
     use crate::control::ControllerSpec;
     use crate::observation::EstimatorKind;
     use crate::scenario::space::{BUILT_IN_SPACES, built_in_space};
-    use crate::scenario::{LaneChange, built_in, built_in_scenario_names};
+    use crate::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
     use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions};
 
     /// What a driver from outside wants: enough of what is seen that any difference shows, and a contact now and then.
@@ -208,7 +208,7 @@ mod tests {
             (0..4).map(move |index| space.draw(11, index).unwrap())
         });
         let others = built_in_scenario_names().into_iter().flat_map(|(name, _)| {
-            let paper = built_in(name).unwrap();
+            let paper = built_in_scenario(name).unwrap();
             let leaves = paper.edited(|spec| spec.vehicles[0].leaves = Some(LaneChange::At(2.0))).unwrap();
             [paper, leaves]
         });
