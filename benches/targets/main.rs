@@ -73,7 +73,7 @@ const PARTS: [BenchmarkGroup; 6] = [
 
 fn print_limits() {
     println!("{}\n\n{}", limits::processor_model(), table::LIMITS_HEADER);
-    limits::print_limits(&mut |limit| println!("{}", limit.line()));
+    limits::measure(&mut |limit| println!("{}", limit.markdown_row()));
     println!();
 }
 

@@ -24,7 +24,7 @@ use pulp::{Arch, Simd, WithSimd};
 #[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
 mod networks;
 
-use networks::{LARGE_WEIGHT_SHARE, acting, batch, config, large, learner, operations, policy, products, input_warning, td3};
+use networks::{LARGE_PRODUCT_SIZE, acting_operations, batch, config, large_product, learner, operations, random_policy, products, observations, td3};
 
 fn main() {
     // One thread: trainings run side by side, not inside one product.
@@ -98,14 +98,14 @@ fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): 
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
-    let (left, right) = (random_tensor(LARGE_WEIGHT_SHARE, LARGE_WEIGHT_SHARE), random_tensor(LARGE_WEIGHT_SHARE, LARGE_WEIGHT_SHARE));
-    bencher.counter(items_count(&[[LARGE_WEIGHT_SHARE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
+    let (left, right) = (random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE), random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE));
+    bencher.counter(items_count(&[[LARGE_PRODUCT_SIZE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
 }
 
 /// A wide network acts on many states: one large product, and little else.
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
-    let (mut learner, states, operations) = large();
+    let (mut learner, states, operations) = large_product();
     let counter = ItemsCount::new(operations);
     bencher.counter(counter).bench_local(|| learner.act(&states)[0]);
 }
@@ -159,19 +159,19 @@ fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
 
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
-    let (policy, seen, mut space) = (policy(width), input_warning(1), Workspace::default());
+    let (policy, seen, mut space) = (random_policy(width), observations(1), Workspace::default());
     let mut past = FrameStack::default();
-    let bencher = bencher.counter(ItemsCount::new(acting(width)));
-    bencher.bench_local(|| policy.choose(policy.look(&seen[0], &mut past), &mut space));
+    let bencher = bencher.counter(ItemsCount::new(acting_operations(width)));
+    bencher.bench_local(|| policy.choose(policy.observe(&seen[0], &mut past), &mut space));
 }
 
 #[divan::bench(args = [64, 256])]
 fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
-    let (policy, seen, mut space) = (policy(width), input_warning(512), Workspace::default());
+    let (policy, seen, mut space) = (random_policy(width), observations(512), Workspace::default());
     let mut actions = vec![0.0; seen.len()];
-    let counter = ItemsCount::new(seen.len() * acting(width));
+    let counter = ItemsCount::new(seen.len() * acting_operations(width));
     bencher.counter(counter).bench_local(|| {
-        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.look(seen, &mut FrameStack::default()).to_vec()).collect();
+        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.observe(seen, &mut FrameStack::default()).to_vec()).collect();
         policy.choose_batch(&rows, &mut space, &mut actions);
     });
 }
@@ -179,7 +179,7 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
 /// 512 runs of the paper's distribution in lockstep, a decision every step, everything included but the draw of the scenarios.
 #[divan::bench(args = [64, 256], sample_count = 5, sample_size = 1)]
 fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
-    let policy = Arc::new(policy(width));
+    let policy = Arc::new(random_policy(width));
     let draws: Vec<_> = (0..512).map(|i| PaperDistribution { seed: 1 }.draw(i).expect("valid")).collect();
     let options = RunOptions::new(policy).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).expect("valid")).collect();
@@ -189,6 +189,6 @@ fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
     };
     let acts: usize = simulate_batch(&runs, RecordingLevel::Summary, steps).into_iter().sum();
     bencher
-        .counter(ItemsCount::new(acts * acting(width)))
+        .counter(ItemsCount::new(acts * acting_operations(width)))
         .bench_local(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
 }

@@ -17,7 +17,7 @@ use crumple_world::sim::{
 };
 use proptest::prelude::*;
 
-use crate::generate::cases;
+use crate::generate::with_cases;
 
 /// Accelerates mildly, and fails at its `fails_at`-th answer: by saying so, or with something that is no number.
 #[derive(Clone)]
@@ -49,7 +49,7 @@ impl ControllerSource for FailingController {
     }
 
     fn required_neighbours(&self) -> RequiredNeighbours {
-        self.required_neighbours
+        self.needs
     }
 
     fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {

@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use crumple::report::export::openscenario::{OpenScenarioError, actions, export_trajectories};
+use crumple::report::export::openscenario::{OpenScenarioError, export_actions, export_trajectories};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{
     Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario, built_in_scenario_names,
@@ -122,7 +122,7 @@ fn changes_of_lanes_are_refused() {
     });
     let cut_in = cut_in.expect("valid");
     let trace = simulate_traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
-    for refused in [export_trajectories(&cut_in, &trace, None, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
+    for refused in [export_trajectories(&cut_in, &trace, None, "road.xodr").err(), export_actions(&cut_in, "road.xodr").err()] {
         assert!(matches!(refused, Some(OpenScenarioError::LaneChanges)), "{refused:?}");
     }
 }
@@ -169,7 +169,7 @@ fn scripts_of_every_kind_are_driven_from_their_actions() {
 
 /// Who is driven by a script has its action and no controller, and who is not a controller and no action.
 fn assert_scripts_are_actions(scenario: &Scenario) {
-    let made = actions(scenario, "road.xodr").expect("exports");
+    let made = export_actions(scenario, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
     let trace = simulate_traced(scenario, &options(AfterContact::Stop)).trace.expect("traced");
@@ -227,7 +227,7 @@ fn texts_of_users_stay_texts() {
         let name: String = wild.chars().filter(|c| !c.is_control()).collect();
         let scenario = built_in_scenario("paper-1").expect("built in");
         let scenario = scenario.edited(|spec| (spec.name, spec.about) = (name, wild.to_owned())).expect("free texts");
-        let made = actions(&scenario, "road.xodr").expect("exports");
+        let made = export_actions(&scenario, "road.xodr").expect("exports");
         for xml in [&made.scenario, &made.road] {
             let text = std::str::from_utf8(xml).expect("UTF-8");
             let document = Document::parse(text).unwrap_or_else(|error| panic!("{error}: {text}"));

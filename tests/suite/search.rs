@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
 
 use crate::command_line::falsify::assert_same_folders;
-use crate::generate::cases;
+use crate::generate::with_cases;
 
 /// Evaluations that suffice to meet what fails in an eighth of a space: nobody misses it in 1 of 10¹¹ random draws.
 const SUFFICIENT_BUDGET: u64 = 190;

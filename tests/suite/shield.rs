@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::generate::cases;
+use crate::generate::with_cases;
 
 /// A leader that does as it pleases, and a vehicle under test that could just avoid it.
 #[derive(Debug, Clone)]

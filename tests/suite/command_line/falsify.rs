@@ -74,7 +74,7 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         let out = format!("{number}");
         let search = ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "20", "--spec", spec];
         let output = run_crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
-        assert_eq!(exit_code(&output), exit_code, "{}", stderr(&output));
+        assert_eq!(crate::command_line::exit_code(&output), exit_code, "{}", stderr(&output));
         assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
     }
     // Where nothing was compared, nothing holds.

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_setup, cases, without_noise, any_scenario_of_shape, simulate_traced, without_learned_drivers,
+    any_after_contact, any_profile, any_scenario, any_setup, with_cases, without_noise, any_scenario_of_shape, simulate_traced, without_learned_drivers,
 };
 
 /// [`same_impacts`] for a property.
@@ -54,7 +54,7 @@ fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(with_cases(256))]
 
     /// A leader that acts k steps later makes everything happen k steps later and that much farther down the road.
     #[test]

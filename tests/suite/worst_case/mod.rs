@@ -178,7 +178,7 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
 /// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
 #[test]
 fn no_controller_contradicts_a_verdict() {
-    let count: u64 = 100 * u64::from(crate::generate::cases_with_values(256).cases) / 256;
+    let count: u64 = 100 * u64::from(crate::generate::with_cases(256).cases) / 256;
     let (mut undecided, mut avoidable, mut unavoidable, mut programs) = (Vec::new(), 0, 0, 0);
     for seed in 0..count {
         let scenario = random_scenario(seed);

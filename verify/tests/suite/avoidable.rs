@@ -29,7 +29,7 @@ fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
             acceleration_mps2: vec![ConstantPiece(10, point(0.0)), ConstantPiece(90, Interval::new(-4.1, -3.9).unwrap())],
         },
         egos: vec![ego(60.0), ego(40.0)],
-        follower: Some(FollowerModel {
+        follower: Some(SceneFollower {
             position_m: point(10.0),
             speed_mps: point(20.0),
             brake_mps2: Interval::new(6.0, 6.5).unwrap(),
@@ -244,7 +244,7 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
             max_brake_mps2: 5.0,
             max_accel_mps2: 0.0,
         }],
-        follower: Some(FollowerModel {
+        follower: Some(SceneFollower {
             position_m: point(-2.0 - gap_m),
             speed_mps: point(mps),
             brake_mps2: point(6.0),
@@ -261,22 +261,22 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
 /// A brake that has fired and whose reaction is over will stop it; any other brake may not come.
 #[test]
 fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
-    use SafetyAfterHorizon::{IfTheLeaderDoesNotBrake, NotShown, WhateverTheLeaderDoes};
+    use SafetyAfterHorizon::{UnlessLeaderBrakes, Unproved, ForAnyLeader};
     let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| check_with_follower(gap_m, mps, ttc_s, reaction_steps).1;
     // It never fires: slower than all it stays behind as long as nobody brakes, and faster, or as fast but for rounding, it may not.
-    for (mps, expected) in [(9.0, IfTheLeaderDoesNotBrake), (10.0, NotShown), (11.0, NotShown)] {
+    for (mps, expected) in [(9.0, UnlessLeaderBrakes), (10.0, Unproved), (11.0, Unproved)] {
         for reaction_steps in [0, 3, u32::MAX] {
             assert_eq!(followed_afterwards(1000.0, mps, 0.0, reaction_steps), expected, "{mps} {reaction_steps}");
         }
     }
     // It fires at once; at 12 m/s it stops after 12 m, from 4 m nearer than at the start if it coasts throughout.
-    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 8), WhateverTheLeaderDoes);
-    assert_eq!(followed_afterwards(15.99, 12.0, 100.0, 8), IfTheLeaderDoesNotBrake);
-    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 9), NotShown);
-    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, u32::MAX), NotShown);
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 8), ForAnyLeader);
+    assert_eq!(followed_afterwards(15.99, 12.0, 100.0, 8), UnlessLeaderBrakes);
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 9), Unproved);
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, u32::MAX), Unproved);
     // It has braked for the last two steps: 0.75 m less were covered and 9 m/s are left, which take 6.75 m.
-    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.76, 12.0, 100.0, 6), WhateverTheLeaderDoes);
-    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.74, 12.0, 100.0, 6), IfTheLeaderDoesNotBrake);
+    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.76, 12.0, 100.0, 6), ForAnyLeader);
+    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.74, 12.0, 100.0, 6), UnlessLeaderBrakes);
 }
 
 /// Whenever in a step the follower began to brake, a gap has been smaller by b h²/8 than at both ends.

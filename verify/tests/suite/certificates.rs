@@ -249,7 +249,7 @@ proptest! {
 /// 1500 steps in 30 branches with every multiplier in use; the time is for optimised builds.
 #[test]
 fn a_long_certificate_is_quick_to_check() {
-    let follower = FollowerModel {
+    let follower = SceneFollower {
         position_m: Interval::point(-10.0),
         speed_mps: Interval::point(20.0),
         brake_mps2: Interval::point(6.0),
@@ -259,7 +259,7 @@ fn a_long_certificate_is_quick_to_check() {
     let scene = Scene {
         step_s: 0.01,
         steps: 1500,
-        leader: ScriptedLeader {
+        leader: SceneLeader {
             position_m: Interval::point(3.0),
             length_m: 2.0,
             speed_mps: Interval::point(10.0),
@@ -311,7 +311,7 @@ fn what_is_taken_for_granted_is_said_in_words() {
     use Assumption::*;
     for (assumption, said) in [
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
-        (ScriptedLeader, "the leader moves as scripted and reacts to nobody"),
+        (SceneLeader, "the leader moves as scripted and reacts to nobody"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
         (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
         (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),

@@ -137,8 +137,8 @@ fn standing_leader(gap_m: f64) -> Scene {
     }
 }
 
-fn follower_at(position_m: f64, speed_mps: f64) -> FollowerModel {
-    FollowerModel {
+fn follower_at(position_m: f64, speed_mps: f64) -> SceneFollower {
+    SceneFollower {
         position_m: Interval::point(position_m),
         speed_mps: Interval::point(speed_mps),
         brake_mps2: Interval::point(6.0),
@@ -174,7 +174,7 @@ fn what_would_prove_anything_is_refused() {
         },
         scene,
     };
-    let result = |change: &dyn Fn(&mut UnavoidableClaim), follower: Option<&FollowerModel>| {
+    let result = |change: &dyn Fn(&mut UnavoidableClaim), follower: Option<&SceneFollower>| {
         let mut claim = sound(Scene { follower: follower.cloned(), ..standing_leader(1.0) });
         change(&mut claim);
         check(&certificate(Statement::Unavoidable(claim)))
@@ -250,7 +250,7 @@ fn contact_at_the_start_is_unavoidable() {
 }
 
 /// A car at 20 m/s that stands after 25 m and 2.5 s, which is when the scene ends, so far behind one that stands.
-fn stopping_scene(gap_m: f64, follower: Option<FollowerModel>) -> Scene {
+fn stopping_scene(gap_m: f64, follower: Option<SceneFollower>) -> Scene {
     let mut scene = Scene { step_s: 0.5, steps: 5, follower, ..standing_leader(gap_m) };
     scene.leader.acceleration_mps2[0].0 = 5;
     scene

@@ -2,7 +2,7 @@ use super::*;
 use crate::fit::refit;
 use crate::rare::Level;
 use crumple_world::random::{Purpose, Stream, stream};
-use crumple_world::scenario::space::{Exposure, ObservedData, ObservedParameter, file};
+use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, file};
 use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;
@@ -54,7 +54,7 @@ fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut
     let mut spec = truth.spec().clone();
     let episodes = columns[0].len();
     let (kilometres, sources) = (70.0 * hours, Vec::new());
-    spec.exposure = Some(Exposure { episodes: episodes as u64, hours, kilometres, left_out: 0, sources });
+    spec.exposure = Some(DrivingExposure { episodes: episodes as u64, hours, kilometres, left_out: 0, sources });
     let parameters = truth.parameters().iter().zip(columns).map(|(parameter, values)| ObservedParameter {
         name: parameter.name().to_owned(),
         low: parameter.range()[0],
@@ -122,8 +122,8 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
 
-fn exposure_for(hours: f64, left_out: u64) -> Exposure {
-    Exposure { episodes: 50, hours, kilometres: 100.0, left_out, sources: Vec::new() }
+fn exposure_for(hours: f64, left_out: u64) -> DrivingExposure {
+    DrivingExposure { episodes: 50, hours, kilometres: 100.0, left_out, sources: Vec::new() }
 }
 
 /// Half of the brakings cannot be used, and the hours are the same: the rate per hour must not be half as high.

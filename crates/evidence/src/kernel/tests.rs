@@ -77,7 +77,7 @@ fn each_shipped_pair_is_proved() {
 }
 
 fn rational(value: f64) -> Rational {
-    Real::of(value)
+    Real::from_f64(value)
 }
 
 fn parse_rational(text: &str) -> Rational {
@@ -96,7 +96,7 @@ fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) 
     .map(|text| parse_rational(text));
     let zero = rational(0.0);
     match &stated.catching_up_squared {
-        Some(r) if Real::above(w / c, v / b) => parse_rational(r) * (v - w).larger(zero) * (v - w).larger(zero),
+        Some(r) if Real::greater_than(w / c, v / b) => parse_rational(r) * (v - w).larger(zero) * (v - w).larger(zero),
         _ => (p * v * v + q * w * w).larger(zero),
     }
 }
@@ -107,11 +107,11 @@ fn what_is_certified_is_what_the_shield_computes() {
     let quarter = |over: i128| Rational::new(over, 4).unwrap();
     let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
     for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {
-        let limits = KernelClaim { own_brake_mps2: b, ahead_brake_mps2: c };
+        let limits = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };
         let certificate = kernel_certificate(&limits, 0.01, 1e-6).unwrap();
         assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };
-        let shield = KernelClaim { own_brake_mps2: rational(b), ahead_brake_mps2: rational(c) };
+        let shield = ViabilityKernel { own_brake_mps2: rational(b), ahead_brake_mps2: rational(c) };
         for v in speeds() {
             for w in speeds() {
                 assert_eq!(shield.demanded_gap_m(v, w), stated_gap_m(&stated, v, w), "{v} m/s behind {w} m/s, {b} {c}");
@@ -124,7 +124,7 @@ proptest! {
     /// Any limits a scenario may have, friction included, and the same function as the shield's in double precision.
     #[test]
     fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
-        let kernel = KernelClaim { own_brake_mps2: b, ahead_brake_mps2: c };
+        let kernel = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };
         let certificate = kernel_certificate(&kernel, 0.01, 1e-6).unwrap();
         prop_assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));
         let Statement::Kernel(stated) = certificate.statement else { panic!("a kernel") };

@@ -68,7 +68,7 @@ fn check_merge(seed: u64) {
         let is_whole = folders.len() as u32 == of + 1;
         folders.shuffle(&mut random);
         let mut merged = MergedEstimate::new(&first, &read_completed(&first)).unwrap();
-        folders.iter().for_each(|folder| merged.add_block(folder, &read_completed(folder)).unwrap());
+        folders.iter().for_each(|folder| merged.add_shard(folder, &read_completed(folder)).unwrap());
         let out = root.path().join("merged");
         assert_eq!(merged.write_in(&out).unwrap().is_some(), is_whole);
         assert_eq!((merged.missing_part_count() == 0), is_whole);
@@ -82,12 +82,12 @@ fn check_merge(seed: u64) {
     assert!(complete > 5, "{complete}");
 
     let mut merged = MergedEstimate::new(&made(1, 2), &read_completed(&made(1, 2))).unwrap();
-    let overlapping = merged.add_block(&made(2, 7), &read_completed(&made(2, 7))).unwrap_err();
+    let overlapping = merged.add_shard(&made(2, 7), &read_completed(&made(2, 7))).unwrap_err();
     assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
     let (other, folder) = (self::plan(3), root.path().join("other"));
     let mut part = other.open_shard_folder(ShardId::new(2, 2).unwrap(), 0, &folder, false).unwrap();
     let pilot = part.run_pilot(&Quiet).unwrap();
     part.run_repetitions(&pilot, &Quiet).unwrap();
-    assert!(matches!(merged.add_block(&folder, &read_completed(&folder)), Err(MergeError::Foreign { .. })));
+    assert!(matches!(merged.add_shard(&folder, &read_completed(&folder)), Err(MergeError::Foreign { .. })));
     assert!(plan.open_shard_folder(ShardId::new(1, 8).unwrap(), 0, &folder, false).is_err());
 }

@@ -45,7 +45,7 @@ fn read_completed(folder: &Path) -> CompletedRun {
 fn add_shard(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
     let found = read_completed(folder);
     match merged {
-        Some(merged) => merged.add_block(folder, &found),
+        Some(merged) => merged.add_shard(folder, &found),
         None => {
             *merged = Some(MergedCount::new(folder, &found)?);
             Ok(())
@@ -193,7 +193,7 @@ fn what_is_foreign_tampered_or_contradicts_is_refused() {
 
     let second = own.folder(shard(2, 3));
     let is_refused = |merged: &mut Option<MergedCount>| match read_state(&second) {
-        Ok(RunState::Complete(found)) => merged.as_mut().unwrap().add_block(&second, &found).is_err(),
+        Ok(RunState::Complete(found)) => merged.as_mut().unwrap().add_shard(&second, &found).is_err(),
         Ok(_) => false,
         Err(_) => true,
     };

@@ -54,10 +54,10 @@ fn parse_tree(svg: &Svg) -> usvg::Tree {
 }
 
 /// The boxes of all words of a figure, each with its words.
-fn collect_text_boxes(group: &usvg::ProcessGroup, found: &mut Vec<(String, PixelRect)>) {
+fn collect_text_boxes(group: &usvg::Group, found: &mut Vec<(String, PixelRect)>) {
     for node in group.children() {
         match node {
-            usvg::Node::ProcessGroup(group) => collect_text_boxes(group, found),
+            usvg::Node::Group(group) => collect_text_boxes(group, found),
             usvg::Node::Text(text) => {
                 let area = text.abs_bounding_box();
                 let [left, top, width, height] = [area.left(), area.top(), area.width(), area.height()].map(f64::from);

@@ -134,7 +134,7 @@ mod tests {
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
         assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
-        let found = find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+        let found = super::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
         assert_eq!((found.len(), braking_clusters(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
     }
 }

@@ -6,7 +6,7 @@ use super::*;
 const STEP_S: f64 = 0.1;
 
 fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> BrakingVehicle {
-    let form = |symbol, [low, high]: [f64; 2]| any(symbol, low, high);
+    let form = |symbol, [low, high]: [f64; 2]| symbol_form(symbol, low, high);
     let onset_range = interval(onsets[0], onsets[1]);
     BrakingVehicle::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))
 }

@@ -30,7 +30,7 @@ proptest! {
         rates in prop::collection::vec(prop_oneof![-7.5..3.0_f64, -0.5..0.5_f64], 1..8),
     ) {
         let step = Interval::point(STEP_S);
-        let members = EgoSet::from_speed(any(0, v, v + width), SHARED_SYMBOLS);
+        let members = EgoSet::from_speed(symbol_form(0, v, v + width), SHARED_SYMBOLS);
         let course = CommandProfile::from_steps(&members.ego, rates.len() as u32, step, |j, _| point_form(rates[j as usize]));
         let start = v + place * width;
         for j in 0..=rates.len() {
@@ -106,8 +106,8 @@ fn who_starts_again_within_an_interval_has_started_again() {
 #[test]
 fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
-    let course = CommandProfile::from_steps(&state_with_speed(any(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
-    let members = EgoSet::from_speed(any(0, 0.1, 0.5), SHARED_SYMBOLS);
+    let course = CommandProfile::from_steps(&state_with_speed(symbol_form(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
+    let members = EgoSet::from_speed(symbol_form(0, 0.1, 0.5), SHARED_SYMBOLS);
     let VehicleState { distance, speed, .. } = course.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
     assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);

@@ -72,8 +72,8 @@ proptest! {
     ) {
         let (h, [v1, u1]) = (0.1, [v0 + widths[0], u0 + widths[1]]);
         let (s, t) = (f64::from(every - 1) * h, f64::from(every) * h);
-        let wanted = any(1, u0, u1);
-        let [moving, standing] = egos_at_speed(any(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
+        let wanted = symbol_form(1, u0, u1);
+        let [moving, standing] = egos_at_speed(symbol_form(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
         let nears_a_limit = [v0 + u0 * s, v1 + u1 * s, v0 + u0 * t, v1 + u1 * t, u0, u1].into_iter().any(|x: f64| x.abs() < 1e-6);
         prop_assume!(!nears_a_limit);
         prop_assert_eq!(moving.is_some(), v1 + u1 * s > 0.0 || u1 > 0.0);
@@ -110,8 +110,8 @@ proptest! {
     ) {
         let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
         let t = f64::from(steps) * 0.1;
-        let wanted = any(1, u0, u1);
-        let VehicleState { distance, speed, acceleration } = egos_at_speed(any(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
+        let wanted = symbol_form(1, u0, u1);
+        let VehicleState { distance, speed, acceleration } = egos_at_speed(symbol_form(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
         let [least, most] = [v0 + u0 * t, v1 + u1 * t];
         prop_assume!(least.abs() > 1e-6 && most.abs() > 1e-6);
         let free = [v0 * t + 0.5 * u0 * t * t, v1 * t + 0.5 * u1 * t * t + 0.5 * (-least).max(0.0) * t];
@@ -170,27 +170,27 @@ proptest! {
 fn who_stands_stays_or_starts_again() {
     let step = Interval::point(0.1);
     let after = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).after_decision(wanted, step, 3);
-    let [stands, none] = after(&any(1, -2.0, -1.0));
+    let [stands, none] = after(&symbol_form(1, -2.0, -1.0));
     let stands = stands.unwrap();
     assert!(
         none.is_none() && stands.mode == MotionMode::Standing && stands.ego.distance.is_zero() && stands.ego.speed.is_zero()
     );
-    let [starts, none] = after(&any(1, 1.0, 2.0));
+    let [starts, none] = after(&symbol_form(1, 1.0, 2.0));
     let starts = starts.unwrap();
     assert!(none.is_none() && starts.mode == MotionMode::Restarted);
     assert_bounds(starts.ego.distance.range(), [0.045, 0.09], 1e-12);
     assert_bounds(starts.ego.speed.range(), [0.3, 0.6], 1e-12);
     // It moves in between as well, or does not.
     let moved = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).ego_after(wanted, step, 2);
-    let stays = moved(&any(1, -2.0, -1.0));
+    let stays = moved(&symbol_form(1, -2.0, -1.0));
     assert!(stays.distance.is_zero() && stays.speed.is_zero() && stays.acceleration.is_zero());
-    assert_bounds(moved(&any(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
+    assert_bounds(moved(&symbol_form(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
 }
 
 /// At the decision itself everybody is where it is, and its acceleration is left open.
 #[test]
 fn nothing_has_moved_at_the_decision() {
-    let mut members = egos_at_speed(any(0, 3.0, 4.0));
+    let mut members = egos_at_speed(symbol_form(0, 3.0, 4.0));
     members.ego.acceleration = point_form(2.0);
     let seen = members.ego_after(&point_form(-1.0), Interval::point(0.1), 0);
     assert!(seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed);
@@ -205,7 +205,7 @@ fn a_set_that_has_stopped_is_no_set_that_moves() {
     assert_eq!(kinds(point_form(0.1), point_form(-2.0)), [None, Some(MotionMode::Standing)]);
     assert_eq!(kinds(point_form(0.5), point_form(-2.0)), [Some(MotionMode::Moving), None]);
     // Bounds that hold nobody but members that reverse.
-    assert_eq!(kinds(any(0, -1.0, -0.5), AffineForm::default()), [None, Some(MotionMode::Standing)]);
+    assert_eq!(kinds(symbol_form(0, -1.0, -0.5), AffineForm::default()), [None, Some(MotionMode::Standing)]);
 }
 
 /// As many symbols as may be stay as they are; one more, and they become fewer.

@@ -108,7 +108,7 @@ proptest! {
         let behind = law_follower(&law, AffineForm::default(), point_form(8.0), &start_gap);
         let box_of = [low, v, w].into_iter().zip(widths);
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
-        let forms: Vec<AffineForm> = ends.iter().enumerate().map(|(i, &[low, high])| any(i, low, high)).collect();
+        let forms: Vec<AffineForm> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
         let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
         let found = behind.acceleration(&seen);
         let form = behind.clamp_to_limits(&IDM.desired_acceleration(&seen, &behind.brake)).range();
@@ -143,9 +143,9 @@ proptest! {
 /// Who is not let nearer than a centimetre by its law says nothing there: anything from full braking to A.
 #[test]
 fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
-    let brake = any(6, BRAKE[0], BRAKE[1]);
+    let brake = symbol_form(6, BRAKE[0], BRAKE[1]);
     for low in [-1.0, 0.0, 0.01] {
-        let seen = law_input(any(0, low, 30.0), point_form(10.0), &point_form(10.0));
+        let seen = law_input(symbol_form(0, low, 30.0), point_form(10.0), &point_form(10.0));
         assert_bounds(IDM.desired_acceleration(&seen, &brake).range(), [-BRAKE[1], IDM.accel_mps2], 1e-10);
     }
 }
@@ -154,10 +154,10 @@ fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
 #[test]
 fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
-    let behind = law_follower(&law, point_form(25.0), any(6, BRAKE[0], BRAKE[1]), &start_gap);
+    let behind = law_follower(&law, point_form(25.0), symbol_form(6, BRAKE[0], BRAKE[1]), &start_gap);
     // Closing at 1 m/s, it fires below 5 m.
     let at =
-        |low: f64, high: f64| behind.acceleration(&law_input(any(0, low, high), point_form(20.0), &point_form(19.0))).range();
+        |low: f64, high: f64| behind.acceleration(&law_input(symbol_form(0, low, high), point_form(20.0), &point_form(19.0))).range();
     assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
     let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
@@ -188,8 +188,8 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     let step = Interval::point(0.1);
     let at = |speed: AffineForm| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
-    let (moves, may_stand, stands) = (at(any(0, 5.0, 6.0)), at(any(0, 0.0, 6.0)), at(AffineForm::default()));
-    let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| any(1, low, high));
+    let (moves, may_stand, stands) = (at(symbol_form(0, 5.0, 6.0)), at(symbol_form(0, 0.0, 6.0)), at(AffineForm::default()));
+    let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| symbol_form(1, low, high));
     for wanted in [&brakes, &either, &starts] {
         assert_eq!(step_follower(&moves, wanted, step).acceleration, *wanted);
     }

@@ -101,7 +101,7 @@ fn many_decisions_share_symbols() {
 #[test]
 fn accelerations_of_a_script_are_those_of_its_brake() {
     let step = Interval::point(STEP_S);
-    let ranges = [any(2, 20.0, 21.0), any(5, 5.0, 6.0), any(7, 2.0, 5.5)];
+    let ranges = [symbol_form(2, 20.0, 21.0), symbol_form(5, 5.0, 6.0), symbol_form(7, 2.0, 5.5)];
     let [speed, rate, onset] = ranges;
     let braking = BrakingVehicle::new(speed, rate, onset, interval(2.0, 5.5), step);
     let of_braking = braking.possible_accelerations(4, step);

@@ -55,8 +55,8 @@ proptest! {
     ) {
         let ends = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         let from = [[gap, gap + widths[0]], [v, v + widths[1]], [w, w + widths[2]]];
-        let forms = std::array::from_fn(|i| any(i, from[i][0], from[i][1]));
-        let form = enclose_acceleration(&residual_policy(zone), &any(3, ends[0], ends[1]), forms);
+        let forms = std::array::from_fn(|i| symbol_form(i, from[i][0], from[i][1]));
+        let form = enclose_acceleration(&residual_policy(zone), &symbol_form(3, ends[0], ends[1]), forms);
         let at = |[low, high]: [f64; 2], place: f64| low + place * (high - low);
         let seen = std::array::from_fn(|i| at(from[i], places[i]));
         let truth = expected_acceleration(zone, at(ends, places[3]), seen);
@@ -70,8 +70,8 @@ proptest! {
 /// Within the dead zone there is nothing but the law, and what it has to do with what is seen is kept; beyond it, entirely, nothing but the bound.
 #[test]
 fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
-    let seen = [any(0, 20.0, 20.1), any(1, 14.0, 14.1), point_form(15.0)];
-    let calm = enclose_acceleration(&residual_policy(0.4), &any(3, -0.39, 0.39), seen.clone());
+    let seen = [symbol_form(0, 20.0, 20.1), symbol_form(1, 14.0, 14.1), point_form(15.0)];
+    let calm = enclose_acceleration(&residual_policy(0.4), &symbol_form(3, -0.39, 0.39), seen.clone());
     assert!(calm.terms()[..2].iter().all(|&term| term != 0.0) && calm.terms().get(3).is_none_or(|&term| term == 0.0));
     assert_bounds(calm.range(), [law_acceleration([20.0, 14.1, 15.0]), law_acceleration([20.1, 14.0, 15.0])], 1e-2);
     for (action, bound_mps2) in [(-1.0, BOUNDS_MPS2[0]), (1.0, BOUNDS_MPS2[1])] {
@@ -82,8 +82,8 @@ fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
 /// Plain numbers take the place of a form where they say more by far: the gap may be next to nothing here.
 #[test]
 fn what_may_be_anything_is_within_the_bounds() {
-    let seen = [any(0, -1.0, 30.0), point_form(10.0), point_form(10.0)];
-    let range = enclose_acceleration(&residual_policy(0.3), &any(3, -1.0, 1.0), seen).range();
+    let seen = [symbol_form(0, -1.0, 30.0), point_form(10.0), point_form(10.0)];
+    let range = enclose_acceleration(&residual_policy(0.3), &symbol_form(3, -1.0, 1.0), seen).range();
     assert!(range.low() >= -7.5 - 1e-9 && range.high() <= 3.0 + 1e-9, "{range:?}");
 }
 

@@ -33,7 +33,7 @@ pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember 
             .leader
             .acceleration_mps2
             .iter()
-            .flat_map(|&Constant(steps, a)| std::iter::repeat_n(a, steps as usize))
+            .flat_map(|&ConstantPiece(steps, a)| std::iter::repeat_n(a, steps as usize))
             .map(&mut of)
             .collect(),
         egos: scene.egos.iter().map(|ego| [of(ego.position_m), of(ego.speed_mps)]).collect(),
@@ -193,7 +193,7 @@ prop_compose! {
                 acceleration_mps2: vec![ConstantPiece(1, interval_around(leader.1, width)), ConstantPiece(steps - 1, interval_around(leader.2, width))],
             },
             egos,
-            follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| FollowerModel {
+            follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| SceneFollower {
                 position_m: interval_around(bumper - gap, width), speed_mps: speed(v), brake_mps2: interval_around(brake, width),
                 ttc_s, reaction_steps,
             }),

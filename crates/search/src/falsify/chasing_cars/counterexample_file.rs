@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn counterexamples_survive_their_files() {
-        let measured = run_benchmark(&Method::Auto, 30, 0, 1).unwrap();
+        let measured = super::super::benchmark::run_benchmark(&Method::Auto, 30, 0, 1).unwrap();
         let files = measured.counterexample_files();
         assert!(files.len() >= 3, "{}", files.len());
         for file in files {
