@@ -35,5 +35,6 @@ fn simulation(bencher: Bencher) {
 #[divan::bench]
 fn simulation_to_robustness(bencher: Bencher) {
     let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
-    bencher.bench(|| crumple_search::falsify::chasing_cars::robustness(&formula, divan::black_box(&switching_inputs())));
+    bencher
+        .bench(|| crumple_search::falsify::chasing_cars::robustness(&formula, divan::black_box(&switching_inputs())));
 }

@@ -54,23 +54,26 @@ pub use crumple_suites as suites;
 pub use crumple_verify as verify;
 pub use crumple_world as world;
 
-pub use crumple_core::observer::{Listener, Observer, RunProgress, Quiet, Stopped};
+pub use crumple_core::observer::{Listener, Observer, Quiet, RunProgress, Stopped};
 pub use crumple_evidence::{
-    CountProgress, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan, CountTally,
+    CountProgress, CountTally, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan,
 };
-pub use crumple_learn::rl::{TrainingEvent, EvaluationSet, Trainer, TrainingConfig, TrainingError, train};
+pub use crumple_learn::rl::{EvaluationSet, Trainer, TrainingConfig, TrainingError, TrainingEvent, train};
 pub use crumple_report::assessment::{
-    AssessConfig, AssessError, AssessmentReport, AssessmentPlan, AssessConfigError, EarlierAssessment, EvidenceCache, assess,
+    AssessConfig, AssessConfigError, AssessError, AssessmentPlan, AssessmentReport, EarlierAssessment, EvidenceCache,
+    assess,
 };
 pub use crumple_search::falsify::campaign::{
-    SearchObjective, Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, CampaignSummary,
+    Campaign, CampaignError, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, SearchObjective,
 };
-pub use crumple_search::falsify::{FailureCriterion, UnitCube, CustomMethod, InvalidMethodName, Method, SearchAlgorithm};
+pub use crumple_search::falsify::{
+    CustomMethod, FailureCriterion, InvalidMethodName, Method, SearchAlgorithm, UnitCube,
+};
 pub use crumple_search::worst_case::{
-    AttackObjective, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
+    Attack, AttackError, AttackObjective, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
     Envelope, attack, avoid,
 };
-pub use crumple_verify::{ProvedClaim, Certificate, Rejection, WorkLimit, check, check_with};
+pub use crumple_verify::{Certificate, ProvedClaim, Rejection, WorkLimit, check, check_with};
 pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 pub use crumple_world::measure::{Specification, SpecificationError};
 pub use crumple_world::observation::{EstimatorKind, Observation};

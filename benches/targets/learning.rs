@@ -8,10 +8,12 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
-use crate::clock::{min_cpu_time_s, min_wall_time_s, cpu_time_s};
+use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
 use crate::limits::register_operations_per_second;
 use crate::table::Measurement;
-use crate::work::networks::{self, acting_operations, batch, config, large_product, learner, operations, random_policy, products, td3};
+use crate::work::networks::{
+    self, acting_operations, batch, config, large_product, learner, operations, products, random_policy, td3,
+};
 use crate::work::rollouts::{runs, scenarios, steps};
 
 pub fn measure(say: &mut dyn FnMut(Measurement)) {

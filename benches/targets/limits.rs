@@ -41,7 +41,8 @@ pub fn register_operations_per_second() -> f64 {
 pub fn normals_per_second() -> f64 {
     const COUNT: usize = 100_000;
     let (normals, mut stream) = (NormalSampler::new(), stream(1, Purpose::ReplaySampling, 0));
-    let [seconds] = min_cpu_time_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.sample(&mut stream)).sum::<f64>())]);
+    let [seconds] =
+        min_cpu_time_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.sample(&mut stream)).sum::<f64>())]);
     COUNT as f64 / seconds
 }
 
@@ -89,8 +90,14 @@ pub fn processor_model() -> String {
 }
 
 pub fn measure(say: &mut dyn FnMut(MachineLimit)) {
-    let mut limit = |name: &str, value: f64, unit| say(MachineLimit { name: name.to_owned(), value: format_three_digits(value), unit });
-    limit("fused multiply-adds in registers, single precision", register_operations_per_second() / 1e9, "billion operations a second");
+    let mut limit = |name: &str, value: f64, unit| {
+        say(MachineLimit { name: name.to_owned(), value: format_three_digits(value), unit })
+    };
+    limit(
+        "fused multiply-adds in registers, single precision",
+        register_operations_per_second() / 1e9,
+        "billion operations a second",
+    );
     limit("normal numbers from one stream", 1e9 / normals_per_second(), "ns each");
     for (name, bytes) in [
         ("read from the first-level cache (16 KiB)", 1 << 14),

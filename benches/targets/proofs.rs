@@ -9,7 +9,7 @@ use crumple_evidence::{BoxSpec, ReachPlan};
 use crumple_search::worst_case::{AvoidOptions, avoid};
 use crumple_world::scenario::PAPER_STEP_S;
 
-use crate::clock::{min_cpu_time_s, cpu_time_s};
+use crate::clock::{cpu_time_s, min_cpu_time_s};
 use crate::table::Measurement;
 use crate::work::networks::widened_reference;
 

@@ -4,7 +4,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
 
-use crate::clock::{min_cpu_time_s, min_wall_time_s, cpu_time_s};
+use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
 use crate::limits::normals_per_second;
 use crate::table::Measurement;
 use crate::work::rollouts::{built_in, runs, scenarios, vehicle_steps};
@@ -25,7 +25,12 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     say(Measurement::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
     // The noise of two vehicles of three.
     let share = 100.0 * (2.0 / 3.0) / normals_per_second() / (1e-9 * ns(truth_s, &truth));
-    say(Measurement::at_least(25.0, "%", "the same, share of its time that its normal numbers alone would take", share));
+    say(Measurement::at_least(
+        25.0,
+        "%",
+        "the same, share of its time that its normal numbers alone would take",
+        share,
+    ));
     say(Measurement::at_most(25.0, "ns", "vehicle-step, baseline, Kalman filter", ns(kalman_s, &kalman)));
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
     let [one_s, two_s] = min_wall_time_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);

@@ -2,9 +2,11 @@
 
 use std::hint::black_box;
 
-use crumple_report::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg};
+use crumple_report::draw::{
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg,
+};
 use crumple_search::falsify::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
-use crumple_search::falsify::{UnitCube, Method};
+use crumple_search::falsify::{Method, UnitCube};
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -90,7 +92,10 @@ fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
         let mut made = 0;
         while made < budget {
             let points = search.ask();
-            let values = points.iter().take(budget - made).map(|point| robustness(&formula, &ChasingCarsInputs::from_unit(point)));
+            let values = points
+                .iter()
+                .take(budget - made)
+                .map(|point| robustness(&formula, &ChasingCarsInputs::from_unit(point)));
             let values: Vec<f64> = values.collect::<Result<_, _>>().expect("fits");
             made += values.len();
             search.tell(&values);

@@ -2,7 +2,9 @@
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
-use crumple_world::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
+use crumple_world::policy::{
+    ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN,
+};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::PAPER_STEP_S;
 use rand::RngExt;
@@ -80,7 +82,11 @@ pub fn acting_operations(width: usize) -> usize {
 pub fn large_product() -> (Learner, Vec<f32>, usize) {
     let mut config = config(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE);
     config.network.hidden = vec![LARGE_PRODUCT_SIZE; 2];
-    (learner(&config), vec![0.5; LARGE_PRODUCT_SIZE * STATE_LEN], operations(&[[LARGE_PRODUCT_SIZE, STATE_LEN, LARGE_PRODUCT_SIZE], [LARGE_PRODUCT_SIZE; 3]]))
+    (
+        learner(&config),
+        vec![0.5; LARGE_PRODUCT_SIZE * STATE_LEN],
+        operations(&[[LARGE_PRODUCT_SIZE, STATE_LEN, LARGE_PRODUCT_SIZE], [LARGE_PRODUCT_SIZE; 3]]),
+    )
 }
 
 /// A policy of a width with small random weights.

@@ -30,6 +30,7 @@ pub fn steps(run: &Run, result: &SimulationResult) -> usize {
 }
 
 pub fn vehicle_steps(runs: &[Run]) -> usize {
-    let made = |index: usize, result: SimulationResult| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
+    let made =
+        |index: usize, result: SimulationResult| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
     simulate_batch(runs, RecordingLevel::Summary, made).into_iter().sum()
 }

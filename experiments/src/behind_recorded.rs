@@ -125,7 +125,12 @@ fn scenarios_behind(platoon: &RecordedPlatoon, leader: usize) -> Vec<Scenario> {
 }
 
 /// None for a piece that is too short, or whose start is none that a scenario may have.
-fn scenario_from_piece(platoon: &RecordedPlatoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
+fn scenario_from_piece(
+    platoon: &RecordedPlatoon,
+    leader: usize,
+    follower: Option<usize>,
+    piece: &[usize],
+) -> Option<Scenario> {
     let (&first, &last) = (piece.first()?, piece.last()?);
     let start_s = platoon.time_s()[first];
     let duration_s = platoon.time_s()[last] - start_s;
@@ -190,7 +195,10 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
         let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
         sums.leader_contacts += u64::from(into_the_leader);
         sums.rear_contacts += u64::from(contact.is_some() && !into_the_leader);
-        let Some(DriveSummary { ego_distance_m: driven_m, leader_distance_m: led_m, false_brakes, driven_s }) = ridden else { continue };
+        let Some(DriveSummary { ego_distance_m: driven_m, leader_distance_m: led_m, false_brakes, driven_s }) = ridden
+        else {
+            continue;
+        };
         sums.ego_distance_m += driven_m;
         sums.leader_distance_m += led_m;
         sums.false_brakes += false_brakes;
@@ -250,7 +258,10 @@ mod tests {
     #[test]
     fn arguments_that_make_no_sense_are_named() {
         let refused = |arguments: &[&str]| {
-            ReplayArgs::parse(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+            ReplayArgs::parse(arguments.iter().map(|argument| (*argument).to_owned()))
+                .err()
+                .expect("refused")
+                .to_string()
         };
         assert_eq!(refused(&[]), "which recordings?");
         assert_eq!(refused(&["idm"]), "which recordings?");

@@ -16,7 +16,9 @@
 use std::path::Path;
 
 use crate::ExperimentError;
-use crumple::report::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Svg};
+use crumple::report::draw::{
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Svg,
+};
 use crumple::world::measure::{UnnecessaryBraking, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
@@ -124,7 +126,9 @@ impl SpaceComparisonArgs {
     }
 }
 
-fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs) -> Result<(), ExperimentError> {
+fn print_measurements(
+    SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs,
+) -> Result<(), ExperimentError> {
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
@@ -193,7 +197,13 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     }
     let content = panel.draw(&Svg::id("front", "frame"));
     let description = format!("{draws} draws of each space. Rings are policies of the preset road and its variants.");
-    Svg::new("front", (LEFT_MARGIN + 24.0 + 640.0 + 24.0, HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN), title, &description, content)
+    Svg::new(
+        "front",
+        (LEFT_MARGIN + 24.0 + 640.0 + 24.0, HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN),
+        title,
+        &description,
+        content,
+    )
 }
 
 /// Braking harder than [`FIRM_BRAKE_MPS2`] in a run.
@@ -213,7 +223,8 @@ fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Resu
             (from..draws.min(from + BLOCK)).map(|index| space.draw(SEED, index)).collect::<Result<Vec<_>, _>>()?;
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            let useful = result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
+            let useful =
+                result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
             let firm = result.trace.as_ref().map(|trace| FirmBraking {
                 is_unnecessary: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
                     .is_some_and(|beyond| !beyond.is_empty()),
@@ -246,7 +257,10 @@ mod tests {
     use super::*;
 
     fn parse_error(arguments: &[&str]) -> String {
-        SpaceComparisonArgs::parse(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+        SpaceComparisonArgs::parse(arguments.iter().map(|argument| (*argument).to_owned()))
+            .err()
+            .expect("refused")
+            .to_string()
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use crate::ExperimentError;
 use crumple_report::figures::{StatedConvergence, draw_learning_curve_with_reference};
-use crumple_world::policy::{LearningCurve, COLLISION_FREE_REWARD};
+use crumple_world::policy::{COLLISION_FREE_REWARD, LearningCurve};
 
 /// A line of the table; what else it says is not drawn.
 #[derive(serde::Deserialize)]
@@ -23,7 +23,8 @@ struct EvaluationRow {
 }
 
 /// Section "DDPG training result".
-const PAPER_CONVERGENCE: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
+const PAPER_CONVERGENCE: StatedConvergence<'static> =
+    StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let [table, configuration, picture] = arguments else {
@@ -41,7 +42,10 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         return Err(format!("{table} has no evaluations of `{configuration}`").into());
     }
     let curves: Vec<_> = seeds.into_values().collect();
-    let figure = draw_learning_curve_with_reference(&LearningCurve::from_evaluations(configuration, &curves), Some(&PAPER_CONVERGENCE));
+    let figure = draw_learning_curve_with_reference(
+        &LearningCurve::from_evaluations(configuration, &curves),
+        Some(&PAPER_CONVERGENCE),
+    );
     std::fs::write(picture, figure.document()).map_err(|error| format!("{picture}: {error}"))?;
     Ok(())
 }

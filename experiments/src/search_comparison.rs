@@ -13,7 +13,7 @@ use std::path::Path;
 use crate::ExperimentError;
 use crumple::world::scenario::space::built_in_space;
 use crumple::world::sim::NamedController;
-use crumple::{Campaign, CampaignOptions, Method, Quiet, CampaignSummary};
+use crumple::{Campaign, CampaignOptions, CampaignSummary, Method, Quiet};
 
 /// Every built-in space, and who seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
@@ -99,7 +99,13 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     Ok(())
 }
 
-fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<CampaignSummary, ExperimentError> {
+fn run_campaign(
+    space: &str,
+    controller: &str,
+    method: Method,
+    budget: u64,
+    seed: u64,
+) -> Result<CampaignSummary, ExperimentError> {
     let campaign = Campaign {
         method,
         budget,

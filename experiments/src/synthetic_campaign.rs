@@ -12,9 +12,9 @@ use std::path::Path;
 
 use crate::ExperimentError;
 use crumple_core::digest::sha256;
-use crumple_evidence::{CountedBlock, RateConfig, RatePlan, COUNT_SHARD_KIND};
+use crumple_evidence::{COUNT_SHARD_KIND, CountedBlock, RateConfig, RatePlan};
+use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 use crumple_store::shard::ShardId;
-use crumple_store::run_folder::{RunFolderOptions, RunFolder};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::space::built_in_space;
 use rayon::prelude::*;
@@ -29,7 +29,9 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         ..RateConfig::new(controller, built_in_space("paper").ok_or("no such space")?, runs.parse()?)
     })?;
     let (of, root) = (shards.parse()?, Path::new(folder).join("shards"));
-    (1..=of).into_par_iter().try_for_each(|index| write_shard(&plan, ShardId::new(index, of)?, &root.join(index.to_string())))
+    (1..=of)
+        .into_par_iter()
+        .try_for_each(|index| write_shard(&plan, ShardId::new(index, of)?, &root.join(index.to_string())))
 }
 
 /// A failure in every hundredth block.

@@ -4,7 +4,7 @@
 
 use crate::ExperimentError;
 use crumple_core::observer::Quiet;
-use crumple_search::falsify::{UnitCube, Method};
+use crumple_search::falsify::{Method, UnitCube};
 use crumple_search::worst_case::{AttackObjective, Envelope, attack};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -38,7 +38,9 @@ fn compare_with_samples() {
         let scenario = built_in_scenario(name).expect("built in");
         let options = options("baseline", EstimatorKind::Truth);
         let envelope = Envelope::from_scenario(&scenario);
-        let mildest = attack(&scenario, &options, AttackObjective::Mildest, envelope, 0, &Quiet).expect("a scripted leader").attack;
+        let mildest = attack(&scenario, &options, AttackObjective::Mildest, envelope, 0, &Quiet)
+            .expect("a scripted leader")
+            .attack;
         let mildest = mildest.expect("the baseline collides");
         for (family, is_scaled) in [("uniform", false), ("scaled", true)] {
             let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
@@ -63,7 +65,12 @@ fn compare_with_samples() {
 
 /// Braking in one to six pieces with uniform borders and uniform decelerations up to the hardest (of one sample: `is_scaled`
 /// draws it uniformly too), followed as fast as the jerk allows.
-fn random_profile(scenario: &Scenario, envelope: Envelope, is_scaled: bool, random: &mut Xoshiro256PlusPlus) -> Vec<f64> {
+fn random_profile(
+    scenario: &Scenario,
+    envelope: Envelope,
+    is_scaled: bool,
+    random: &mut Xoshiro256PlusPlus,
+) -> Vec<f64> {
     let duration_s = scenario.spec().duration_s;
     let pieces = random.random_range(1..=6);
     let mut borders_s: Vec<f64> = (1..pieces).map(|_| random.random_range(0.0..duration_s)).collect();
@@ -90,8 +97,8 @@ fn compare_with_searches() {
                 built_in_scenario(name).expect("built in").edited(|spec| spec.seed = seed).expect("any seed is valid");
             let options = options("policy", EstimatorKind::Kalman);
             let envelope = Envelope::from_scenario(&scenario);
-            let hunted =
-                attack(&scenario, &options, AttackObjective::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
+            let hunted = attack(&scenario, &options, AttackObjective::Mildest, envelope, BUDGET, &Quiet)
+                .expect("a scripted leader");
             let own = hunted.attack.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = UnitCube::new([KNOTS]).expect("not empty");
             let told = plain.clone().with_leader_coordinates(0..KNOTS);

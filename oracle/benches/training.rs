@@ -24,7 +24,10 @@ use pulp::{Arch, Simd, WithSimd};
 #[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
 mod networks;
 
-use networks::{LARGE_PRODUCT_SIZE, acting_operations, batch, config, large_product, learner, operations, random_policy, products, observations, td3};
+use networks::{
+    LARGE_PRODUCT_SIZE, acting_operations, batch, config, large_product, learner, observations, operations, products,
+    random_policy, td3,
+};
 
 fn main() {
     // One thread: trainings run side by side, not inside one product.
@@ -98,7 +101,8 @@ fn products_of_an_update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): 
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
-    let (left, right) = (random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE), random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE));
+    let (left, right) =
+        (random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE), random_tensor(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE));
     bencher.counter(items_count(&[[LARGE_PRODUCT_SIZE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
 }
 
@@ -171,7 +175,8 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let mut actions = vec![0.0; seen.len()];
     let counter = ItemsCount::new(seen.len() * acting_operations(width));
     bencher.counter(counter).bench_local(|| {
-        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.observe(seen, &mut FrameStack::default()).to_vec()).collect();
+        let rows: Vec<f32> =
+            seen.iter().flat_map(|seen| policy.observe(seen, &mut FrameStack::default()).to_vec()).collect();
         policy.choose_batch(&rows, &mut space, &mut actions);
     });
 }

@@ -130,7 +130,11 @@ impl ReferenceLearner {
     pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
         Ok(Self {
             actor: NetworkWithTarget::new(&learner.actor, learning.actor_rate)?,
-            critics: learner.critics.iter().map(|c| NetworkWithTarget::new(c, learning.critic_rate)).collect::<Result<_>>()?,
+            critics: learner
+                .critics
+                .iter()
+                .map(|c| NetworkWithTarget::new(c, learning.critic_rate))
+                .collect::<Result<_>>()?,
             learning: learning.clone(),
             td3: td3.clone(),
             updates: 0,
@@ -161,7 +165,12 @@ impl ReferenceLearner {
         Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
     }
 
-    fn critic_loss(&self, critic: &NetworkWithTarget, rows: &BatchTensors, td_targets: &Tensor) -> Result<(Tensor, Tensor)> {
+    fn critic_loss(
+        &self,
+        critic: &NetworkWithTarget,
+        rows: &BatchTensors,
+        td_targets: &Tensor,
+    ) -> Result<(Tensor, Tensor)> {
         let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &rows.actions], 1)?)?;
         Ok(((&values - td_targets)?.sqr()?.mean_all()?, values))
     }

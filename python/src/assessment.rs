@@ -4,7 +4,9 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crumple_core::observer::RunProgress;
-use crumple_report::assessment::{self as report, AssessConfig, AssessmentPlan, AssessConfigError, EarlierAssessment, EvidenceCache};
+use crumple_report::assessment::{
+    self as report, AssessConfig, AssessConfigError, AssessmentPlan, EarlierAssessment, EvidenceCache,
+};
 use crumple_store::program;
 use crumple_world::scenario::file;
 use pyo3::prelude::*;
@@ -12,8 +14,8 @@ use pyo3::types::{PyBytes, PyDict};
 
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
-use crate::values::serialize_to_python;
 use crate::interruptible::{StopFlag, run_interruptible};
+use crate::values::serialize_to_python;
 
 /// Everything that an assessment found out.
 #[pyclass(name = "Assessment", frozen, module = "crumple")]

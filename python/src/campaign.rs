@@ -9,10 +9,10 @@ use pyo3::prelude::*;
 
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
+use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
-use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Searches a space for failures of a controller; the campaign's summary, and the same as text.
 #[pyfunction]

@@ -2,7 +2,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crumple_learn::rl::{EpisodeEnding, TrainingEpisode, ScenarioSource, EpisodeConfig, TrainingConfig, action_bounds, unsuitability};
+use crumple_learn::rl::{
+    EpisodeConfig, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode, action_bounds, unsuitability,
+};
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE_LEN;
 use crumple_world::scenario::{Scenario, file};
@@ -164,7 +166,9 @@ impl Episodes {
         let config = load_training_config(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
-            None => config.scenario_source().map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?,
+            None => {
+                config.scenario_source().map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?
+            }
         };
         let mut environment = config.environment;
         if let Some(estimator) = estimator {
@@ -222,7 +226,12 @@ impl Episodes {
                 lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                return lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate().try_for_each(begin);
+                return lanes
+                    .iter_mut()
+                    .zip(states.chunks_exact_mut(STATE_LEN))
+                    .zip(mask)
+                    .enumerate()
+                    .try_for_each(begin);
             }
             let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))

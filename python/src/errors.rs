@@ -53,7 +53,9 @@ pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std:
 /// An exception that says which file cannot be used, and why.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
-        FileError::Read { path, .. } | FileError::Extension { path } => ErrorLocation { file: Some(path), ..ErrorLocation::default() },
+        FileError::Read { path, .. } | FileError::Extension { path } => {
+            ErrorLocation { file: Some(path), ..ErrorLocation::default() }
+        }
         FileError::Syntax { path, line, message } => {
             let field = message.split_once(": ").map(|(field, _)| field).filter(|field| !field.contains(' '));
             ErrorLocation { file: Some(path), line: Some(*line), field }
@@ -80,7 +82,12 @@ pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
 
 /// An exception that names a field.
 pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
-    new_exception(py, ExceptionClass::Scenario, error, &ErrorLocation { field: Some(&error.field), ..ErrorLocation::default() })
+    new_exception(
+        py,
+        ExceptionClass::Scenario,
+        error,
+        &ErrorLocation { field: Some(&error.field), ..ErrorLocation::default() },
+    )
 }
 
 /// An exception that says where something is wrong: file, line and field.
@@ -93,7 +100,12 @@ pub(crate) fn exception_at(
     new_exception(py, class, error, &ErrorLocation { file: Some(file), line: Some(line), field: Some(field) })
 }
 
-fn new_exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display, place: &ErrorLocation<'_>) -> PyErr {
+fn new_exception(
+    py: Python<'_>,
+    class: ExceptionClass,
+    error: &impl std::fmt::Display,
+    place: &ErrorLocation<'_>,
+) -> PyErr {
     let file = place.file.map(|file| file.display().to_string());
     let made = py
         .import("crumple.errors")

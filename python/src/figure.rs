@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crumple_report::draw::{self, PanelArrangement, MotionFigure};
+use crumple_report::draw::{self, MotionFigure, PanelArrangement};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Impact, Trace};
 use pyo3::exceptions::PyValueError;
@@ -27,7 +27,11 @@ impl PyFigure {
         impacts: &[Impact],
         layout: &str,
     ) -> PyResult<Self> {
-        let known = [("wide", PanelArrangement::Wide), ("stacked", PanelArrangement::Stacked), ("column", PanelArrangement::Column)];
+        let known = [
+            ("wide", PanelArrangement::Wide),
+            ("stacked", PanelArrangement::Stacked),
+            ("column", PanelArrangement::Column),
+        ];
         let labels = draw::vehicle_names(scenario);
         let figure = MotionFigure { prefix: "motion", title, labels: &labels, trace, impacts };
         Ok(Self { svg: draw::draw_motion(&figure, parse_choice("layout", layout, &known)?).document() })

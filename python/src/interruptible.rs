@@ -100,7 +100,9 @@ pub(crate) fn run_interruptible<T: Send>(
             loop {
                 // The channel closes when the work is done.
                 let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
-                    Ok(state) => Python::attach(|py| report_progress(py, progress, state).and_then(|()| py.check_signals())),
+                    Ok(state) => {
+                        Python::attach(|py| report_progress(py, progress, state).and_then(|()| py.check_signals()))
+                    }
                     Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
@@ -117,7 +119,11 @@ pub(crate) fn run_interruptible<T: Send>(
     })
 }
 
-fn report_progress(py: Python<'_>, progress: Option<&Py<PyAny>>, (done, total, failures): ProgressCounts) -> PyResult<()> {
+fn report_progress(
+    py: Python<'_>,
+    progress: Option<&Py<PyAny>>,
+    (done, total, failures): ProgressCounts,
+) -> PyResult<()> {
     let Some(progress) = progress else { return Ok(()) };
     progress.call1(py, PyTuple::new(py, [done, total, failures])?).map(|_| ())
 }

@@ -9,6 +9,7 @@ mod controller;
 mod episodes;
 mod errors;
 mod figure;
+mod interruptible;
 mod monitor;
 mod rate;
 mod scenario;
@@ -16,7 +17,6 @@ mod simulation;
 mod table;
 mod threads;
 mod values;
-mod interruptible;
 mod worst_case;
 
 use pyo3::prelude::*;
@@ -45,7 +45,7 @@ mod _crumple {
     #[pymodule_export]
     use crate::scenario::{PyScenario, PySpace};
     #[pymodule_export]
-    use crate::simulation::{Simulation, PyTrace, PyTrack, simulate};
+    use crate::simulation::{PyTrace, PyTrack, Simulation, simulate};
     #[pymodule_export]
     use crate::worst_case::worst_case;
 

@@ -8,10 +8,10 @@ use pyo3::prelude::*;
 
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
+use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
-use crate::interruptible::{StopFlag, run_interruptible};
 
 /// What was counted, and what it shows: the certificate and what the checker accepts it as, or why nothing is shown.
 type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_world::sim::{
+    self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
+};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
@@ -12,10 +14,10 @@ use pyo3::types::PyCapsule;
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
 use crate::figure::PyFigure;
+use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::table;
 use crate::values::{parse_choice, serialize_to_python};
-use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Runs between two looks at whether to go on.
 const BATCH_SIZE: usize = 512;
@@ -91,7 +93,8 @@ impl PyTrace {
         requested_schema: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyCapsule>> {
         let _ = requested_schema;
-        let stream = table::arrow_stream(&self.to_native(py)?).map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
+        let stream = table::arrow_stream(&self.to_native(py)?)
+            .map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
         PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
     }
 
@@ -195,7 +198,11 @@ impl Simulation {
     fn native_trace(&self, py: Python<'_>) -> PyResult<sim::Trace> {
         match &self.trace {
             Some(trace) => trace.get().to_native(py),
-            None => Err(errors::exception(py, ExceptionClass::Run, &"the simulation kept no trace: simulate with trace=True")),
+            None => Err(errors::exception(
+                py,
+                ExceptionClass::Run,
+                &"the simulation kept no trace: simulate with trace=True",
+            )),
         }
     }
 }
@@ -224,8 +231,9 @@ pub(crate) fn simulate(
     let runs: Vec<Run> = scenarios
         .iter()
         .map(|scenario| {
-            Run::new(scenario, options.clone())
-                .map_err(|error| errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name)))
+            Run::new(scenario, options.clone()).map_err(|error| {
+                errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name))
+            })
         })
         .collect::<PyResult<_>>()?;
     let keep = if trace { RecordingLevel::Trace } else { RecordingLevel::Summary };

@@ -8,10 +8,10 @@ use pyo3::prelude::*;
 
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
+use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
-use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Most simulations that may be asked for.
 const MAX_SIMULATIONS: u32 = 10_000_000;

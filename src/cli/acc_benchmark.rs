@@ -83,7 +83,13 @@ impl AccBenchmark {
         CliError::gate_first(gate, printed)
     }
 
-    fn text(&self, shape: &str, proved: &CruiseProof, (accepted, checked_s): (&ProvedClaim, f64), sampled: &CruiseSamples) -> String {
+    fn text(
+        &self,
+        shape: &str,
+        proved: &CruiseProof,
+        (accepted, checked_s): (&ProvedClaim, f64),
+        sampled: &CruiseSamples,
+    ) -> String {
         let width = |[low, high]: [f64; 2]| high - low;
         // Bounds rounded to the side on which they hold.
         let down = |value: f64| (100.0 * value).floor() / 100.0;

@@ -105,7 +105,9 @@ pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<It
 pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
     let named = std::mem::take(&mut *NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner));
     for controller in &named {
-        controller.try_start().map_err(|error| CliError::Input(format!("controller `{}`: {error}", controller.name)))?;
+        controller
+            .try_start()
+            .map_err(|error| CliError::Input(format!("controller `{}`: {error}", controller.name)))?;
     }
     named.iter().flat_map(controller_notes).for_each(|note| output::note(&note, quiet));
     Ok(())

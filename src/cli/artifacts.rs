@@ -36,12 +36,18 @@ impl ArtifactArgs {
         replay: impl FnOnce() -> Result<SimulationResult, CliError>,
     ) -> Result<(), CliError> {
         if let Some(path) = &self.out {
-            files.stage(&output::resolve_output_path(path)?, file::to_toml(scenario).map_err(CliError::input)?.as_bytes())?;
+            files.stage(
+                &output::resolve_output_path(path)?,
+                file::to_toml(scenario).map_err(CliError::input)?.as_bytes(),
+            )?;
         }
         if let Some(path) = &self.plot {
             let run = replay()?;
             if let Some(trace) = &run.trace {
-                files.stage(&output::resolve_output_path(path)?, &simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?)?;
+                files.stage(
+                    &output::resolve_output_path(path)?,
+                    &simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?,
+                )?;
             }
         }
         Ok(())
@@ -55,7 +61,11 @@ impl ArtifactArgs {
     }
 
     /// Prints a report, in words or as one JSON object.
-    pub(super) fn print_report<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), CliError> {
+    pub(super) fn print_report<R: Serialize>(
+        &self,
+        report: &R,
+        describe: impl FnOnce(&R) -> String,
+    ) -> Result<(), CliError> {
         output::print_result(self.format, report, || describe(report))
     }
 }

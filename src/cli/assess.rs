@@ -10,14 +10,15 @@ use serde::Serialize;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
-use super::{CliError, interrupt, progress, args, utc};
+use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, ComparisonError, EarlierAssessment, REPORT_FOLDERS, BuildInfo, MergedEvidence, REPORT_KIND, EvidenceCache, assess, gather_shard,
+    AssessmentPlan, BuildInfo, ComparisonError, EarlierAssessment, EvidenceCache, MergedEvidence, REPORT_FOLDERS,
+    REPORT_KIND, assess, gather_shard,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
-use crumple_store::shard::{MissingShards, ShardId};
 use crumple_store::run_folder;
+use crumple_store::shard::{MissingShards, ShardId};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -117,7 +118,8 @@ impl Assess {
             )));
         }
         // Reports of earlier builds have no listing, but a manifest.
-        let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?.with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
+        let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
+            .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
         let store = EvidenceCache::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
@@ -221,7 +223,10 @@ struct MergedEvidenceReport {
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
 fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
-    REPORT_FOLDERS.into_iter().chain([EVIDENCE_FOLDER, "figures"]).try_for_each(|name| ensure_no_symlinks(&out.join(name.trim_end_matches('/'))))
+    REPORT_FOLDERS
+        .into_iter()
+        .chain([EVIDENCE_FOLDER, "figures"])
+        .try_for_each(|name| ensure_no_symlinks(&out.join(name.trim_end_matches('/'))))
 }
 
 /// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.

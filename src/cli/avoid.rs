@@ -9,11 +9,11 @@ use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::output;
-use super::{CliError, value_enums, args};
+use super::{CliError, args, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, ScenarioBox, FoundBy,
-    Optimality, ScenarioRanges, UndecidedReason, avoid_box, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, FoundBy, Optimality,
+    ScenarioBox, ScenarioRanges, UndecidedReason, avoid_box, certify,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
@@ -127,9 +127,18 @@ impl Avoid {
         })
     }
 
-    fn stage_certificates(&self, family: &ScenarioBox, avoidance: &Avoidance, files: &mut StagedFiles) -> Result<(), CliError> {
+    fn stage_certificates(
+        &self,
+        family: &ScenarioBox,
+        avoidance: &Avoidance,
+        files: &mut StagedFiles,
+    ) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            stage_certificate(path, verdict_certificate(family, avoidance).map_err(|reason| reason.to_string()), files)?;
+            stage_certificate(
+                path,
+                verdict_certificate(family, avoidance).map_err(|reason| reason.to_string()),
+                files,
+            )?;
         }
         if let Some(path) = &self.bound_certificate {
             let certificate = avoidance.bound_certificate.as_deref().cloned();
@@ -186,7 +195,11 @@ fn verdict_certificate(family: &ScenarioBox, avoidance: &Avoidance) -> Result<Ce
     }
 }
 
-fn stage_certificate(path: &Path, certificate: Result<Certificate, String>, files: &mut StagedFiles) -> Result<(), CliError> {
+fn stage_certificate(
+    path: &Path,
+    certificate: Result<Certificate, String>,
+    files: &mut StagedFiles,
+) -> Result<(), CliError> {
     match certificate {
         Ok(certificate) => {
             let text = serde_json::to_string(&certificate).map_err(CliError::input)? + "\n";

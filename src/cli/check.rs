@@ -6,13 +6,14 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{ProvedClaim, Certificate, CertificateParseError, Statement, WorkLimit};
+use crumple_verify::{Certificate, CertificateParseError, ProvedClaim, Statement, WorkLimit};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, acc_benchmark, interrupt, output, file_kind, progress, args};
+use super::{CliError, acc_benchmark, args, file_kind, interrupt, output, progress};
 use crumple_evidence::{
-    CertificateReport, CountsStatus, Rerun, RerunError, BlockSelection, checker_file, check_covers_scenario, report_json, report_text,
+    BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario, checker_file,
+    report_json, report_text,
 };
 use crumple_world::control::NameOrigin;
 use crumple_world::network::NetworkFile;
@@ -126,7 +127,9 @@ impl Check {
             (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), Some(percent)) => {
                 Some(self.rerun_counts(path, certificate, percent, quiet)?)
             }
-            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), None) => Some(CountsStatus::Unconfirmed),
+            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), None) => {
+                Some(CountsStatus::Unconfirmed)
+            }
             _ => None,
         };
         report.covers_scenario = scenario.map(|scenario| {

@@ -6,10 +6,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, describe_fmu, output, file_kind};
-use crumple_world::control::{Mapping, OutputMapping, ObservedQuantity};
+use super::{CliError, describe_fmu, file_kind, output};
+use crumple_world::control::{Mapping, ObservedQuantity, OutputMapping};
 use crumple_world::network::{
-    NetworkFormat, NetworkError, NetworkFile, Normalisation, SavedModel, VecNormalizeStats, NetworkStep, VecNormalizeUse,
+    NetworkError, NetworkFile, NetworkFormat, NetworkStep, Normalisation, SavedModel, VecNormalizeStats,
+    VecNormalizeUse,
 };
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -228,7 +229,8 @@ impl NetworkDescription {
         }
         for index in 0..self.inputs {
             let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
-            let quantity = own.and_then(|own| own.quantity).unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
+            let quantity =
+                own.and_then(|own| own.quantity).unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
             text += &format!("\n[[inputs]]\nquantity = \"{}\" # a guess\n", quantity.name());
             let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
             let bounds = model.and_then(|model| model.observations.get(index)).copied().unwrap_or_default();

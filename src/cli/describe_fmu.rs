@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crumple_fmu::{ModelDescription, Fmu, Variable};
+use crumple_fmu::{Fmu, ModelDescription, Variable};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;

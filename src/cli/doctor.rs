@@ -87,7 +87,8 @@ impl DoctorReport {
         }
         for feature in &self.features {
             let Feature { name, used_for, enabled } = feature;
-            let state = if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.install_command()) };
+            let state =
+                if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.install_command()) };
             let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
         }
         text += "  all that crumple does works by itself; with it work\n";

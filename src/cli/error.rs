@@ -9,7 +9,7 @@ use super::output;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::rl::MergeTrainingsError;
-use crumple_report::assessment::{AssessError, AssessConfigError, EvidenceShardError, CacheError};
+use crumple_report::assessment::{AssessConfigError, AssessError, CacheError, EvidenceShardError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_explore::{ExploreConfig, CatalogScenario, ServeError, Server};
+use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, output, args};
+use super::{CliError, args, output, value_enums};
 use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
@@ -57,8 +57,12 @@ struct Address {
 
 impl Explore {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let mut offer =
-            ExploreConfig { controllers: self.controller, estimator: self.estimator, save_folder: self.out, ..ExploreConfig::default() };
+        let mut offer = ExploreConfig {
+            controllers: self.controller,
+            estimator: self.estimator,
+            save_folder: self.out,
+            ..ExploreConfig::default()
+        };
         // What is named first is shown first.
         let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, output, args};
+use super::{CliError, args, output, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
@@ -137,7 +137,12 @@ impl Export {
                 }
                 _ => String::new(),
             };
-            format!("{}: {} vehicles, {} vertices{under}\n", TerminalText(&one.openscenario), one.vehicles, one.vertices)
+            format!(
+                "{}: {} vehicles, {} vertices{under}\n",
+                TerminalText(&one.openscenario),
+                one.vehicles,
+                one.vertices
+            )
         };
         output::print_result(self.format, &exported, || exported.iter().map(line).collect())
     }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::exposure::{RatePerExposure, IntervalEstimate, FailureRates, MIN_RESAMPLES, WithDataUncertainty};
+use crumple_evidence::exposure::{FailureRates, IntervalEstimate, MIN_RESAMPLES, RatePerExposure, WithDataUncertainty};
 
 /// The option `--resamples`: none, or enough for an interval.
 pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
@@ -23,8 +23,17 @@ pub(super) fn format_rate(rate: &RatePerExposure) -> String {
 }
 
 fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
-    let RatePerExposure { episodes, left_out, clusters: waves, hours, kilometres, confidence, fitted, with_data_uncertainty: with_data, data_uncertainty_missing: without_data } =
-        rate;
+    let RatePerExposure {
+        episodes,
+        left_out,
+        clusters: waves,
+        hours,
+        kilometres,
+        confidence,
+        fitted,
+        with_data_uncertainty: with_data,
+        data_uncertainty_missing: without_data,
+    } = rate;
     let percent = 100.0 * confidence;
     writeln!(
         out,

@@ -6,16 +6,17 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, interrupt, output, progress, args};
+use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    SearchObjective, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardSummary, CampaignSummary,
+    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MergedCampaign, MethodSummary,
+    SearchObjective, ShardSummary,
 };
-use crumple_search::falsify::{FailureCriterion, Method, MetamorphicRelation, non_finite};
+use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method, non_finite};
 use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{ScenarioSpace, FindSpaceError, find_space};
+use crumple_world::scenario::space::{FindSpaceError, ScenarioSpace, find_space};
 use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
@@ -164,7 +165,10 @@ impl Falsify {
             estimator: self.estimator,
             space,
             specification,
-            failure_criterion: self.against.map(FailureCriterion::Differential).or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: self
+                .against
+                .map(FailureCriterion::Differential)
+                .or(self.metamorphic.map(FailureCriterion::Metamorphic)),
             method: self.method,
             objective: self.aim,
             budget: self.budget,
@@ -187,7 +191,9 @@ impl Falsify {
         let observer = Listener(|state: &CampaignProgress| {
             bar.set_position(state.evaluations);
             bar.set_message(match &state.method {
-                Some(method) => format!("{method}: {}, best {:.2};", format_failure_count(state.failures), state.best_robustness),
+                Some(method) => {
+                    format!("{method}: {}, best {:.2};", format_failure_count(state.failures), state.best_robustness)
+                }
                 None => format!("{}; replaying and shrinking;", format_failure_count(state.failures)),
             });
         });

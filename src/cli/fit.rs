@@ -10,10 +10,13 @@ use serde_json::json;
 use super::import::{parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
 use super::simulate::{OutputFormat, parse_path_ending_in};
-use super::{CliError, value_enums, output};
+use super::{CliError, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedFeature, FittedSize, MAX_VEHICLES, EpisodeSample, ExtractionConfig, fit, format_p_value};
+use crumple_evidence::fit::{
+    EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES, fit,
+    format_p_value,
+};
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;
 use crumple_world::recording::map::RecordingMap;
@@ -137,7 +140,9 @@ fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
 }
 
 fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
-    let EpisodeSample { exposure, extraction: taken, exclusions: left_out, sizes, most_out_of_range: outside_by, .. } = sample;
+    let EpisodeSample {
+        exposure, extraction: taken, exclusions: left_out, sizes, most_out_of_range: outside_by, ..
+    } = sample;
     let waves = cluster_count(sample);
     writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
     for source in &exposure.sources {

@@ -10,15 +10,15 @@ use serde::Serialize;
 use super::CliError;
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::OutputFormat;
-use super::{value_enums, feature, output, simulate};
+use super::{feature, output, simulate, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_store::disk::{DiskError, StagedFiles};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    ImportOptions, ImportResult, ImportedScenario, LeaderSelection, MinBrake, Preview, ImportedRecording, hardest_braking, import, load,
-    preview,
+    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview,
+    hardest_braking, import, load, preview,
 };
 
 /// Turn braking episodes of recorded platoons into scenario files
@@ -170,7 +170,14 @@ impl Import {
                 left_out: recording.dropped.iter().map(ToString::to_string).collect(),
             });
         }
-        let Preview { lead_vehicles: leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
+        let Preview {
+            lead_vehicles: leads,
+            samples,
+            time_s: [from_s, to_s],
+            step_s,
+            speed_mps: [slow, usual, fast],
+            ..
+        } = seen;
         let mut text = format!("{}: {}\n", TerminalText(&name), recording.format.name());
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=

@@ -10,13 +10,13 @@ use super::{CliError, assess, exposure, falsify, output, rare, suite, train, ver
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
 use crumple_evidence::exposure::RatePerExposure;
-use crumple_evidence::rare::{MergedEstimate, ESTIMATE_SHARD_KIND};
-use crumple_evidence::{MergedCount, COUNT_SHARD_KIND, PartialCount};
+use crumple_evidence::rare::{ESTIMATE_SHARD_KIND, MergedEstimate};
+use crumple_evidence::{COUNT_SHARD_KIND, MergedCount, PartialCount};
 use crumple_learn::rl::{MergedTrainings, is_trainings_folder};
-use crumple_report::assessment::{MergedEvidence, ASSESSMENT_SHARD_KIND};
-use crumple_search::falsify::campaign::{MergedCampaign, CAMPAIGN_SHARD_KIND};
-use crumple_store::shard::{MergeError, format_ranges};
+use crumple_report::assessment::{ASSESSMENT_SHARD_KIND, MergedEvidence};
+use crumple_search::falsify::campaign::{CAMPAIGN_SHARD_KIND, MergedCampaign};
 use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::shard::{MergeError, format_ranges};
 use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 
 /// Put shards together that were made on several machines (see --shard)
@@ -211,7 +211,9 @@ impl Merge {
         };
         if self.partial && !matches!(merged, AnyMerged::Campaign(_)) {
             let kind = merged.kind();
-            return Err(CliError::Input(format!("--partial: only of a search a part is of use, and these are: {kind}")));
+            return Err(CliError::Input(format!(
+                "--partial: only of a search a part is of use, and these are: {kind}"
+            )));
         }
         let format = self.text_or_json_format(merged.kind());
         match merged {

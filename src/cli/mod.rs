@@ -1,14 +1,16 @@
 //! The command line: one file a subcommand, all of them thin.
 
+mod acc_benchmark;
+mod args;
+mod artifacts;
 mod assess;
 mod avoid;
 mod benchmark;
 mod check;
-mod value_enums;
-mod acc_benchmark;
 mod describe;
 mod describe_fmu;
 mod doctor;
+mod error;
 #[cfg(feature = "explore")]
 mod explore;
 #[cfg(not(feature = "explore"))]
@@ -16,10 +18,9 @@ mod explore;
 mod explore;
 mod export;
 mod exposure;
-mod error;
 mod falsify;
 mod feature;
-mod artifacts;
+mod file_kind;
 mod fit;
 mod fsck;
 mod import;
@@ -28,23 +29,22 @@ mod list;
 mod merge;
 mod output;
 mod output_folder;
-mod file_kind;
 mod plan;
 mod preset;
 mod progress;
 mod rare;
 mod reach;
 mod retrain;
+mod run_report;
 mod shell;
 mod show;
 mod simulate;
-mod run_report;
-mod args;
 mod suite;
 mod suite_folder;
 mod suite_map;
 mod train;
 mod utc;
+mod value_enums;
 mod verify;
 mod worst_case;
 

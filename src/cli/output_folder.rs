@@ -57,7 +57,8 @@ impl OutputFolder {
 
     /// Checks before long work that results of these names may be written whatever they contain.
     pub(super) fn check(&self, names: &[&str]) -> Result<(), CliError> {
-        let is_own = |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
+        let is_own =
+            |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
         match names.iter().find(|name| !is_own(name)) {
             Some(name) => Err(CliError::Input(format!("{}: {CHANGED_FILE_PROBLEM}", self.path.join(name).display()))),
             None => Ok(()),
@@ -76,14 +77,17 @@ impl OutputFolder {
         let mut next: BTreeMap<&str, String> =
             contents.iter().map(|(name, contents)| (name.as_str(), sha256(contents))).collect();
         let mut stale = Vec::new();
-        for (name, digest) in self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged_digest(name)?))) {
+        for (name, digest) in
+            self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged_digest(name)?)))
+        {
             match (next.contains_key(name), earlier) {
                 (true, _) => {}
                 (false, EarlierFiles::Keep) => drop(next.insert(name, digest)),
                 (false, EarlierFiles::Replace) => stale.push(self.path.join(name)),
             }
         }
-        let before = self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
+        let before =
+            self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
         let after: String = next.iter().map(|(name, digest)| listing_line(name, digest)).collect();
         let announced = pending_listing(&self.path, listing);
         disk::write(&announced, before.collect::<String>() + &after)?;
@@ -111,7 +115,8 @@ impl OutputFolder {
     /// Returns the digest of a file that crumple wrote and that has not changed since.
     fn unchanged_digest(&self, name: &str) -> Option<String> {
         let path = self.path.join(name);
-        let is_plain = self.find_symlink(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        let is_plain =
+            self.find_symlink(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
         let digest = is_plain.then(|| file_digest(&path).ok()).flatten()?;
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
@@ -128,7 +133,12 @@ const CHANGED_FILE_PROBLEM: &str = "has changed, or crumple did not write it her
 const EXISTING_FILE_PROBLEM: &str = "is there and says something else: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.
-pub(super) fn stage_unless_edited(files: &mut StagedFiles, path: &Path, bytes: &[u8], force: bool) -> Result<(), CliError> {
+pub(super) fn stage_unless_edited(
+    files: &mut StagedFiles,
+    path: &Path,
+    bytes: &[u8],
+    force: bool,
+) -> Result<(), CliError> {
     stage(files, &output::resolve_output_path(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
 }
 

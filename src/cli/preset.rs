@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, file_kind};
-use crumple_learn::rl::{TrainingConfigError, PRESETS, TrainingConfig};
+use crumple_learn::rl::{PRESETS, TrainingConfig, TrainingConfigError};
 use crumple_world::scenario::file;
 
 /// A configuration with the file that says it, so that what turns out to be wrong later still has a line.
@@ -65,7 +65,11 @@ fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
         return CliError::Input("--preset: none is named".to_owned());
     }
     let names: Vec<&str> = own.into_iter().chain(PRESETS.iter().map(|(name, _)| *name)).collect();
-    let hint = if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) { ": it is the preset of `crumple retrain`" } else { "" };
+    let hint = if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) {
+        ": it is the preset of `crumple retrain`"
+    } else {
+        ""
+    };
     CliError::Input(format!("there is no preset `{name}`, and no such file{hint}; there are {}", names.join(", ")))
 }
 

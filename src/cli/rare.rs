@@ -10,7 +10,7 @@ use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::rare::{
-    RareEstimate, MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareFolder, RareMethod, RarePlan, RareReport,
+    MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareEstimate, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_store::shard::{MissingShards, ShardId};
 use crumple_world::observation::EstimatorKind;
@@ -163,7 +163,8 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 digits::format_rounded(*probability, 4)
             )?;
             // Where the spread of weights leaves nothing below 1.
-            let of_draws = report.method == RareMethod::Importance && *interval_95 == estimate.independent_interval(0.95);
+            let of_draws =
+                report.method == RareMethod::Importance && *interval_95 == estimate.independent_interval(0.95);
             let from = match of_draws {
                 true => format!(
                     "{} failures of the {} draws it began with",

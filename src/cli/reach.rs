@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use crumple_core::observer::Listener;
 use crumple_store::disk::StagedFiles;
-use crumple_verify::{ProvedClaim, Certificate, WorkLimit, check_with};
+use crumple_verify::{Certificate, ProvedClaim, WorkLimit, check_with};
 use serde::Serialize;
 
 use super::output;
 use super::output_folder::stage;
 use super::simulate::OutputFormat;
-use super::{CliError, progress, args};
-use crumple_evidence::{BoxSpec, UndecidedCounts, InvalidBox, Partition, ReachPlan, VolumeShares};
+use super::{CliError, args, progress};
+use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCounts, VolumeShares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -105,7 +105,8 @@ impl ReachCommand {
         let is_verified = is_positive(shares, |now| now.verified);
         let words = || {
             let last = shares.len().saturating_sub(1);
-            let lines: String = shares.iter().enumerate().map(|(index, now)| format_depth(now, index == last) + "\n").collect();
+            let lines: String =
+                shares.iter().enumerate().map(|(index, now)| format_depth(now, index == last) + "\n").collect();
             let UndecidedCounts { ahead, behind, too_wide } = doubts;
             let falsified = match is_positive(shares, |now| now.falsified) {
                 true => "falsified: boxes of which one start, tried at the end, ends in contact\n",

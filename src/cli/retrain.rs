@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use clap::{Args, value_parser};
 use indicatif::ProgressBar;
 
-use super::preset::{TrainingPreset, RETRAIN_PRESET_NAMES};
+use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
 use super::simulate::OutputFormat;
-use super::{CliError, interrupt, output, progress, args};
+use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
-    Checkpoint, RetrainingReport, RetrainError, RetrainingPlan, RetrainingProgress, Round, RetrainingSettings, training_preset,
+    Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
+    training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
@@ -125,10 +126,14 @@ impl Retrain {
             render_svg: render_report_figure,
         };
         let out = self.out.display();
-        interrupt::set_exit_message(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        interrupt::set_exit_message(
+            format!("what is done is kept in {out}: the same command with --resume goes on"),
+            quiet,
+        );
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::status_line(quiet);
-        let report = plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show_progress(&bar, state)));
+        let report =
+            plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show_progress(&bar, state)));
         bar.finish_and_clear();
         let report = report.map_err(|error| with_preset_name(error, &self.preset))?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
@@ -216,7 +221,9 @@ fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
 
 fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
     bar.set_message(match state {
-        RetrainingProgress::Gathering { file: what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
+        RetrainingProgress::Gathering { file: what, done, wanted } => {
+            format!("{what}: {done} of {wanted} avoidable draws")
+        }
         RetrainingProgress::Searching { round, progress: state } => match &state.method {
             Some(method) => format!(
                 "round {round}: {method}, {} of {} runs, {} failures",

@@ -193,7 +193,8 @@ pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult
 pub(super) fn left_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let is_left = |vehicle: &usize| {
-        let found = UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
+        let found =
+            UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
         scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
     };
     (0..trace.vehicles.len()).filter(is_left).collect()

@@ -63,15 +63,21 @@ impl BuiltInKind {
         Ok(match self {
             Self::Scenario => {
                 let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CliError::input);
-                let all = built_in_scenario_names().into_iter().filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
+                let all = built_in_scenario_names()
+                    .into_iter()
+                    .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
                 all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, CliError>>()?
             }
             Self::Space => BUILT_IN_SPACES.map(|(name, _, text)| owned((name, text))).into(),
-            Self::Preset => PRESETS.into_iter().chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]).map(owned).collect(),
+            Self::Preset => {
+                PRESETS.into_iter().chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]).map(owned).collect()
+            }
             Self::Suite => SHIPPED_SUITES.map(owned).into(),
             Self::Map => BUILT_IN_MAPS.map(owned).into(),
             Self::Box => BUILT_IN_BOXES.map(owned).into(),
-            Self::VehicleClass => VehicleClass::ALL.iter().map(|class| (class.name(), vehicle_class_toml(*class))).collect(),
+            Self::VehicleClass => {
+                VehicleClass::ALL.iter().map(|class| (class.name(), vehicle_class_toml(*class))).collect()
+            }
         })
     }
 }

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::run_report::{SpecificationResult, RunReport, unnecessary_braking, describe, lane_changes, left_behind};
-use super::{CliError, value_enums, feature, args};
-use crumple_report::draw::{self, PanelArrangement, MotionFigure};
+use super::run_report::{RunReport, SpecificationResult, describe, lane_changes, left_behind, unnecessary_braking};
+use super::{CliError, args, feature, value_enums};
+use crumple_report::draw::{self, MotionFigure, PanelArrangement};
 use crumple_report::export;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
@@ -15,7 +15,8 @@ use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate, simulate_batch,
+    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
+    simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -204,7 +205,11 @@ impl Simulate {
             }
             if let Some(path) = &self.trace {
                 let is_csv = extension(path) == Some("csv");
-                let table = if is_csv { export::to_csv(trace).map_err(CliError::input) } else { feature::encode_parquet(trace) };
+                let table = if is_csv {
+                    export::to_csv(trace).map_err(CliError::input)
+                } else {
+                    feature::encode_parquet(trace)
+                };
                 files.push((path_for_scenario(path, name), table?));
             }
         }
@@ -271,7 +276,9 @@ impl Simulate {
             interventions: &result.interventions,
             unnecessary_braking: unnecessary_braking(scenario, result),
             left_behind: left_behind(scenario, result),
-            specifications: self.check_specifications(scenario).map_err(|error| CliError::Input(format!("--spec: {error}")))?,
+            specifications: self
+                .check_specifications(scenario)
+                .map_err(|error| CliError::Input(format!("--spec: {error}")))?,
         })
     }
 

@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
-use super::{CliError, value_enums, interrupt, output, progress, args, suite_folder, suite_map};
+use super::{CliError, args, interrupt, output, progress, suite_folder, suite_map, value_enums};
 use crumple_core::observer::{Listener, RunProgress};
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
 use crumple_store::shard::{MissingShards, ShardId};
 use crumple_suites::{
-    FailedPoint, MergedSuite, UNSHIPPED_DOCUMENTS, SHIPPED_SUITES, DISCLAIMER, TestSuite, SuiteResult, TestVerdict, ControllerResult, run, run_shard,
+    ControllerResult, DISCLAIMER, FailedPoint, MergedSuite, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
+    UNSHIPPED_DOCUMENTS, run, run_shard,
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -114,7 +115,8 @@ impl SuiteTable {
     fn run(self) -> Result<(), CliError> {
         let controllers = if self.controllers.is_empty() { default_controllers()? } else { self.controllers };
         check_unique_names(&controllers)?;
-        let run = |(name, _): &(&str, &str)| run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input);
+        let run =
+            |(name, _): &(&str, &str)| run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input);
         let results = SHIPPED_SUITES.iter().map(run).collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
             super::simulate::OutputFormat::Json => results.iter().try_for_each(output::print_json),
@@ -325,7 +327,8 @@ fn render(
     out: Option<&Path>,
     format: SuiteFormat,
 ) -> Result<String, CliError> {
-    let replay = |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
+    let replay =
+        |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
@@ -335,7 +338,12 @@ fn render(
 }
 
 /// The command that shows a failure.
-fn replay_command(out: &Path, failed: &FailedPoint, tested: &ControllerResult, estimator: EstimatorKind) -> Option<String> {
+fn replay_command(
+    out: &Path,
+    failed: &FailedPoint,
+    tested: &ControllerResult,
+    estimator: EstimatorKind,
+) -> Option<String> {
     let path = out.join(format!("{}.toml", failed.scenario_name));
     let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
     let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();

@@ -7,7 +7,7 @@ use std::path::Path;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
 use crumple_store::disk::DiskError;
-use crumple_suites::{FailedPoint, SuiteResult, ControllerResult};
+use crumple_suites::{ControllerResult, FailedPoint, SuiteResult};
 use crumple_world::scenario::file;
 
 /// Opens the folder, and reads which files an earlier run wrote there. The ending keeps the listing from being read as a scenario.

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, feature, output, args};
+use super::{CliError, args, feature, output, value_enums};
 use crumple_report::suite::{draw_map, render_map_html, render_map_text};
 use crumple_store::disk::StagedFiles;
-use crumple_suites::{CrashMap, MapProblem, CrashMapSpec, CrashMapSituation};
+use crumple_suites::{CrashMap, CrashMapSituation, CrashMapSpec, MapProblem};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

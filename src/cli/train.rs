@@ -11,15 +11,16 @@ use serde::Serialize;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::preset::TrainingPreset;
 use super::simulate::OutputFormat;
-use super::{CliError, interrupt, output, progress, args};
+use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    TrainingConfigError, TrainingEvent, EvaluationSet, MergedTrainings, SeedResult, TrainingSpace, TrainingConfig, TrainingError,
-    TrainingFolder, TrainingShard, UNSEEN_DRAWS, read_finished_trainings, learning_curve, seed_folder, parallel_map,
+    EvaluationSet, MergedTrainings, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent,
+    TrainingFolder, TrainingShard, TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map, read_finished_trainings,
+    seed_folder,
 };
 use crumple_store::disk;
-use crumple_store::shard::{MissingShards, ShardId, format_ranges};
 use crumple_store::run_folder;
+use crumple_store::shard::{MissingShards, ShardId, format_ranges};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -128,7 +129,10 @@ impl Train {
             TrainingShard::new(shard, count, &config)?.write_to(&self.out)?;
         }
         let out = self.out.display();
-        interrupt::set_exit_message(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        interrupt::set_exit_message(
+            format!("what is done is kept in {out}: the same command with --resume goes on"),
+            quiet,
+        );
         if run_folder::is_run_folder(&self.out) {
             let problem = "holds other work: trainings need an --out of their own";
             return Err(CliError::Input(format!("{}: {problem}", self.out.display())));
@@ -227,7 +231,8 @@ fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(),
         serde_json::to_string_pretty(&curve).map_err(CliError::input)? + "\n",
         crumple_report::figures::draw_learning_curve(&curve).document(),
     ];
-    let files: Vec<_> = RESULT_FILES.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
+    let files: Vec<_> =
+        RESULT_FILES.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
     results_folder(out)?.write(&files, EarlierFiles::Keep)?;
     let picture = out.join("learning-curve.svg");
     let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
@@ -268,7 +273,9 @@ pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, 
         false => Err(CliError::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", format_ranges(&missing)))),
     };
     let printed = match format {
-        OutputFormat::Json => output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
+        OutputFormat::Json => {
+            output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards })
+        }
         OutputFormat::Text if done.is_empty() => Ok(()),
         OutputFormat::Text => output::print(&format_table(&done, config.evaluation.ranking_draws)),
     };

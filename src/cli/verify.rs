@@ -10,17 +10,17 @@ use serde::Serialize;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, exposure, interrupt, progress, rare, reach, args};
+use super::{CliError, args, exposure, interrupt, progress, rare, reach, value_enums};
 use crumple_evidence::exposure::RatePerExposure;
-use crumple_evidence::rare::{SplittingConfig, RareMethod, RarePlan};
+use crumple_evidence::rare::{RareMethod, RarePlan, SplittingConfig};
 use crumple_evidence::{
-    CertificateReport, CountProgress, RateConfig, RateFolderError, RatePlan, CountTally, report_json, shipped_kernels,
+    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, report_json, shipped_kernels,
 };
 use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::ScenarioSpace;
-use crumple_world::sim::{NamedController, FailedControllerRuns};
+use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// Make claims and write certificates that `crumple check` accepts by itself
 #[derive(Args)]

@@ -6,10 +6,10 @@ use clap::Args;
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
-use super::{CliError, value_enums, args};
+use super::{CliError, args, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
-use crumple_search::worst_case::{AttackObjective, AttackError, AttackMethod, AttackReport, Envelope, attack};
+use crumple_search::worst_case::{AttackError, AttackMethod, AttackObjective, AttackReport, Envelope, attack};
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -94,12 +94,16 @@ impl WorstCase {
         let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
         let is_over_budget = report.evaluations > self.budget as usize;
         let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
-        self.finding.print_report(&WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
+        self.finding.print_report(
+            &WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because },
+            describe,
+        )
     }
 }
 
 /// Why more simulations were made than the budget says.
-const OVER_BUDGET_REASON: &str = "a round that has begun is ended, and what the method begins and ends with is always made";
+const OVER_BUDGET_REASON: &str =
+    "a round that has begun is ended, and what the method begins and ends with is always made";
 
 /// What was found, and whether that took more than it was to.
 #[derive(Serialize)]

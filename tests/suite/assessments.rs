@@ -7,7 +7,8 @@ use std::process::Command;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
-    AssessConfig, AssessmentReport, AssessmentPlan, AssessmentGate, CertificateStatus, CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
+    AssessConfig, AssessmentGate, AssessmentPlan, AssessmentReport, CertificateStatus, CertificateSubject, ClaimStatus,
+    EvidenceCache, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
@@ -30,7 +31,8 @@ pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
 }
 
 pub(crate) fn run(config: AssessConfig, folder: &Path) -> AssessmentReport {
-    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &EvidenceCache::disabled(), None, &Quiet).expect("runs")
+    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &EvidenceCache::disabled(), None, &Quiet)
+        .expect("runs")
 }
 
 fn standings(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
@@ -116,7 +118,8 @@ fn foreign_certificates_change_no_claim() {
         let mut with = config(&controllers);
         with.certificates = Some(vec![path]);
         let with = run(with, folder.path());
-        let strengths = |of: &AssessmentReport| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
+        let strengths =
+            |of: &AssessmentReport| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
         let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
         let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { because } if !because.is_empty());
@@ -155,7 +158,9 @@ fn names_prove_nothing() {
         assert_eq!(row.statuses[1], row.statuses[2], "the copy is that policy");
         assert!(matches!(row.statuses[3].strength, Strength::Untried), "before a shield it is another controller");
     }
-    assert!(assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. })));
+    assert!(
+        assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. }))
+    );
     assert!(!assessment.to_markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
 }
 
@@ -253,7 +258,11 @@ fn gates_find_the_draws_of_own_spaces() {
     let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
-    let rate = |controller: &str, percent| AssessmentGate::RateAtMost { controller: controller.into(), percent, space: space() };
+    let rate = |controller: &str, percent| AssessmentGate::RateAtMost {
+        controller: controller.into(),
+        percent,
+        space: space(),
+    };
     let fewer = |controller: &str, than: &str| AssessmentGate::RateNotAbove {
         controller: controller.into(),
         than: than.into(),
@@ -302,7 +311,11 @@ fn gates_on_spaces_look_at_random_scenarios() {
     assert!(gates[3].because.ends_with("of 40 random scenarios collide"), "{}", gates[3].because);
 
     // The first page ends with the gates on a terminal, and has them in both forms of the report.
-    assert!(found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"), "{}", found.first_page.gates_to_plain_text());
+    assert!(
+        found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"),
+        "{}",
+        found.first_page.gates_to_plain_text()
+    );
     for page in [found.first_page_to_html(), found.to_markdown()] {
         let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"].map(|text| page.find(text));
         assert!(gates.is_some() && space > gates, "{page}");

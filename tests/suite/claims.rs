@@ -1,7 +1,8 @@
 //! No claim is shown to be stronger than the evidence allows, by a second opinion that reads the JSON.
 
 use crumple_report::assessment::{
-    AssuranceClaim, Domain, Evidence, ContentId, Ledger, Property, Rounded, EvidenceSource, Strength, Subject, UncomparedText,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Ledger, Property, Rounded, Strength, Subject,
+    UncomparedText,
 };
 use crumple_world::observation::EstimatorKind;
 use proptest::prelude::*;
@@ -10,7 +11,8 @@ use serde_json::Value;
 
 /// A few of each kind, so that claims meet: names are equal where hashes are not, and the other way round.
 fn any_known(kind: &'static str) -> impl Strategy<Value = ContentId> {
-    (0..2_u8, 0..2_u8).prop_map(move |(name, content)| ContentId::new(format!("{kind} {name}"), format!("{kind} {content}")))
+    (0..2_u8, 0..2_u8)
+        .prop_map(move |(name, content)| ContentId::new(format!("{kind} {name}"), format!("{kind} {content}")))
 }
 
 fn subject() -> impl Strategy<Value = Subject> {
@@ -72,11 +74,19 @@ fn strength() -> impl Strategy<Value = Strength> {
 }
 
 fn claim() -> impl Strategy<Value = AssuranceClaim> {
-    (subject(), property(), domain()).prop_map(|(subject, property, domain)| AssuranceClaim { subject, property, domain })
+    (subject(), property(), domain()).prop_map(|(subject, property, domain)| AssuranceClaim {
+        subject,
+        property,
+        domain,
+    })
 }
 
 fn evidence() -> impl Strategy<Value = Evidence> {
-    (claim(), strength()).prop_map(|(claim, strength)| Evidence { claim, strength, source: EvidenceSource::from_part("x", "y") })
+    (claim(), strength()).prop_map(|(claim, strength)| Evidence {
+        claim,
+        strength,
+        source: EvidenceSource::from_part("x", "y"),
+    })
 }
 
 /// What is said of a claim: that it does not hold, nothing, that it was tried, that it holds often, always.

@@ -6,14 +6,16 @@ use crumple_core::observer::Quiet;
 use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
 use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, EvidenceCache, assess};
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, RequiredNeighbours, ShieldSettings};
+use crumple_world::control::{
+    Controller, ControllerFailure, ControllerSource, Ego, RequiredNeighbours, ShieldSettings,
+};
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 use crumple_world::sim::{
-    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldedSource,
-    simulate, simulate_batch,
+    ControllerKind, FailedController, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions,
+    ShieldedSource, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 
@@ -124,8 +126,16 @@ proptest! {
 #[test]
 fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
     let scenario = all_under_test_scenario();
-    for (needs, missing) in [(RequiredNeighbours::Nothing, None), (RequiredNeighbours::Ahead, None), (RequiredNeighbours::AheadAndBehind, Some("behind"))] {
-        let refused = Run::new(&scenario, RunOptions::new(FailingController { needs, ..FailingController::new(9, Ok(0.0)) }.into_kind())).err();
+    for (needs, missing) in [
+        (RequiredNeighbours::Nothing, None),
+        (RequiredNeighbours::Ahead, None),
+        (RequiredNeighbours::AheadAndBehind, Some("behind")),
+    ] {
+        let refused = Run::new(
+            &scenario,
+            RunOptions::new(FailingController { needs, ..FailingController::new(9, Ok(0.0)) }.into_kind()),
+        )
+        .err();
         assert_eq!(refused, missing.map(|missing| RunError::MissingNeighbour { vehicle: 2, missing }));
     }
 }
@@ -146,7 +156,11 @@ fn paper_space() -> ScenarioSpace {
 }
 
 fn rate_plan(controller: NamedController) -> Result<RatePlan, InvalidRate> {
-    RatePlan::new(RateConfig { seed: 1, estimator: EstimatorKind::Truth, ..RateConfig::new(controller, paper_space(), 50) })
+    RatePlan::new(RateConfig {
+        seed: 1,
+        estimator: EstimatorKind::Truth,
+        ..RateConfig::new(controller, paper_space(), 50)
+    })
 }
 
 #[test]
@@ -179,7 +193,8 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
     let again = own.run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
-    let other = FailingController { identity: Some("other"), ..FailingController::new(10, Err(died_failure())) }.into_named();
+    let other =
+        FailingController { identity: Some("other"), ..FailingController::new(10, Err(died_failure())) }.into_named();
     let refused = campaign(other)
         .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
         .unwrap_err()

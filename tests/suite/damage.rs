@@ -9,10 +9,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::tiny;
 use crumple_core::observer::{Listener, RunProgress};
-use crumple_evidence::rare::{SplittingConfig, RareMethod, RarePlan};
+use crumple_evidence::rare::{RareMethod, RarePlan, SplittingConfig};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSettings};
-use crumple_learn::rl::{TrainingEvent, EvaluationSet, TrainingConfig, TrainingFolder};
+use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFolder};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_world::control::ControllerSpec;
@@ -157,7 +157,10 @@ fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTre
 }
 
 /// A file changed in every way, each with what was done to it.
-fn damaged_variants<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
+fn damaged_variants<'a>(
+    bytes: &'a [u8],
+    other: Option<&'a Vec<u8>>,
+) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
     let flips = std::env::var("FLIPS").ok().and_then(|flips| flips.parse().ok()).unwrap_or(DEFAULT_FLIPS);
     let flipped = (0..flips.min(8 * bytes.len())).map(move |flip| {
         let bit = flip * (8 * bytes.len() - 1) / (flips - 1).max(1);
@@ -213,7 +216,11 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
     refused
 }
 
-pub(crate) fn assert_same_contents(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
+pub(crate) fn assert_same_contents(
+    found: &BTreeMap<String, Vec<u8>>,
+    expected: &BTreeMap<String, Vec<u8>>,
+    what: &str,
+) {
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(found), names(expected), "{what}");
     for (name, bytes) in found {

@@ -17,7 +17,8 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeMap::new();
     for folder in ["docs", "corpora", "examples", "python", "reports", "README.md", "CONTRIBUTING.md"] {
-        for page in files_below(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
+        for page in
+            files_below(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
         {
             let text = fs::read_to_string(&page).unwrap();
             let mut kind = None;

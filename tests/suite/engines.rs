@@ -8,7 +8,7 @@ use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use proptest::prelude::*;
 
-use crate::generate::{any_after_contact, any_setup, any_shape, with_cases, any_scenario_of_shape};
+use crate::generate::{any_after_contact, any_scenario_of_shape, any_setup, any_shape, with_cases};
 
 /// A scenario and how to run it.
 type ScenarioSetup = (Scenario, RunSetup);
@@ -38,7 +38,8 @@ fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
 }
 
 fn build_runs<'s>(cases: impl IntoIterator<Item = &'s ScenarioSetup>) -> Vec<Run> {
-    let run = |(scenario, setup): &'s ScenarioSetup| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
+    let run =
+        |(scenario, setup): &'s ScenarioSetup| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
     cases.into_iter().map(run).collect()
 }
 
@@ -87,7 +88,11 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
             let together = batch_bits(&runs, RecordingLevel::Summary, 3);
             for (run, bits_together) in runs.iter().zip(together) {
                 let name = &run.scenario().spec().name;
-                assert!(result_bits(&simulate(run, RecordingLevel::Summary)) == bits_together, "{name} {}", controller.name());
+                assert!(
+                    result_bits(&simulate(run, RecordingLevel::Summary)) == bits_together,
+                    "{name} {}",
+                    controller.name()
+                );
             }
         }
     }

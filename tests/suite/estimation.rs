@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use crumple_fuzzing::oracle::estimates_within_bounds;
 use crumple_world::control::ControllerSpec;
-use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Accelerometer, Sensor, TrueState};
+use crumple_world::estimate::{Accelerometer, EgoEstimator, EgoTuning, Filter, Sensor, TrueState};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::random::Purpose;
 use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in_scenario};
@@ -19,7 +19,7 @@ use proptest::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use self::world::WhiteJerk;
-use crate::generate::{any_test_case, check_oracle, with_cases, simulate_traced};
+use crate::generate::{any_test_case, check_oracle, simulate_traced, with_cases};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
 fn is_in_band(sum: f64, count: usize, share: f64) -> bool {
@@ -179,7 +179,8 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
 #[test]
 fn without_noise_the_own_motion_is_exact_through_every_jump() {
     let sensors = Sensors { position_noise_m: 0.0, gap_noise_m: 0.0, ..Sensors::default() };
-    let scenario = built_in_scenario("paper-2").expect("built in").edited(|spec| spec.sensors = sensors).expect("valid");
+    let scenario =
+        built_in_scenario("paper-2").expect("built in").edited(|spec| spec.sensors = sensors).expect("valid");
     let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
     let run = Run::new(&scenario, options).expect("valid");
     let mut stepper = Stepper::new(&run, RecordingLevel::Summary);

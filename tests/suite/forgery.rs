@@ -5,11 +5,11 @@ mod changes;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
-    BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, check_binding, check_covers_scenario,
-    shipped_kernels,
+    BlockSelection, BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding,
+    check_covers_scenario, shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
-use crumple_verify::{ProvedClaim, Certificate, Statement, WorkLimit, check_with};
+use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
@@ -47,7 +47,7 @@ fn judge_forgery(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &For
         return Verdict::Refused;
     }
     let Ok(_) = check_with(&certificate, policy, WorkLimit::from_billions(50)) else { return Verdict::Refused };
-    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(Sample::Whole, &Quiet)) {
+    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(BlockSelection::All, &Quiet)) {
         Ok(_) | Err(RerunError::NothingCounted(_)) => {}
         Err(_) => return Verdict::Refused,
     }
@@ -83,9 +83,11 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
     has_all_assumptions(original, claimed)
         && is_of_it
         && match (&original.statement, &claimed.statement, shown) {
-            (Statement::Avoidable(one), Statement::Avoidable(other), ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) => {
-                one.scene == other.scene && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m
-            }
+            (
+                Statement::Avoidable(one),
+                Statement::Avoidable(other),
+                ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. },
+            ) => one.scene == other.scene && other.min_gap_m_at_least.unwrap_or(0.0) <= *smallest_gap_m,
             (Statement::Unavoidable(one), Statement::Unavoidable(other), _) => one.scene == other.scene,
             (Statement::GapBound(one), Statement::GapBound(other), ProvedClaim::GapBound { gap_m, .. }) => {
                 one.scene == other.scene && other.gap_m >= *gap_m
@@ -100,7 +102,8 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
                 (&one.registration, one.failures) == (&other.registration, other.failures)
             }
             (Statement::Comparison(one), Statement::Comparison(other), _) => {
-                let counts = |claim: &crumple_verify::ComparisonClaim| (claim.only_first_failed, claim.only_second_failed);
+                let counts =
+                    |claim: &crumple_verify::ComparisonClaim| (claim.only_first_failed, claim.only_second_failed);
                 one.registration == other.registration && counts(one) == counts(other)
             }
             (
@@ -176,7 +179,11 @@ fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> 
     let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(controller, &spec).expect("a plan");
     let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
-    GenuineCertificate { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in_scenario("paper-2") }
+    GenuineCertificate {
+        certificate,
+        policy: Some(plan.policy_bytes().to_vec()),
+        scenario: built_in_scenario("paper-2"),
+    }
 }
 
 fn controller_corpus_path(name: &str) -> std::path::PathBuf {
@@ -184,7 +191,8 @@ fn controller_corpus_path(name: &str) -> std::path::PathBuf {
 }
 
 fn cruise_certificate(cells: u32) -> GenuineCertificate {
-    let plan = CruisePlan::new(NetworkFile::load(&controller_corpus_path("acc-5x20.onnx")).expect("there")).expect("fits");
+    let plan =
+        CruisePlan::new(NetworkFile::load(&controller_corpus_path("acc-5x20.onnx")).expect("there")).expect("fits");
     let certificate = plan.prove(cells).expect("bounded").certificate;
     GenuineCertificate { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
@@ -194,14 +202,26 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     let paper = built_in_scenario("paper-1").expect("built in");
     let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
     let noisy = paper.edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).expect("valid");
-    let mut all = vec![avoidability_certificate(&paper), avoidability_certificate(&close), avoidability_certificate(&noisy)];
-    all.extend([gap_bound_certificate(&paper), gap_bound_certificate(&built_in_scenario("paper-2").expect("built in"))]);
+    let mut all =
+        vec![avoidability_certificate(&paper), avoidability_certificate(&close), avoidability_certificate(&noisy)];
+    all.extend([
+        gap_bound_certificate(&paper),
+        gap_bound_certificate(&built_in_scenario("paper-2").expect("built in")),
+    ]);
     all.extend([rate_certificate("idm", None, 200), rate_certificate("idm", Some("baseline"), 150)]);
     all.extend([reach_certificate(Policy::reference(), ""), reach_certificate(Policy::retrained(), "")]);
-    all.push(reach_certificate(NamedController::find("leaky-40-clip.onnx", &controller_corpus_path("")).expect("there").kind, ""));
+    all.push(reach_certificate(
+        NamedController::find("leaky-40-clip.onnx", &controller_corpus_path("")).expect("there").kind,
+        "",
+    ));
     // One that is verified, and one that a leader within the limit falsifies.
-    all.extend([0.02, 7.5].map(|limit| reach_certificate(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
-    all.extend(["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))));
+    all.extend(
+        [0.02, 7.5]
+            .map(|limit| reach_certificate(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))),
+    );
+    all.extend(
+        ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
+    );
     // One that departs from a law.
     let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).expect("there");
     all.push(reach_certificate(std::sync::Arc::new(road), ""));

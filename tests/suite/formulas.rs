@@ -7,7 +7,7 @@ use crumple_world::measure::stl::{
 use crumple_world::sim::{AfterContact, Trace, Track};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, with_cases, simulate_traced};
+use crate::generate::{any_test_case, simulate_traced, with_cases};
 
 proptest! {
     #![proptest_config(with_cases(256))]

@@ -6,8 +6,8 @@
 use arbitrary::Unstructured;
 pub(crate) use crumple_cases::with_cases;
 use crumple_fuzzing::{
-    self, OracleOutcome, Crumple, LANE_CASE_BYTES, OracleFn, SCENARIO_BYTES, SETUP_BYTES, RunSetup, ScenarioShape, TEST_CASE_BYTES,
-    TestCase,
+    self, Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SCENARIO_BYTES, SETUP_BYTES, ScenarioShape,
+    TEST_CASE_BYTES, TestCase,
 };
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
@@ -51,7 +51,8 @@ pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
 /// Any scenario of a shape.
 pub(crate) fn any_scenario_of_shape(shape: &ScenarioShape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
-    any_bytes(SCENARIO_BYTES).prop_map(move |bytes| crumple_fuzzing::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES)
+        .prop_map(move |bytes| crumple_fuzzing::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
 }
 
 /// Any shape: 2 to 6 vehicles driven by anything.

@@ -62,7 +62,8 @@ fn hostile_folder() -> tempfile::TempDir {
     let mut space = built_in_space("high-risk").expect("built in").spec().clone();
     (space.name, space.about) = (NAME.chars().take(100).collect(), format!("# {NAME}\n<!-- {FILE}"));
     write(&format!("{FILE}.toml"), toml::to_string(&space).expect("TOML").as_bytes());
-    let scenario = built_in_scenario("paper-2").expect("built in").edited(|spec| spec.name = NAME.to_owned()).expect("valid");
+    let scenario =
+        built_in_scenario("paper-2").expect("built in").edited(|spec| spec.name = NAME.to_owned()).expect("valid");
     fs::create_dir(folder.path().join("scenarios")).expect("made");
     write(&format!("scenarios/{FILE}.toml"), file::to_toml(&scenario).expect("TOML").as_bytes());
     write(&format!("{FILE}.csv"), b"nonsense\n");
@@ -92,7 +93,10 @@ fn reports_show_hostile_names_as_text() {
         }
     }
     saphyr::Yaml::load_from_str(&text("assessment.gsn.yaml")).expect("YAML");
-    assert_no_hidden_characters("the first page", &crumple_core::quoting::TerminalLines(&assessment.first_page.to_plain_text()).to_string());
+    assert_no_hidden_characters(
+        "the first page",
+        &crumple_core::quoting::TerminalLines(&assessment.first_page.to_plain_text()).to_string(),
+    );
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");

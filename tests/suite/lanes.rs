@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use crumple_fuzzing::oracle::{
-    entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent, monitor_agrees, metrics_agree,
-    step_size_changes_nothing, leaving_last_vehicle_changes_nothing_ahead,
+    entering_at_start_changes_nothing, estimates_within_bounds, lane_times_are_consistent,
+    leaving_last_vehicle_changes_nothing_ahead, metrics_agree, monitor_agrees, step_size_changes_nothing,
 };
-use crumple_fuzzing::{OracleOutcome, Crumple, LANE_ORACLES, Invariant, OracleFn, System, TestCase};
+use crumple_fuzzing::{Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LaneChange};
@@ -126,7 +126,8 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
             Ok(AvoidanceVerdict::Undecided(UndecidedReason::LaneChanges)) => asked[0] += 1,
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 assert!(!escape.scenario.keeps_lanes());
-                let run = Run::new(&escape.scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
+                let run =
+                    Run::new(&escape.scenario, RunOptions::new(ControllerSpec::from_name("idm").unwrap())).unwrap();
                 assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
             }
             Ok(other) => panic!("{other:?}"),

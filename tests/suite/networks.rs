@@ -33,7 +33,8 @@ struct ReferenceAnswers {
 }
 
 fn load_reference_answers(file: &str) -> BTreeMap<String, ReferenceAnswers> {
-    serde_json::from_str(&fs::read_to_string(controller_corpus().join(file)).expect("there")).expect("as it was written")
+    serde_json::from_str(&fs::read_to_string(controller_corpus().join(file)).expect("there"))
+        .expect("as it was written")
 }
 
 /// The largest difference of answers, relative to the larger of 1 and the answer.
@@ -54,7 +55,9 @@ fn largest_difference(path: &Path, inputs: &[f32], answers: &[f64]) -> f64 {
 
 #[test]
 fn networks_answer_as_their_makers_do() {
-    for (file, expected) in load_reference_answers("networks.json").into_iter().chain(load_reference_answers("models.json")) {
+    for (file, expected) in
+        load_reference_answers("networks.json").into_iter().chain(load_reference_answers("models.json"))
+    {
         let (inputs, answers) = (expected.inputs.concat(), expected.answers.concat());
         let difference = largest_difference(&controller_corpus().join(&file), &inputs, &answers);
         assert!(difference <= 1e-5, "{file}: {difference:e}");
@@ -102,7 +105,10 @@ fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Si
 fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
     let (own, outside) = (ControllerKind::from(Policy::reference()), controller_kind("reference.onnx"));
     let scenarios = draw_scenarios(300);
-    assert_eq!(simulate_together(&scenarios, slice::from_ref(&own)), simulate_together(&scenarios, slice::from_ref(&outside)));
+    assert_eq!(
+        simulate_together(&scenarios, slice::from_ref(&own)),
+        simulate_together(&scenarios, slice::from_ref(&outside))
+    );
     for scenario in &scenarios[..20] {
         let alone = |kind: &ControllerKind| {
             simulate(&Run::new(scenario, RunOptions::new(kind.clone())).unwrap(), RecordingLevel::Trace)
@@ -193,7 +199,8 @@ fn the_schema_of_controller_files_is_committed() {
 fn the_controller_files_of_the_corpus_follow_the_schema() {
     let schema = controller_file_schema();
     for name in ["acc.toml", "stacked.toml", "a2c.toml", "normalised/ppo.toml"] {
-        let file: serde_json::Value = toml::from_str(&fs::read_to_string(controller_corpus().join(name)).unwrap()).unwrap();
+        let file: serde_json::Value =
+            toml::from_str(&fs::read_to_string(controller_corpus().join(name)).unwrap()).unwrap();
         validate(&schema, &schema, &file, name).unwrap();
     }
 }
@@ -292,7 +299,10 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     use crumple_world::network::VecNormalizeUse as Trace;
     let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().vec_normalize;
     assert_eq!(trace(&normalised_path("ppo.zip")), Trace::Behind);
-    assert_eq!(["ppo.zip", "sac.zip"].map(|name| trace(&controller_corpus().join(name))), [Trace::None, Trace::Unknown]);
+    assert_eq!(
+        ["ppo.zip", "sac.zip"].map(|name| trace(&controller_corpus().join(name))),
+        [Trace::None, Trace::Unknown]
+    );
 
     let folder = tempfile::tempdir().unwrap();
     let told = fs::read_to_string(normalised_path("ppo.toml")).unwrap();
@@ -431,7 +441,8 @@ fn what_is_described_drives() {
 fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
     let folder = tempfile::tempdir().unwrap();
     let drafted = |name: &str| {
-        let described = run_crumple(folder.path(), &["describe", &controller_corpus().join(name).display().to_string()]);
+        let described =
+            run_crumple(folder.path(), &["describe", &controller_corpus().join(name).display().to_string()]);
         assert_eq!(exit_code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));

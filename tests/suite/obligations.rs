@@ -9,7 +9,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crumple_world::control::{ErrorBounds, ShieldParams, ViabilityKernel, ShieldState, max_closing_m, distance_and_speed_after};
+use crumple_world::control::{
+    ErrorBounds, ShieldParams, ShieldState, ViabilityKernel, distance_and_speed_after, max_closing_m,
+};
 use crumple_world::scenario::VehicleClass;
 
 use term::Term;

@@ -39,7 +39,11 @@ fn tensor(name: &str, shape: &[usize], numbers: &[f32]) -> Vec<u8> {
 
 fn value_info(name: &str, width: usize) -> Vec<u8> {
     let dims = [1, width].map(|size| bytes_field(1, &varint_field(1, size))).concat();
-    [bytes_field(1, name.as_bytes()), bytes_field(2, &bytes_field(1, &[varint_field(1, 1), bytes_field(2, &dims)].concat()))].concat()
+    [
+        bytes_field(1, name.as_bytes()),
+        bytes_field(2, &bytes_field(1, &[varint_field(1, 1), bytes_field(2, &dims)].concat())),
+    ]
+    .concat()
 }
 
 /// A model (opset 9) that takes one row of `inputs` numbers.

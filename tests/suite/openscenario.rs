@@ -5,13 +5,14 @@ use std::iter;
 use crumple::report::export::openscenario::{OpenScenarioError, export_actions, export_trajectories};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{
-    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario, built_in_scenario_names,
+    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario,
+    built_in_scenario_names,
 };
 use crumple_world::sim::{AfterContact, RunOptions, Trace};
 use proptest::prelude::*;
 use roxmltree::{Document, Node};
 
-use crate::generate::{any_scenario, with_cases, simulate_traced};
+use crate::generate::{any_scenario, simulate_traced, with_cases};
 
 /// Best agreement asked for: a centimetre, and a centimetre a second.
 const TOLERANCE: f64 = 0.01;
@@ -33,8 +34,12 @@ fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a>
 
 /// The entity of a name: how far its front bumper is ahead of its reference point, in metres.
 fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
-    let object = descendants_named(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(entity));
-    let (middle, size) = (single_descendant(object.expect("declared"), "Center"), single_descendant(object.expect("declared"), "Dimensions"));
+    let object = descendants_named(document.root_element(), "ScenarioObject")
+        .find(|found| found.attribute("name") == Some(entity));
+    let (middle, size) = (
+        single_descendant(object.expect("declared"), "Center"),
+        single_descendant(object.expect("declared"), "Dimensions"),
+    );
     assert!((number_attribute(size, "length") - length_m).abs() < 1e-8);
     number_attribute(middle, "x") + length_m / 2.0
 }
@@ -64,14 +69,19 @@ fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
         let entity = single_descendant(group, "EntityRef").attribute("entityRef").expect("stated");
         assert_eq!(entity, format!("vehicle_{index}"));
         let front_m = front_offset_m(&document, entity, track.length_m);
-        let vertex = |node| (number_attribute(node, "time"), number_attribute(single_descendant(node, "WorldPosition"), "x") + front_m);
+        let vertex = |node| {
+            (number_attribute(node, "time"), number_attribute(single_descendant(node, "WorldPosition"), "x") + front_m)
+        };
         let mut points: Vec<(f64, f64)> = descendants_named(group, "Vertex").map(vertex).collect();
         let held = points.pop().expect("a vertex");
         assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0), "time goes on");
         assert!((held.1 - points.last().expect("a vertex").1).abs() < 1e-9 && held.0 > points.last().expect("one").0);
         for (&time_s, &position_m) in trace.time_s.iter().zip(&track.position_m) {
             let read_m = interpolate(&points, time_s);
-            assert!((read_m - position_m).abs() <= TOLERANCE, "vehicle {index} at {time_s} s: {read_m}, not {position_m}");
+            assert!(
+                (read_m - position_m).abs() <= TOLERANCE,
+                "vehicle {index} at {time_s} s: {read_m}, not {position_m}"
+            );
             assert!((first_m..=last_m).contains(&read_m) && (first_m..=last_m).contains(&(read_m - track.length_m)));
         }
         for (k, step) in trace.time_s.windows(2).enumerate().filter(|(_, step)| step[1] - step[0] > 1e-5) {
@@ -93,9 +103,14 @@ fn road_extent_m(xml: &[u8]) -> [f64; 2] {
     let document = Document::parse(text).expect("XML");
     let geometry = single_descendant(document.root_element(), "geometry");
     let lane = single_descendant(single_descendant(document.root_element(), "right"), "lane");
-    assert_eq!((single_descendant(geometry, "line").attributes().count(), lane.attribute("type")), (0, Some("driving")));
+    assert_eq!(
+        (single_descendant(geometry, "line").attributes().count(), lane.attribute("type")),
+        (0, Some("driving"))
+    );
     assert_eq!(number_attribute(geometry, "hdg"), 0.0);
-    assert!((number_attribute(geometry, "y") - number_attribute(single_descendant(lane, "width"), "a") / 2.0).abs() < 1e-12);
+    assert!(
+        (number_attribute(geometry, "y") - number_attribute(single_descendant(lane, "width"), "a") / 2.0).abs() < 1e-12
+    );
     let from_m = number_attribute(geometry, "x");
     [from_m, from_m + number_attribute(geometry, "length")]
 }
@@ -122,7 +137,9 @@ fn changes_of_lanes_are_refused() {
     });
     let cut_in = cut_in.expect("valid");
     let trace = simulate_traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
-    for refused in [export_trajectories(&cut_in, &trace, None, "road.xodr").err(), export_actions(&cut_in, "road.xodr").err()] {
+    for refused in
+        [export_trajectories(&cut_in, &trace, None, "road.xodr").err(), export_actions(&cut_in, "road.xodr").err()]
+    {
         assert!(matches!(refused, Some(OpenScenarioError::LaneChanges)), "{refused:?}");
     }
 }
@@ -177,8 +194,8 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
         let entity = format!("vehicle_{index}");
         let group = descendants_named(document.root_element(), "ManeuverGroup")
             .find(|group| single_descendant(*group, "EntityRef").attribute("entityRef") == Some(&entity));
-        let object =
-            descendants_named(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(&entity));
+        let object = descendants_named(document.root_element(), "ScenarioObject")
+            .find(|found| found.attribute("name") == Some(&entity));
         let profile = if let Driver::Profile(profile) = &vehicle.driver { Some(profile) } else { None };
         let is_scripted = profile.is_some();
         assert_eq!(descendants_named(object.expect("declared"), "Controller").count(), usize::from(!is_scripted));
@@ -186,7 +203,8 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
         if !is_scripted {
             continue;
         }
-        let speeds = group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speed_profile(group, vehicle.speed_mps));
+        let speeds =
+            group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speed_profile(group, vehicle.speed_mps));
         let track = &trace.vehicles[index];
         // A step in which a script begins to ask for more than the road allows holds the mean of what it asks, which may be less than that.
         let asked_mps2 = profile.map_or(0.0, |profile| -profile.acceleration_range_mps2()[0]);
@@ -203,7 +221,10 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
 
 /// Speeds over time of a group's one action.
 fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
-    let from_s = number_attribute(single_descendant(single_descendant(group, "StartTrigger"), "SimulationTimeCondition"), "value");
+    let from_s = number_attribute(
+        single_descendant(single_descendant(group, "StartTrigger"), "SimulationTimeCondition"),
+        "value",
+    );
     if let Some(action) = descendants_named(group, "SpeedAction").next() {
         let (rate, to_mps) = (
             number_attribute(single_descendant(action, "SpeedActionDynamics"), "value"),

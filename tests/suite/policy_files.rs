@@ -1,6 +1,6 @@
 //! Policy files as the simulator reads them and as the checker does: a certificate must not speak of what nobody can drive with.
 
-use crumple_verify::reach::{NeuralController, IdmLaw};
+use crumple_verify::reach::{IdmLaw, NeuralController};
 use crumple_world::policy::Policy;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};

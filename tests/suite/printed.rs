@@ -72,7 +72,8 @@ fn a_page_of_a_suite_prints_everything() {
     let suite = TestSuite::shipped("afgbv-cut-in").unwrap().unwrap();
     let controllers = [NamedController::find("full-throttle", Path::new("")).unwrap()];
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page = render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
+    let page =
+        render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
     assert_prints_everything(&page, 1);
     print_in_browser(&page);
 }

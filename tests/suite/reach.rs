@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, check_binding};
-use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, InitialRanges, ReachProblem, reach_with_tube};
-use crumple_verify::{ProvedClaim, Certificate, Statement, WorkLimit, check_with};
+use crumple_verify::reach::{
+    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachProblem, reach_with_tube,
+};
+use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::{
-    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, OutputMapping, ObservedQuantity, Squash,
+    ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, ObservedQuantity, OutputMapping, Squash,
 };
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
@@ -96,7 +98,8 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
         },
         inputs,
     };
-    let file = NetworkFile::from_onnx(&model_bytes(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
+    let file =
+        NetworkFile::from_onnx(&model_bytes(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
     NetworkController::new(file, mapping).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -352,7 +355,9 @@ fn imitation_network(subtracts: f32) -> Vec<u8> {
     }
     for layer in 0..5 {
         let before = if layer == 0 { 5 } else { 20 };
-        let TestOnnxNode::Gemm(_, _, mut weights, biases) = random_product(before, 20, 1.0, random) else { unreachable!() };
+        let TestOnnxNode::Gemm(_, _, mut weights, biases) = random_product(before, 20, 1.0, random) else {
+            unreachable!()
+        };
         if layer == 0 {
             weights.iter_mut().enumerate().for_each(|(place, weight)| *weight /= scales[place / 20]);
         }

@@ -25,7 +25,10 @@ enum FigureSource {
 
 /// The source of each row, which begins with the text beside it.
 const SOURCES: [(&str, FigureSource); 13] = [
-    ("contacts of the baseline", FigureSource::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")])),
+    (
+        "contacts of the baseline",
+        FigureSource::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")]),
+    ),
     (
         "contacts of `policy`",
         FigureSource::Report(&[
@@ -162,7 +165,13 @@ fn figures_are_those_of_their_commands() {
 fn figures_that_take_long_are_those_of_their_commands() {
     for row in figure_rows() {
         if let FigureSource::Slow(printed) = figure_source(&row) {
-            assert_eq!(parse_numbers(&row.value), printed(&run_shell(&row.command)), "{} (`{}`)", row.figure, row.command);
+            assert_eq!(
+                parse_numbers(&row.value),
+                printed(&run_shell(&row.command)),
+                "{} (`{}`)",
+                row.figure,
+                row.command
+            );
         }
     }
 }

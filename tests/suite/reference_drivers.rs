@@ -162,7 +162,8 @@ fn the_competent_human_collides_with_vehicles_that_cut_in_where_the_published_on
     let mut compared = [0, 0];
     for (own_kmph, other_kmph, ..) in CUT_INS {
         let [own_mps, other_mps] = [own_kmph, other_kmph].map(|kmph| f64::from(kmph) / 3.6);
-        for (gap_m, lateral_mps) in cut_in_grid(own_kmph).filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
+        for (gap_m, lateral_mps) in
+            cut_in_grid(own_kmph).filter(|(_, lateral_mps)| (lateral_mps * 10.0).round() % 6.0 == 5.0)
         {
             let published = simulate_cut_in(own_mps, other_mps, gap_m, lateral_mps);
             let Some(at_m) = published.reacts_at_m.filter(|at_m| *at_m > STEP_M) else { continue };

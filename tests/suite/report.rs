@@ -5,7 +5,9 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use crumple_core::observer::Quiet;
-use crumple_report::assessment::{AssessConfig, AssessmentReport, AssessmentPlan, RoundedAvoidance, EvidenceCache, assess};
+use crumple_report::assessment::{
+    AssessConfig, AssessmentPlan, AssessmentReport, EvidenceCache, RoundedAvoidance, assess,
+};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
@@ -170,7 +172,11 @@ fn the_goal_structure_has_no_dangling_reference() {
         let evidence = field("url").and_then(Yaml::as_str);
         if let Some(part) = evidence.and_then(|url| url.strip_prefix("assessment.html#")) {
             assert!(
-                BUILT_IN_ASSESSMENT.parts().iter().chain(&BUILT_IN_ASSESSMENT.appendix()).any(|known| known.anchor_and_title().0 == part),
+                BUILT_IN_ASSESSMENT
+                    .parts()
+                    .iter()
+                    .chain(&BUILT_IN_ASSESSMENT.appendix())
+                    .any(|known| known.anchor_and_title().0 == part),
                 "{id} points to {part}"
             );
         }
@@ -262,7 +268,9 @@ fn nobody_beats_the_bound_and_regrets_add_up() {
     let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;
     assert_eq!(scenarios.len(), crumple_world::scenario::built_in_scenario_names().len());
     for scenario in scenarios {
-        let Some(RoundedAvoidance::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.avoidance else { panic!("avoidable") };
+        let Some(RoundedAvoidance::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.avoidance else {
+            panic!("avoidable")
+        };
         let bound_m = min_gap_bound_m.expect("a bound").value();
         assert!(min_gap_m.value() <= bound_m);
         assert_eq!(scenario.cases.len(), BUILT_IN_ASSESSMENT.summary.controllers.len());
@@ -291,7 +299,10 @@ fn worst_profiles_collide_and_kernels_are_proved() {
     let accepted = BUILT_IN_ASSESSMENT.proofs.certificates.iter().filter(|proof| proof.is_accepted());
     assert_eq!(accepted.count(), BUILT_IN_ASSESSMENT.proofs.certificates.len());
     for statement in ["kernel", "rate", "comparison", "reach"] {
-        assert!(BUILT_IN_ASSESSMENT.proofs.certificates.iter().any(|proof| proof.statement == statement), "{statement}");
+        assert!(
+            BUILT_IN_ASSESSMENT.proofs.certificates.iter().any(|proof| proof.statement == statement),
+            "{statement}"
+        );
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crumple_core::digest::{Sha256, sha256};
-use crumple_learn::retrain::{Cases, TestSetResults, RetrainingReport, training_preset};
+use crumple_learn::retrain::{Cases, RetrainingReport, TestSetResults, training_preset};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
-use crumple_search::falsify::campaign::{Aim, Campaign, CampaignOptions, CampaignSummary};
-use crumple_search::falsify::{FailureCriterion, Method, MetamorphicRelation};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignSummary, SearchObjective};
+use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
@@ -34,7 +34,8 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
     });
     let controller = select(vec!["baseline", "match-leader", "constant-brake", "idm", "acc-aeb"]);
     let estimator = prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)];
-    let aim = prop_oneof![Just(Aim::Severest), Just(Aim::Likeliest), Just(Aim::Nearest)];
+    let aim =
+        prop_oneof![Just(SearchObjective::Severest), Just(SearchObjective::Likeliest), Just(SearchObjective::Nearest)];
     let method = select(Method::ALL.to_vec());
     (space, controller, estimator, aim, method, 1..SUFFICIENT_BUDGET, 0..u64::MAX >> 1).prop_map(
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
-use crumple_fuzzing::{self, ScenarioFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
+use crumple_fuzzing::{self, LANE_CASE_BYTES, ScenarioFormat, TEST_CASE_BYTES, TestCase};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
-use crumple_verify::reach::{PartitionCell, BoxDimension};
+use crumple_verify::reach::{BoxDimension, PartitionCell};
 use crumple_verify::{Certificate, ReachClaim, Statement};
 use crumple_world::measure::stl::Formula;
 use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
@@ -99,7 +99,8 @@ fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
 
 fn scenario_files() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
-    let generated = first_values(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(ScenarioFormat::ALL.into_iter().cycle());
+    let generated =
+        first_values(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(ScenarioFormat::ALL.into_iter().cycle());
     kept.chain(generated.map(|(scenario, format)| format.to_text(&scenario).into_bytes())).collect()
 }
 

@@ -1,14 +1,14 @@
 //! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::control::{ErrorBounds, ViabilityKernel, ShieldSettings};
+use crumple_world::control::{ErrorBounds, ShieldSettings, ViabilityKernel};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
-    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource, SimulationResult, simulate,
-    simulate_batch,
+    ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource,
+    SimulationResult, simulate, simulate_batch,
 };
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;

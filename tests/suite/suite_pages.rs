@@ -6,9 +6,11 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_core::observer::Quiet;
-use crumple_report::assessment::{AssessmentPlan, AssessmentGate, Property, EvidenceCache, Strength, SuiteConfig, assess};
+use crumple_report::assessment::{
+    AssessmentGate, AssessmentPlan, EvidenceCache, Property, Strength, SuiteConfig, assess,
+};
 use crumple_report::suite::render_html;
-use crumple_suites::{SweepFailure, MarginEnd, DISCLAIMER, TestSuite, run};
+use crumple_suites::{DISCLAIMER, MarginEnd, SweepFailure, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -27,7 +29,8 @@ fn a_page_needs_nothing_else_and_says_what_it_is() {
     let mut controllers = vec![find_controller("full-throttle"), find_controller("policy")];
     controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page = render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
+    let page =
+        render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
     assert!(page.matches(DISCLAIMER).count() >= 2 && page.contains("prefers-color-scheme:dark"));
     assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
     assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
@@ -98,7 +101,10 @@ fn a_margin_says_that_a_test_cannot_be_run() {
     let result = run(&suite, &[find_controller("shield:policy")], EstimatorKind::Truth).unwrap();
     let margins = &result.clauses[0].tests[0].controllers[0].margins;
     assert!(!margins.is_empty());
-    assert!(margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Refused }), "{margins:?}");
+    assert!(
+        margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Refused }),
+        "{margins:?}"
+    );
 }
 
 #[test]
@@ -191,8 +197,10 @@ fn suites_are_evidence_of_an_assessment() {
     let is_failed = |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
     let (name, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();
-    let replayed =
-        run_crumple(folder.path(), &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"]);
+    let replayed = run_crumple(
+        folder.path(),
+        &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"],
+    );
     assert_eq!(exit_code(&replayed), 0, "{name}");
     // What is called avoidable is shown avoided, beside it.
     let outcomes =
@@ -203,7 +211,11 @@ fn suites_are_evidence_of_an_assessment() {
     }
     let escape = worst.iter().find_map(|one| one.escape.as_ref()).expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0, "{escape:?}");
+    assert_eq!(
+        exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])),
+        0,
+        "{escape:?}"
+    );
     assert!(text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)), "{escape:?}");
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");

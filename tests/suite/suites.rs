@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_suites::{
-    SweepFailure, TestParameter, LeadManeuver, MarginEnd, UNSHIPPED_DOCUMENTS, Origin, ParameterKind, Prevention, ReferenceRun, SHIPPED_SUITES, TestSuite,
-    TestVerdict, ParameterUnit, json_schema, run,
+    LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention, ReferenceRun, SHIPPED_SUITES,
+    SweepFailure, TestParameter, TestSuite, TestVerdict, UNSHIPPED_DOCUMENTS, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
@@ -143,7 +143,9 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
     for (name, _) in SHIPPED_SUITES {
         for test in shipped_suite(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
             for (parameter, figure) in test.parameters.iter().filter(|(_, figure)| figure.origin != Origin::Chosen) {
-                let rows = STATED_PARAMETERS.iter().filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
+                let rows = STATED_PARAMETERS
+                    .iter()
+                    .filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
                 let rows: Vec<_> = rows.collect();
                 let place = format!("{name}, {}, {parameter:?}", test.name);
                 let [row] = rows[..] else { panic!("{place}: {rows:?}") };
@@ -169,7 +171,11 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
             }
         }
     }
-    assert_eq!((stated, allowed), (STATED_PARAMETERS.len(), ALLOWED_IMPACTS.len()), "nothing is transcribed that no suite has");
+    assert_eq!(
+        (stated, allowed),
+        (STATED_PARAMETERS.len(), ALLOWED_IMPACTS.len()),
+        "nothing is transcribed that no suite has"
+    );
 }
 
 /// UN R157, 5.2.5.2: the values of the suite are its formula's, to the millisecond and on the side that it asks of; the AFGBV's
@@ -282,7 +288,9 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
         ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
-        let error = TestSuite::from_toml(&replace_passages(OWN_SUITE, &[(from, to)]), Path::new("own.toml")).unwrap_err().to_string();
+        let error = TestSuite::from_toml(&replace_passages(OWN_SUITE, &[(from, to)]), Path::new("own.toml"))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains(said), "{to}: {error}");
     }
     let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
@@ -310,7 +318,10 @@ fn a_margin_ends_where_its_closed_form_does() {
 #[test]
 fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says() {
     let allowed = "lead = \"stopped\"\nimpact_at_most = { value = 36.0, unit = \"km/h\", origin = \"document\" }";
-    let text = replace_passages(OWN_SUITE, &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")]);
+    let text = replace_passages(
+        OWN_SUITE,
+        &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")],
+    );
     let suite = TestSuite::from_toml(&text, Path::new("own.toml")).unwrap();
     let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
     let tested = &result.clauses[0].tests[0].controllers[0];
@@ -323,8 +334,11 @@ fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says
     };
     assert!((closed_form_kmph(0.01) - 0.1..=closed_form_kmph(0.0)).contains(&passes_at), "{passes_at}");
     let strict = replace_passages(&text, &[("value = 36.0", "value = 1.0")]);
-    let result =
-        run(&TestSuite::from_toml(&strict, Path::new("own.toml")).unwrap(), &[find_controller("baseline")], EstimatorKind::Truth);
+    let result = run(
+        &TestSuite::from_toml(&strict, Path::new("own.toml")).unwrap(),
+        &[find_controller("baseline")],
+        EstimatorKind::Truth,
+    );
     assert!(result.unwrap().clauses[0].tests[0].controllers[0].verdict.is_failure(), "it is faster than 1 km/h");
 }
 
@@ -376,7 +390,8 @@ fn both_sides_of_a_margin_are_as_it_says() {
                     let mut figures = serde_json::to_value(&test.parameters).unwrap();
                     figures[margin.parameter.name()]["values"] = serde_json::json!([value]);
                     for (parameter, figure) in test.parameters.iter() {
-                        let held = |value: f64| margin.fixed_parameters.contains(&format!("{} {value} ", parameter.label()));
+                        let held =
+                            |value: f64| margin.fixed_parameters.contains(&format!("{} {value} ", parameter.label()));
                         if parameter != margin.parameter {
                             let one: Vec<_> = figure.values.iter().copied().filter(|&value| held(value)).collect();
                             assert_eq!(one.len(), 1, "{}", margin.fixed_parameters);
@@ -396,7 +411,8 @@ fn both_sides_of_a_margin_are_as_it_says() {
 #[test]
 fn failures_say_who_could_have_prevented_them_and_refusals_why() {
     let suite = shipped_suite("fmvss-127");
-    let result = run(&suite, &[find_controller("full-throttle"), find_controller("idm")], EstimatorKind::Truth).unwrap();
+    let result =
+        run(&suite, &[find_controller("full-throttle"), find_controller("idm")], EstimatorKind::Truth).unwrap();
     let test = |name: &str| &result.tests().find(|(_, test)| test.name == name).unwrap().1.controllers;
     let stopped = &test("stopped-lead")[0];
     assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
@@ -449,7 +465,10 @@ fn every_situation_is_the_one_that_its_figures_say() {
                         );
                         assert!((gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                         let leaves_m = to_it_m - 0.01 * ahead.speed_mps;
-                        assert!((leaves_m / ahead.speed_mps - value(ParameterKind::ClosingTime)).abs() < 1e-9, "{to_it_m}");
+                        assert!(
+                            (leaves_m / ahead.speed_mps - value(ParameterKind::ClosingTime)).abs() < 1e-9,
+                            "{to_it_m}"
+                        );
                     }
                     LeadManeuver::CutIn => {
                         assert_eq!(
@@ -511,7 +530,9 @@ fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
         test.margins.clear();
         test.parameters.ramp.as_mut().unwrap().values = ramp_s.to_vec();
         test.ranges.retain(|range| *range != ParameterKind::Ramp || ramp_s.len() > 1);
-        let result = run(&TestSuite::new(spec).unwrap(), &[find_controller("acc-aeb,ttc_s=1.16")], EstimatorKind::Kalman).unwrap();
+        let result =
+            run(&TestSuite::new(spec).unwrap(), &[find_controller("acc-aeb,ttc_s=1.16")], EstimatorKind::Kalman)
+                .unwrap();
         let tested = &result.clauses[0].tests[0].controllers[0];
         [tested.verdict.is_passed(), tested.worst_in_tolerance.as_ref().unwrap().verdict.is_passed()]
     };
@@ -533,7 +554,11 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
             if test.name.starts_with("cut-in") {
                 let brakes =
                     |run: &ReferenceRun| run.driver == "competent-human" && run.prevention == Prevention::Collides;
-                assert!(tested.failed_points.iter().all(|failed| failed.references.iter().any(brakes)), "{}", test.name);
+                assert!(
+                    tested.failed_points.iter().all(|failed| failed.references.iter().any(brakes)),
+                    "{}",
+                    test.name
+                );
             } else if test.name == "cut-out" {
                 assert!(tested.verdict.is_passed(), "{estimator:?}: {:?}", tested.verdict);
             }
@@ -568,7 +593,8 @@ fn a_cut_in_fails_where_the_closed_form_says() {
 #[test]
 fn own_suites_cut_in_and_out() {
     let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
-    let result = run(&suite, &[find_controller("acc-aeb"), find_controller("full-throttle")], EstimatorKind::Kalman).unwrap();
+    let result =
+        run(&suite, &[find_controller("acc-aeb"), find_controller("full-throttle")], EstimatorKind::Kalman).unwrap();
     for (_, test) in result.tests() {
         assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
         assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed_points == 0, "{}", test.name);
@@ -612,7 +638,10 @@ fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
     let list = run_crumple(folder.path(), &["suite", "list"]);
     let list = String::from_utf8(list.stdout).unwrap();
     for (name, _) in SHIPPED_SUITES {
-        assert!(list.contains(name) && list.contains("no certification") && list.contains(UNSHIPPED_DOCUMENTS[0].0), "{list}");
+        assert!(
+            list.contains(name) && list.contains("no certification") && list.contains(UNSHIPPED_DOCUMENTS[0].0),
+            "{list}"
+        );
         let shown = run_crumple(folder.path(), &["suite", "show", name]).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
         assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));

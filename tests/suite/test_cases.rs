@@ -14,7 +14,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
 use self::fault_injection::{Fault, FaultySystem};
-use crate::generate::{any_test_case, check_oracle, any_bytes, with_cases};
+use crate::generate::{any_bytes, any_test_case, check_oracle, with_cases};
 
 /// Where the corpora of the fuzz targets are.
 fn fuzz_seeds(target: &str) -> Vec<PathBuf> {
@@ -85,7 +85,8 @@ proptest! {
 #[test]
 fn a_violation_brings_a_scenario_file() {
     let test_case = TestCase::from_bytes(&[]);
-    let violation = test_case.check(metrics_agree, &FaultySystem(Fault::ContactForgotten)).expect_err("must be noticed");
+    let violation =
+        test_case.check(metrics_agree, &FaultySystem(Fault::ContactForgotten)).expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
     let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
     assert_eq!(read, test_case.scenario);

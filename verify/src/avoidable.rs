@@ -32,7 +32,7 @@ use crate::claim::Scene;
 use crate::interval::Interval;
 use crate::motion::{distance_and_speed_after, expand_pieces};
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
-use crate::{ProvedClaim, SafetyAfterHorizon, Rejection};
+use crate::{ProvedClaim, Rejection, SafetyAfterHorizon};
 
 /// Operations for one step of one vehicle.
 const OPS_PER_STEP: u64 = 20 * OPS_PER_INTERVAL_OP;
@@ -44,7 +44,11 @@ pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedCla
     let (smallest_gap_m, afterwards) = replay(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
     if smallest_gap_m >= stated_m {
-        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, horizon_s: claim.scene.horizon_s(), after_horizon: afterwards })
+        Ok(ProvedClaim::Avoidable {
+            min_gap_m: smallest_gap_m,
+            horizon_s: claim.scene.horizon_s(),
+            after_horizon: afterwards,
+        })
     } else {
         Err(Rejection::GapTooSmall { stated_m, min_gap_m: smallest_gap_m })
     }
@@ -107,7 +111,12 @@ fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64
 }
 
 /// What holds from the last instant on, with the positions and speeds of leader and egos and the gaps there.
-fn safety_after_horizon(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: &[Interval]) -> SafetyAfterHorizon {
+fn safety_after_horizon(
+    scene: &Scene,
+    line: &[(Interval, Interval)],
+    fires: u32,
+    gaps_m: &[Interval],
+) -> SafetyAfterHorizon {
     // None moves more slowly as long as nobody brakes below it.
     let slowest = Interval::point(line.iter().map(|(_, v)| v.low()).fold(f64::INFINITY, f64::min));
     let followed = scene.follower.as_ref().map(|follower| {

@@ -109,7 +109,8 @@ fn check_space(provenance: &CertificateProvenance, registration: &Registration, 
     if let Some(key) = needed().find(|key| entries.get(**key).is_none_or(String::is_empty)) {
         return Err(Rejection::invalid(place(key), "is missing"));
     }
-    let may_be = |key: &str| needed().chain(POLICY_ENTRIES.iter().take(if two { 2 } else { 1 })).any(|known| *known == key);
+    let may_be =
+        |key: &str| needed().chain(POLICY_ENTRIES.iter().take(if two { 2 } else { 1 })).any(|known| *known == key);
     if let Some(key) = entries.keys().find(|key| !may_be(key)) {
         return Err(Rejection::invalid(place(key), "is not known"));
     }

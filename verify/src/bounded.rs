@@ -15,7 +15,9 @@ pub(crate) fn deserialize_list<'de, const N: usize, D: Deserializer<'de>, T: Des
 }
 
 /// A map of at most `N` entries, each name once.
-pub(crate) fn deserialize_map<'de, const N: usize, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, String>, D::Error> {
+pub(crate) fn deserialize_map<'de, const N: usize, D: Deserializer<'de>>(
+    from: D,
+) -> Result<BTreeMap<String, String>, D::Error> {
     from.deserialize_map(BoundedMapVisitor::<N>)
 }
 
@@ -72,7 +74,8 @@ mod tests {
     #[test]
     fn what_has_one_entry_too_many_is_refused_with_its_number() {
         fn numbers(text: &str) -> Result<Vec<u8>, String> {
-            deserialize_list::<2, _, _>(&mut serde_json::Deserializer::from_str(text)).map_err(|error| error.to_string())
+            deserialize_list::<2, _, _>(&mut serde_json::Deserializer::from_str(text))
+                .map_err(|error| error.to_string())
         }
         fn names(text: &str) -> Result<usize, String> {
             let read = deserialize_map::<2, _>(&mut serde_json::Deserializer::from_str(text));

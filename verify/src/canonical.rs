@@ -124,8 +124,7 @@ mod tests {
 
     #[test]
     fn a_name_that_occurs_twice_is_found_at_any_depth() {
-        let read =
-            |text: &str| serde_json::from_str::<UniqueKeys>(text).map(|_| ()).map_err(|error| error.to_string());
+        let read = |text: &str| serde_json::from_str::<UniqueKeys>(text).map(|_| ()).map_err(|error| error.to_string());
         assert_eq!(read(r#"{"a": [{"b": 1}, {"b": null}], "b": {"a": true}}"#), Ok(()));
         let error = read(r#"{"a": [{"b": 1, "c": -1, "b": 1.5}]}"#).unwrap_err();
         assert!(error.starts_with("duplicate key \"b\""), "{error}");

@@ -107,7 +107,10 @@ impl Scene {
         for (index, ego) in self.egos.iter().enumerate() {
             let limits = [("max_brake_mps2", ego.max_brake_mps2), ("max_accel_mps2", ego.max_accel_mps2)];
             check_nonnegative(&format!("egos[{index}]"), &limits)?;
-            check_nonnegative(&format!("egos[{index}]"), &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())])?;
+            check_nonnegative(
+                &format!("egos[{index}]"),
+                &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())],
+            )?;
         }
         if let Some(SceneFollower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
             let fields = [("speed_mps", speed_mps.low()), ("brake_mps2", brake_mps2.low()), ("ttc_s", *ttc_s)];
@@ -133,7 +136,11 @@ impl Scene {
     }
 
     /// Whether a profile lasts for exactly N steps.
-    pub(crate) fn check_profile_length<T>(&self, held: &[ConstantPiece<T>], field: impl Fn() -> String) -> Result<(), Rejection> {
+    pub(crate) fn check_profile_length<T>(
+        &self,
+        held: &[ConstantPiece<T>],
+        field: impl Fn() -> String,
+    ) -> Result<(), Rejection> {
         // Saturating, as 2^32 pieces of 2^32 steps would overflow; then the total is not N either.
         let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {

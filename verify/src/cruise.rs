@@ -29,10 +29,10 @@
 use serde::{Deserialize, Serialize};
 
 use crate::interval::Interval;
-use crate::reach::load_controller;
 use crate::reach::form::AffineForm;
+use crate::reach::load_controller;
 use crate::reach::relax::exp_neg;
-use crate::reach::{NeuralController, ControllerInput, OBSERVATION_SIZE, NetworkFileSource};
+use crate::reach::{ControllerInput, NetworkFileSource, NeuralController, OBSERVATION_SIZE};
 use crate::work::{OpBudget, WorkLimit};
 use crate::{ProvedClaim, Rejection};
 
@@ -111,14 +111,27 @@ pub enum CruiseBoundsError {
 
 /// What the network has to see.
 fn expected_inputs() -> [ControllerInput; 5] {
-    let input =
-        |of, constant| ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -CLIP_LIMIT, high: CLIP_LIMIT };
+    let input = |of, constant| ControllerInput {
+        coefficients: of,
+        constant,
+        absent_value: None,
+        offset: 0.0,
+        scale: 1.0,
+        low: -CLIP_LIMIT,
+        high: CLIP_LIMIT,
+    };
     // Gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
     let own = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
     let distance = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let relative = [0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0];
     let nothing = [0.0; OBSERVATION_SIZE];
-    [input(nothing, SET_SPEED_AND_TIME_GAP[0]), input(nothing, SET_SPEED_AND_TIME_GAP[1]), input(own, 0.0), input(distance, 0.0), input(relative, 0.0)]
+    [
+        input(nothing, SET_SPEED_AND_TIME_GAP[0]),
+        input(nothing, SET_SPEED_AND_TIME_GAP[1]),
+        input(own, 0.0),
+        input(distance, 0.0),
+        input(relative, 0.0),
+    ]
 }
 
 /// One of the cars, as forms: the way since the start, v and γ.
@@ -154,7 +167,13 @@ impl PeriodCoefficients {
         let of_speed = (Interval::ONE - decay) * half;
         let half_of_speed = (time - of_speed) * half;
         let of_way = (time.sqr() * half - half_of_speed) * half;
-        Self { time, decay, decay_integral: of_speed, second_decay_integral: half_of_speed, third_decay_integral: of_way }
+        Self {
+            time,
+            decay,
+            decay_integral: of_speed,
+            second_decay_integral: half_of_speed,
+            third_decay_integral: of_way,
+        }
     }
 }
 
@@ -200,7 +219,11 @@ pub fn compute_bounds(actor: &NeuralController, cells: u32) -> Result<CruiseBoun
     compute_bounds_with_budget(actor, cells, &OpBudget::new(WorkLimit::UNLIMITED))
 }
 
-fn compute_bounds_with_budget(actor: &NeuralController, cells: u32, work: &OpBudget) -> Result<CruiseBounds, CruiseBoundsError> {
+fn compute_bounds_with_budget(
+    actor: &NeuralController,
+    cells: u32,
+    work: &OpBudget,
+) -> Result<CruiseBounds, CruiseBoundsError> {
     let is_plain = actor.output_index == 0 && actor.scale_mps2 == 1.0 && actor.offset_mps2 == 0.0;
     let is_plain = is_plain && actor.residual_over.is_none();
     let is_uncut = !actor.is_clipped || actor.action_bounds_mps2 == [-CLIP_LIMIT, CLIP_LIMIT];
@@ -222,10 +245,15 @@ fn compute_bounds_with_budget(actor: &NeuralController, cells: u32, work: &OpBud
 }
 
 /// The same from where D_rel lies in an interval.
-fn bound_cell(actor: &NeuralController, distance: Interval, work: &OpBudget) -> Result<CruiseBounds, CruiseBoundsError> {
+fn bound_cell(
+    actor: &NeuralController,
+    distance: Interval,
+    work: &OpBudget,
+) -> Result<CruiseBounds, CruiseBoundsError> {
     let at = Interval::point;
-    let start =
-        |symbol: usize, [low, high]: [f64; 2]| AffineForm::symbol(symbol, Interval::new(low, high).unwrap_or(Interval::ENTIRE));
+    let start = |symbol: usize, [low, high]: [f64; 2]| {
+        AffineForm::symbol(symbol, Interval::new(low, high).unwrap_or(Interval::ENTIRE))
+    };
     let [_, v_lead, x_ego, v_ego] = INITIAL_SET;
     let distance = AffineForm::symbol(0, distance);
     let (mut lead, mut ego) = (CarState::from_speed(start(1, v_lead)), CarState::from_speed(start(2, v_ego)));

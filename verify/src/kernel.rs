@@ -97,7 +97,9 @@ pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim
     let r = kernel.catching_up_squared.as_ref().map(|text| parse_rational("catching_up_squared", text)).transpose()?;
     let pair = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
     let cases = match (r, b > c) {
-        (Some(r), true) => [&pair.last_stop_cases()[..], &[pair.harder_braking_case()], &pair.catching_up_cases(&r)].concat(),
+        (Some(r), true) => {
+            [&pair.last_stop_cases()[..], &[pair.harder_braking_case()], &pair.catching_up_cases(&r)].concat()
+        }
         (None, false) => [&pair.last_stop_cases()[..], &pair.softer_braking_cases()].concat(),
         _ => return Err(Rejection::invalid("catching_up_squared", "must be there exactly where b > c")),
     };

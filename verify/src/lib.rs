@@ -78,9 +78,10 @@ pub mod unavoidable;
 pub mod work;
 
 pub use certificate::{
-    Assumption, AvoidableClaim, Branch, Certificate, GapBoundClaim, CertificateParseError, CertificateProvenance, MultiplierRows, Statement, UnavoidableClaim,
+    Assumption, AvoidableClaim, Branch, Certificate, CertificateParseError, CertificateProvenance, GapBoundClaim,
+    MultiplierRows, Statement, UnavoidableClaim,
 };
-pub use claim::{SceneEgo, SceneFollower, ConstantPiece, SceneLeader, Scene};
+pub use claim::{ConstantPiece, Scene, SceneEgo, SceneFollower, SceneLeader};
 pub use cruise::CruiseClaim;
 pub use interval::Interval;
 pub use kernel::KernelClaim;
@@ -359,7 +360,11 @@ pub fn check(certificate: &Certificate) -> Result<ProvedClaim, Rejection> {
 ///
 /// # Errors
 /// [`Rejection`] if it does not prove what it states, or checking it takes more work than `limit`.
-pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<ProvedClaim, Rejection> {
+pub fn check_with(
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+    limit: WorkLimit,
+) -> Result<ProvedClaim, Rejection> {
     if !certificate.has_required_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }

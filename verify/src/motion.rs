@@ -15,13 +15,17 @@
 //!
 //! Firing later never moves the follower back, for the same reason: its acceleration is nowhere less.
 
-use crate::claim::{SceneFollower, ConstantPiece, Scene};
+use crate::claim::{ConstantPiece, Scene, SceneFollower};
 use crate::interval::Interval;
 
 /// Distance covered in metres, and speed in m/s, after `time_s` seconds at a held acceleration. Speeds and times are not
 /// negative.
 #[must_use]
-pub fn distance_and_speed_after(speed_mps: Interval, acceleration_mps2: Interval, time_s: Interval) -> (Interval, Interval) {
+pub fn distance_and_speed_after(
+    speed_mps: Interval,
+    acceleration_mps2: Interval,
+    time_s: Interval,
+) -> (Interval, Interval) {
     let (least_m, least_mps) = corner_distance_and_speed(speed_mps.low(), acceleration_mps2.low(), time_s);
     let (most_m, most_mps) = corner_distance_and_speed(speed_mps.high(), acceleration_mps2.high(), time_s);
     (least_m.hull(most_m), least_mps.hull(most_mps))

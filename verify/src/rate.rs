@@ -189,7 +189,11 @@ fn check_blocks<'a>(
 
 fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
     let (tail, allowed) = (binomial_tail_upper_bound(failures, runs, rate), 1.0 - confidence);
-    if tail <= allowed { Ok(()) } else { Err(Rejection::NotSignificant { tail_probability: tail, max_tail_probability: allowed }) }
+    if tail <= allowed {
+        Ok(())
+    } else {
+        Err(Rejection::NotSignificant { tail_probability: tail, max_tail_probability: allowed })
+    }
 }
 
 /// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MOST_RUNS`] runs.

@@ -5,12 +5,12 @@ use std::fmt;
 
 use crate::ProvedClaim;
 use crate::certificate::{Certificate, Statement};
-use crate::claim::{SceneEgo, ConstantPiece, Scene};
+use crate::claim::{ConstantPiece, Scene, SceneEgo};
 use crate::cruise::{self, CruiseClaim};
 use crate::interval::Interval;
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
-use crate::reach::{BoxDimension, ReachClaim, NetworkFileSource};
+use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
 
 /// Of the vehicles of a reach the one under test.
 const EGO_INDEX: usize = 1;
@@ -223,7 +223,11 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
         None => format!("brakes at {} m/s² from {onset_s} s on", of(BoxDimension::LeaderBrakeMps2)),
     };
     let vehicles = vec![
-        format!("leader: {} m ahead, {} m/s, {leader_brakes}", of(BoxDimension::GapAheadM), of(BoxDimension::LeaderSpeedMps)),
+        format!(
+            "leader: {} m ahead, {} m/s, {leader_brakes}",
+            of(BoxDimension::GapAheadM),
+            of(BoxDimension::LeaderSpeedMps)
+        ),
         format!(
             "under test: {} m/s, driven by the {}",
             of(BoxDimension::EgoSpeedMps),

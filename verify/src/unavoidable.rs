@@ -41,7 +41,7 @@
 //! limited in jerk, decided by whatever it sees. Delay, lag and noise of the sensors only take freedom away.
 
 use crate::certificate::{Branch, GapBoundClaim, MultiplierRows, UnavoidableClaim};
-use crate::claim::{SceneEgo, Scene};
+use crate::claim::{Scene, SceneEgo};
 use crate::interval::Interval;
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 use crate::{ProvedClaim, Rejection};
@@ -49,7 +49,10 @@ use crate::{ProvedClaim, Rejection};
 /// Operations for one instant and one vehicle in a branch.
 const OPS_PER_INSTANT: u64 = 20 * OPS_PER_INTERVAL_OP;
 
-pub(crate) fn check(UnavoidableClaim { scene, branches }: &UnavoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+pub(crate) fn check(
+    UnavoidableClaim { scene, branches }: &UnavoidableClaim,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
     let overlap_m = min_overlap_m(scene, branches, work, positive_overlap_m)?;
     Ok(ProvedClaim::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
 }
@@ -280,7 +283,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn ego(max_brake_mps2: f64, max_accel_mps2: f64) -> SceneEgo {
-        SceneEgo { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
+        SceneEgo {
+            position_m: Interval::ZERO,
+            length_m: 2.0,
+            speed_mps: Interval::ZERO,
+            max_brake_mps2,
+            max_accel_mps2,
+        }
     }
 
     fn rational(value: f64) -> BigRational {

@@ -195,7 +195,10 @@ mod tests {
     #[test]
     fn what_is_harmless_is_left_alone() {
         let text = "policy-2 at 3.5 m/s², 1 - ε: `ttc_s` (v1.gap_m > 0.3)!";
-        assert_eq!((TerminalText(text).to_string(), TerminalLines(text).to_string()), (text.to_owned(), text.to_owned()));
+        assert_eq!(
+            (TerminalText(text).to_string(), TerminalLines(text).to_string()),
+            (text.to_owned(), text.to_owned())
+        );
         for text in ["vehicle 2 hits 1, 3.5 m, ttc_s", "4.25", "-3.1 m/s²", "TTC < 1.4 s & more"] {
             assert_eq!(MarkdownText(text).to_string(), text);
         }

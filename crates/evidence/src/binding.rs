@@ -6,12 +6,12 @@
 
 use std::path::Path;
 
-use crumple_verify::reach::{NeuralController, BoxDimension};
+use crumple_verify::reach::{BoxDimension, NeuralController};
 use crumple_verify::{Certificate, ReachClaim, Registration, Statement};
 
+use super::initial_set::InitialSet;
 use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
-use super::initial_set::InitialSet;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
 use crumple_search::worst_case::{ScenarioBox, ScenarioBoxError, ScenarioRanges, covers_scenario, matches_box};
@@ -104,7 +104,10 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
     if certificate.is_first_version() {
         let carried = &certificate.provenance.scenario_sha256;
         let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
-        let claimed = built_in_scenario_names().iter().filter_map(|(name, _)| built_in_scenario(name)).find(|one| hash(one) == *carried);
+        let claimed = built_in_scenario_names()
+            .iter()
+            .filter_map(|(name, _)| built_in_scenario(name))
+            .find(|one| hash(one) == *carried);
         let is_of_it = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
         return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
     }
@@ -118,7 +121,9 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
             let scenario = read_scenario(certificate)?;
             let family = match &certificate.provenance.box_text {
                 None => ScenarioBox::point(&scenario),
-                Some(text) => ScenarioBox::new(&scenario, &file::parse_toml::<ScenarioRanges>(text, Path::new(BOX_TEXT_FIELD))?)?,
+                Some(text) => {
+                    ScenarioBox::new(&scenario, &file::parse_toml::<ScenarioRanges>(text, Path::new(BOX_TEXT_FIELD))?)?
+                }
             };
             if matches_box(certificate, &family) { Ok(()) } else { Err(scene_mismatch()) }
         }
@@ -130,7 +135,11 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
 ///
 /// # Errors
 /// [`ScenarioMismatch`] says what keeps the claim from being about it.
-pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> Result<(), ScenarioMismatch> {
+pub fn check_covers_scenario(
+    certificate: &Certificate,
+    scenario: &Scenario,
+    policy: Option<&[u8]>,
+) -> Result<(), ScenarioMismatch> {
     let Statement::Reach(claim) = &certificate.statement else {
         return if covers_scenario(certificate, scenario) { Ok(()) } else { Err(ScenarioMismatch::OtherScene) };
     };
@@ -150,7 +159,11 @@ pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, pol
         let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
         let is_inside = outer.contains(inner.low()) && outer.contains(inner.high());
         let field = dimension.field_name();
-        (!is_inside).then(|| ScenarioMismatch::Outside { field, value: inner.low(), range: [outer.low(), outer.high()] })
+        (!is_inside).then(|| ScenarioMismatch::Outside {
+            field,
+            value: inner.low(),
+            range: [outer.low(), outer.high()],
+        })
     });
     outside.map_or(Ok(()), Err)
 }
@@ -193,7 +206,9 @@ const BOX_TEXT_FIELD: &str = "provenance.box_text";
 
 /// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
 fn can_execute_policy(policy: Option<&[u8]>, starts: &InitialSet) -> bool {
-    policy.and_then(|bytes| NeuralController::from_bytes(bytes).ok()).is_some_and(|actor| starts.can_execute(actor.action_bounds_mps2))
+    policy
+        .and_then(|bytes| NeuralController::from_bytes(bytes).ok())
+        .is_some_and(|actor| starts.can_execute(actor.action_bounds_mps2))
 }
 
 fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]>) -> Result<(), BindingError> {

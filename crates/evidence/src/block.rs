@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_core::digest::Sha256;
-use crumple_world::sim::{FailedController, Outcome, SimulationResult, FailedControllerRuns};
+use crumple_world::sim::{FailedController, FailedControllerRuns, Outcome, SimulationResult};
 
 /// What begins the bytes of which a block's hash is made.
 const HASH_PREFIX: &str = "crumple runs 2\n";
@@ -61,7 +61,11 @@ impl RunFingerprint {
 
 impl CountedBlock {
     /// Counts runs, each with how it ended for each controller, beginning with run number `first` of a registration.
-    pub(super) fn from_runs<'a>(registered: &str, first: u64, runs: impl Iterator<Item = Vec<&'a RunFingerprint>>) -> Self {
+    pub(super) fn from_runs<'a>(
+        registered: &str,
+        first: u64,
+        runs: impl Iterator<Item = Vec<&'a RunFingerprint>>,
+    ) -> Self {
         let mut block = Self::default();
         let mut hash = Sha256::default().with(HASH_PREFIX).with(registered).with(first.to_le_bytes());
         for endings in runs {

@@ -1,9 +1,9 @@
 //! Report of the checker on a certificate, for readers and for programs.
 
-use super::{Confirmation, BindingError, check_binding, count_omitted_vehicles};
+use super::{BindingError, Confirmation, check_binding, count_omitted_vehicles};
 use crumple_core::quoting::TerminalText;
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
-use crumple_verify::{ProvedClaim, Certificate, Scope, Statement, WorkLimit, check, check_with};
+use crumple_verify::{Certificate, ProvedClaim, Scope, Statement, WorkLimit, check, check_with};
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in_scenario, file};
 use serde::Serialize;
@@ -175,7 +175,11 @@ impl CertificateReport<'_> {
             }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
-                format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), TerminalText(rejection))
+                format!(
+                    "{path}: rejected: {} is not proved: {}\n",
+                    certificate.statement.name(),
+                    TerminalText(rejection)
+                )
             }
         };
         match (scenario, about) {
@@ -200,7 +204,11 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
-        let old = if certificate.is_first_version() { ", an old one: docs/certificates.md says what it leaves open" } else { "" };
+        let old = if certificate.is_first_version() {
+            ", an old one: docs/certificates.md says what it leaves open"
+        } else {
+            ""
+        };
         text + &format!(
             "  version {}{old}; SHA-256 of what it says, without spaces and line breaks: {}\n",
             certificate.version,

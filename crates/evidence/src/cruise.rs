@@ -5,7 +5,10 @@
 
 use std::time::Instant;
 
-use crumple_verify::cruise::{self, CruiseClaim, CLIP_LIMIT, SAFE_DISTANCE, LEAD_ACCEL_MPS2, PERIOD_S, PERIODS, INITIAL_SET, SET_SPEED_AND_TIME_GAP, CruiseBoundsError};
+use crumple_verify::cruise::{
+    self, CLIP_LIMIT, CruiseBoundsError, CruiseClaim, INITIAL_SET, LEAD_ACCEL_MPS2, PERIOD_S, PERIODS, SAFE_DISTANCE,
+    SET_SPEED_AND_TIME_GAP,
+};
 use crumple_verify::reach::{NeuralController, controller_file_name};
 use crumple_verify::{Certificate, Statement};
 use rand::RngExt;
@@ -14,7 +17,9 @@ use serde::Serialize;
 
 use super::certificate_without_scenario;
 use crumple_core::digest::sha256;
-use crumple_world::control::{HistoryPadding, InputMapping, InvalidMapping, Mapping, NetworkController, OutputMapping, ObservedQuantity};
+use crumple_world::control::{
+    HistoryPadding, InputMapping, InvalidMapping, Mapping, NetworkController, ObservedQuantity, OutputMapping,
+};
 use crumple_world::network::{FeedForward, NetworkFile};
 use crumple_world::policy::Workspace;
 use crumple_world::random::{self, Purpose};
@@ -153,13 +158,15 @@ impl CruisePlan {
     /// Drives from the corners of the box and from random starts, the same for the same seed.
     #[must_use]
     pub fn sample(&self, samples: usize, seed: u64) -> CruiseSamples {
-        let nothing = || CruiseSamples { samples: 0, margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
+        let nothing =
+            || CruiseSamples { samples: 0, margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
         let blocks = (0..samples.div_ceil(BATCH_SIZE)).into_par_iter();
         let driven = blocks.map(|block| {
             let mut stream = random::stream(seed, Purpose::ScenarioSampling, block as u64);
             let count = BATCH_SIZE.min(samples - block * BATCH_SIZE);
-            let starts: Vec<[f64; 4]> =
-                (0..count).map(|_| INITIAL_SET.map(|[low, high]| low + (high - low) * stream.random::<f64>())).collect();
+            let starts: Vec<[f64; 4]> = (0..count)
+                .map(|_| INITIAL_SET.map(|[low, high]| low + (high - low) * stream.random::<f64>()))
+                .collect();
             simulate(self.network.network(), &starts)
         });
         let corners: Vec<[f64; 4]> =
@@ -181,7 +188,9 @@ fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> CruiseSamples {
     let mut least = cars.iter().map(margin).fold(f64::INFINITY, f64::min);
     let mut space = Workspace::default();
     for _ in 0..PERIODS {
-        let see = |[lead, ego]: &[[f64; 3]; 2]| [SET_SPEED_AND_TIME_GAP[0], SET_SPEED_AND_TIME_GAP[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]];
+        let see = |[lead, ego]: &[[f64; 3]; 2]| {
+            [SET_SPEED_AND_TIME_GAP[0], SET_SPEED_AND_TIME_GAP[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]]
+        };
         let rows: Vec<f32> = cars.iter().flat_map(see).map(|number| number as f32).collect();
         let answers = network.forward(&rows, cars.len(), &mut space);
         for (cars, &answer) in cars.iter_mut().zip(answers) {

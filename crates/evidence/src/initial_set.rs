@@ -1,7 +1,7 @@
 //! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{AccAebLaw, IdmLaw, FollowerLaw, InitialRanges};
+use crumple_verify::reach::{AccAebLaw, FollowerLaw, IdmLaw, InitialRanges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
@@ -129,7 +129,10 @@ impl InitialSet {
 }
 
 /// How a follower drives, in place of what the scenario says if that is given: θ of its latched emergency brake, or a law.
-fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
+fn follower_model(
+    follower: &VehicleSpec,
+    in_place: Option<&Driver>,
+) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
     let max_accel_mps2 = follower.max_accel_mps2();
     let law = match in_place.unwrap_or(&follower.driver) {
         Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
@@ -174,7 +177,8 @@ fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Re
     let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
     match of_script.into_iter().find(|(_, range)| range.is_some()) {
         Some((name, _)) => {
-            let problem = format!("has no meaning where `{LEADER_LIMIT_FIELD}` is given: the leader brakes as it likes");
+            let problem =
+                format!("has no meaning where `{LEADER_LIMIT_FIELD}` is given: the leader brakes as it likes");
             Err(InvalidBox::field(&format!("ranges.{name}"), problem))
         }
         None => Ok(()),

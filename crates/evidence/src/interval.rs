@@ -20,7 +20,10 @@ impl RateInterval {
     #[must_use]
     pub fn clopper_pearson(failures: u64, runs: u64, confidence: f64) -> Self {
         let tail = 0.5 * (1.0 - confidence);
-        Self { lower: binomial::clopper_pearson_lower(failures, runs, tail), upper: binomial::clopper_pearson_upper(failures, runs, tail) }
+        Self {
+            lower: binomial::clopper_pearson_lower(failures, runs, tail),
+            upper: binomial::clopper_pearson_upper(failures, runs, tail),
+        }
     }
 }
 

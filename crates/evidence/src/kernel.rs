@@ -3,7 +3,7 @@
 use crumple_verify::{Certificate, Statement};
 
 use super::certificate_without_scenario;
-use crumple_world::control::{ViabilityKernel, MIN_MARGIN_M};
+use crumple_world::control::{MIN_MARGIN_M, ViabilityKernel};
 use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 
 /// The certificate of each pair of vehicle classes on a dry road, with a name: `light-behind-heavy`.

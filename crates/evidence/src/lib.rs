@@ -10,6 +10,7 @@ mod certificate_report;
 mod cruise;
 pub mod exposure;
 pub mod fit;
+mod initial_set;
 mod interval;
 mod kernel;
 mod paired;
@@ -23,9 +24,8 @@ mod reach;
 mod record;
 mod rerun;
 mod script;
-mod initial_set;
 
-pub use binding::{ScenarioMismatch, BindingError, check_binding, count_omitted_vehicles, check_covers_scenario};
+pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use cruise::{CruiseError, CruisePlan, CruiseProof, CruiseSamples};
@@ -36,10 +36,12 @@ pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use rate_merge::{MergedCount, PartialCount};
-pub use rate_shard::{RateShard, COUNT_SHARD_KIND};
-pub use reach::{BoxSpec, UndecidedCounts, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, VolumeShares, checker_file};
+pub use rate_shard::{COUNT_SHARD_KIND, RateShard};
+pub use reach::{
+    BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts, VolumeShares, checker_file,
+};
 pub use record::{CountRecord, CountTally};
-pub use rerun::{Confirmation, Rerun, RerunError, BlockSelection};
+pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};
 
 use crumple_verify::{Certificate, Statement};
 

@@ -24,7 +24,8 @@ impl DiscordantPairs {
     #[must_use]
     pub fn p_value(&self) -> f64 {
         let Some(below) = self.only_second_fails.checked_sub(1) else { return 1.0 };
-        Binomial::new(0.5, self.only_second_fails.saturating_add(self.only_first_fails)).map_or(f64::NAN, |chance| chance.sf(below))
+        Binomial::new(0.5, self.only_second_fails.saturating_add(self.only_first_fails))
+            .map_or(f64::NAN, |chance| chance.sf(below))
     }
 
     /// Whether the second controller is worse by a test that finds so with a probability of at most `significance` where it is not.
@@ -47,7 +48,10 @@ mod tests {
             assert!((p(new, 4 - new) - of_16 / 16.0).abs() < 1e-12, "{new}");
         }
         assert_eq!(p(0, 0), 1.0);
-        assert!(!DiscordantPairs { only_second_fails: 6, only_first_fails: 0 }.is_worse(0.01) && DiscordantPairs { only_second_fails: 7, only_first_fails: 0 }.is_worse(0.01));
+        assert!(
+            !DiscordantPairs { only_second_fails: 6, only_first_fails: 0 }.is_worse(0.01)
+                && DiscordantPairs { only_second_fails: 7, only_first_fails: 0 }.is_worse(0.01)
+        );
     }
 
     proptest! {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crumple_verify::rate::MAX_RUNS;
 
 use super::record::upper_bound;
-use super::{CountedBlock, RateError, RatePlan, CountTally, binomial};
+use super::{CountTally, CountedBlock, RateError, RatePlan, binomial};
 
 /// Why no number of runs does.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -99,10 +99,12 @@ impl RatePlan {
     #[must_use]
     pub fn estimated_bytes(&self, shards: u32) -> u64 {
         let length = |blocks: Vec<CountedBlock>| {
-            serde_json::to_string_pretty(&CountTally { blocks, ..self.empty_tally() }).map_or(0, |text| text.len() as u64)
+            serde_json::to_string_pretty(&CountTally { blocks, ..self.empty_tally() })
+                .map_or(0, |text| text.len() as u64)
         };
         let record = serde_json::to_string_pretty(self.record()).map_or(0, |text| text.len() as u64);
-        let block = CountedBlock { failures: 10, sha256: self.empty_tally().registration_sha256, ..CountedBlock::default() };
+        let block =
+            CountedBlock { failures: 10, sha256: self.empty_tally().registration_sha256, ..CountedBlock::default() };
         let a_block = length(vec![block]).saturating_sub(length(Vec::new()));
         u64::from(shards) * (record + length(Vec::new()) + MANIFEST_BYTES) + self.block_count() * a_block
     }
@@ -133,7 +135,9 @@ mod tests {
             assert!(upper_bound(failures, runs, confidence) <= rate);
             // The certified bound is stated to nine digits.
             let fewer = runs - 1 - runs / 100_000_000;
-            assert!(fewer <= failures || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence);
+            assert!(
+                fewer <= failures || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence
+            );
         }
         assert_eq!(required_runs(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
         // 10⁶ failures and 3.09 standard deviations more.
@@ -143,7 +147,9 @@ mod tests {
         assert!((690_775_520..690_776_600).contains(&large), "{large}");
         assert!(matches!(required_runs(1e-9, 0.999, 0), Err(SampleSizeError::TooMany { .. })));
         assert!(
-            required_runs(0.0, 0.9, 0).is_err() && required_runs(f64::NAN, 0.9, 0).is_err() && required_runs(0.1, 1.0, 0).is_err()
+            required_runs(0.0, 0.9, 0).is_err()
+                && required_runs(f64::NAN, 0.9, 0).is_err()
+                && required_runs(0.1, 1.0, 0).is_err()
         );
     }
 }

@@ -8,10 +8,10 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, RunFingerprint};
-use super::exposure::{RatePerExposure, ResampleShard, FailureProbability, count_on_resamples};
+use super::exposure::{FailureProbability, RatePerExposure, ResampleShard, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Quiet, Stopped};
+use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
 use crumple_store::shard::{ShardId, TooManyShards};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -316,9 +316,14 @@ impl RatePlan {
     }
 
     /// Counts runs, the first of which begins a block: a count for each block. Calls `go_on` after every thousand runs.
-    fn count_runs(&self, runs: Range<u64>, go_on: &dyn Fn() -> Result<(), Stopped>) -> Result<Vec<CountedBlock>, RateError> {
+    fn count_runs(
+        &self,
+        runs: Range<u64>,
+        go_on: &dyn Fn() -> Result<(), Stopped>,
+    ) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
-        let mut endings: Vec<Vec<RunFingerprint>> = self.controllers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
+        let mut endings: Vec<Vec<RunFingerprint>> =
+            self.controllers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
         for some in indices.chunks(BATCH_SIZE as usize) {
             for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, some)?) {
                 all.append(&mut more);
@@ -329,7 +334,8 @@ impl RatePlan {
         let places: Vec<usize> = (0..indices.len()).collect();
         let counted = places.chunks(self.record.block_runs() as usize).map(|places| {
             let first = places.first().and_then(|&place| indices.get(place)).copied().unwrap_or_default();
-            let of_run = |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&RunFingerprint>>();
+            let of_run =
+                |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&RunFingerprint>>();
             CountedBlock::from_runs(&registered, first, places.iter().map(of_run))
         });
         Ok(counted.collect())
@@ -340,28 +346,43 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the runs in resamples.
-    pub fn rate_per_exposure(&self, tally: &CountTally, observer: &dyn Observer<RunProgress>) -> Result<Option<RatePerExposure>, RateError> {
+    pub fn rate_per_exposure(
+        &self,
+        tally: &CountTally,
+        observer: &dyn Observer<RunProgress>,
+    ) -> Result<Option<RatePerExposure>, RateError> {
         let counter = ProgressCounter::new(observer, None);
         let Some(resampling) = self.resampling() else { return Ok(None) };
-        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| self.count_failures(space, (seed, runs), &counter);
+        let mut failures =
+            |space: &ScenarioSpace, seed: u64, runs: u64| self.count_failures(space, (seed, runs), &counter);
         let resamples = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
     }
 
     /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
-    pub(super) fn count_resamples(&self, own: Range<u64>, counter: &ProgressCounter<'_>) -> Result<Vec<u64>, RateError> {
+    pub(super) fn count_resamples(
+        &self,
+        own: Range<u64>,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<Vec<u64>, RateError> {
         let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
         let mut part = ResampleShard::new(own);
-        let mut failures =
-            |space: &ScenarioSpace, seed: u64, runs: u64| part.next(0, || self.count_failures(space, (seed, runs), counter));
+        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
+            part.next(0, || self.count_failures(space, (seed, runs), counter))
+        };
         // Why nothing can be resampled is said by who puts the parts together.
         let _ = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         Ok(part.into_results())
     }
 
     /// How many of so many runs fail in a space, with a seed.
-    fn count_failures(&self, space: &ScenarioSpace, (seed, runs): (u64, u64), counter: &ProgressCounter<'_>) -> Result<u64, RateError> {
+    fn count_failures(
+        &self,
+        space: &ScenarioSpace,
+        (seed, runs): (u64, u64),
+        counter: &ProgressCounter<'_>,
+    ) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
         let mut failed = 0;
         for some in indices.chunks(BATCH_SIZE as usize) {
@@ -373,7 +394,12 @@ impl RatePlan {
     }
 
     /// How runs end, of each controller.
-    fn simulate_fingerprints(&self, space: &ScenarioSpace, seed: u64, indices: &[u64]) -> Result<Vec<Vec<RunFingerprint>>, RateError> {
+    fn simulate_fingerprints(
+        &self,
+        space: &ScenarioSpace,
+        seed: u64,
+        indices: &[u64],
+    ) -> Result<Vec<Vec<RunFingerprint>>, RateError> {
         let draw = |&index: &u64| space.draw(seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {

@@ -10,11 +10,11 @@ use serde::Serialize;
 
 use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RateError, RatePlan};
-use crumple_core::observer::{ProgressCounter, Observer};
+use crumple_core::observer::{Observer, ProgressCounter};
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
+use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 use crumple_store::shard::TooManyShards;
-use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
@@ -112,7 +112,9 @@ impl CountRecord {
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
-            Err(rejection) => Err(RateFolderError::Rejected { path, counts: tally.summary(self.is_comparison()), rejection }),
+            Err(rejection) => {
+                Err(RateFolderError::Rejected { path, counts: tally.summary(self.is_comparison()), rejection })
+            }
         }
     }
 
@@ -121,7 +123,11 @@ impl CountRecord {
     ///
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, holds other work or other counts, or nothing is shown.
-    pub(super) fn write_in(&self, folder: &Path, tally: &CountTally) -> Result<(PathBuf, Certificate), RateFolderError> {
+    pub(super) fn write_in(
+        &self,
+        folder: &Path,
+        tally: &CountTally,
+    ) -> Result<(PathBuf, Certificate), RateFolderError> {
         let work = self.register_in(folder, true)?;
         let path = work.path(PROGRESS_FILE);
         if work.is_complete() && work.read_required(PROGRESS_FILE)? != to_json(&path, tally)?.into_bytes() {
@@ -180,7 +186,11 @@ impl<'a> BlockCounter<'a> {
     }
 
     /// Counts what is left, and keeps it in the folder.
-    pub(super) fn count(&mut self, work: &RunFolder, observer: &dyn Observer<CountProgress>) -> Result<(), RateFolderError> {
+    pub(super) fn count(
+        &mut self,
+        work: &RunFolder,
+        observer: &dyn Observer<CountProgress>,
+    ) -> Result<(), RateFolderError> {
         let path = work.path(PROGRESS_FILE);
         let mut written = Instant::now();
         while (self.tally.blocks.len() as u64) < range_len(&self.blocks) {

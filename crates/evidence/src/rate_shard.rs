@@ -9,9 +9,9 @@ use super::exposure::resample_range;
 use super::rate_folder::{BlockCounter, PROGRESS_FILE, RateFolderError};
 use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RatePlan};
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress};
-use crumple_store::shard::{Mergeable, ShardId, Sharded, open_shard};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_store::run_folder::RunFolder;
+use crumple_store::shard::{Mergeable, ShardId, Sharded, open_shard};
 
 /// What a folder of one is called in its `work.json`.
 pub const COUNT_SHARD_KIND: &str = "shard of a count";
@@ -72,7 +72,10 @@ impl Mergeable for ShardedCount {
         // There are fewer where no space could be fitted to some.
         let may_be_resampled = tally.resample_failures.len() as u64 <= most
             && tally.resample_failures.iter().all(|failures| *failures <= u64::from(runs_each));
-        match tally.blocks.len() as u64 == range_len(blocks) && self.count.is_consistent(blocks, &tally) && may_be_resampled {
+        match tally.blocks.len() as u64 == range_len(blocks)
+            && self.count.is_consistent(blocks, &tally)
+            && may_be_resampled
+        {
             true => Ok(tally),
             false => Err(format!("not what shard {shard} of that count comes to")),
         }
@@ -92,7 +95,8 @@ impl RatePlan {
     ) -> Result<RateShard<'_>, RateFolderError> {
         let blocks = self.shard_blocks(shard)?;
         let resampling = self.resampling();
-        let own_resamples = resample_range(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.block_count());
+        let own_resamples =
+            resample_range(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.block_count());
         let sharded = ShardedCount { count: self.record().clone(), resampling };
         let work = open_shard(&sharded, shard, folder, resume)?;
         let counting = BlockCounter::load(self, blocks, &work)?;
@@ -113,8 +117,13 @@ impl RateShard<'_> {
         let (counted, total) = (self.block_counter.run_count(), Some(self.run_count()));
         let counting = |progress: &CountProgress| observer.observe(&RunProgress { done: progress.runs, total });
         self.block_counter.count(&self.run_folder, &counting)?;
-        let resampling = |progress: &RunProgress| observer.observe(&RunProgress { done: counted + progress.done, total });
-        self.block_counter.resample(&self.run_folder, self.resample_range.clone(), &ProgressCounter::new(&resampling, None))?;
+        let resampling =
+            |progress: &RunProgress| observer.observe(&RunProgress { done: counted + progress.done, total });
+        self.block_counter.resample(
+            &self.run_folder,
+            self.resample_range.clone(),
+            &ProgressCounter::new(&resampling, None),
+        )?;
         Ok(self.run_folder.finish()?)
     }
 

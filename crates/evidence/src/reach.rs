@@ -7,7 +7,10 @@
 use std::path::Path;
 use std::time::Instant;
 
-use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, Undecided, InitialRanges, ReachClaim, ReachResult, ReachProblem, controller_file_name, reach};
+use crumple_verify::reach::{
+    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, ReachResult, Undecided,
+    controller_file_name, reach,
+};
 use crumple_verify::{Certificate, Interval, Rejection, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -276,7 +279,12 @@ impl ReachPlan {
         let begin = Instant::now();
         let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
         scene.stop_when_undecided = true;
-        let mut nodes = vec![PartitionNode { ranges: self.claim.ranges, cell: PartitionCell::Undecided, first_child: None, result: None }];
+        let mut nodes = vec![PartitionNode {
+            ranges: self.claim.ranges,
+            cell: PartitionCell::Undecided,
+            first_child: None,
+            result: None,
+        }];
         let mut due = vec![0_usize];
         let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
         for level in 0..=depth {
@@ -298,12 +306,18 @@ impl ReachPlan {
                     nodes[node].first_child = Some(nodes.len());
                     for ranges in halves {
                         next.push(nodes.len());
-                        nodes.push(PartitionNode { ranges, cell: PartitionCell::Undecided, first_child: None, result: None });
+                        nodes.push(PartitionNode {
+                            ranges,
+                            cell: PartitionCell::Undecided,
+                            first_child: None,
+                            result: None,
+                        });
                     }
                 }
             }
             let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
-            let now = VolumeShares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
+            let now =
+                VolumeShares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
             observer.notify(&now)?;
             shares.push(now);
             if next.is_empty() {
@@ -317,7 +331,8 @@ impl ReachPlan {
 
     /// Looks for starts that end in contact in whatever is undecided.
     fn falsify(&self, scene: &ReachProblem<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
-        let undecided: Vec<usize> = (0..nodes.len()).filter(|&node| nodes[node].cell == PartitionCell::Undecided).collect();
+        let undecided: Vec<usize> =
+            (0..nodes.len()).filter(|&node| nodes[node].cell == PartitionCell::Undecided).collect();
         let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
             let mut stream = random::stream(0, Purpose::ScenarioSampling, node as u64);
             let ranges = &nodes[node].ranges;
@@ -329,7 +344,8 @@ impl ReachPlan {
                 }
                 let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
                 let point = interpolate(&cell.scripted_ranges(), &place);
-                if self.has_contact(&point)? && cell.at_point(&point).is_some_and(|scene| reach(&scene).surely_collides) {
+                if self.has_contact(&point)? && cell.at_point(&point).is_some_and(|scene| reach(&scene).surely_collides)
+                {
                     return Ok(Some(point));
                 }
             }
@@ -344,7 +360,13 @@ impl ReachPlan {
         Ok(())
     }
 
-    fn build_partition(&self, nodes: &[PartitionNode], mut shares: Vec<VolumeShares>, gap_m: f64, begin: Instant) -> Partition {
+    fn build_partition(
+        &self,
+        nodes: &[PartitionNode],
+        mut shares: Vec<VolumeShares>,
+        gap_m: f64,
+        begin: Instant,
+    ) -> Partition {
         let (mut doubts, mut partition) = (UndecidedCounts::default(), Vec::new());
         // Lower halves first, as the certificate wants them.
         let mut pending = vec![0_usize];

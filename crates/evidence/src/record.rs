@@ -97,8 +97,7 @@ impl CountRecord {
     pub(super) fn problem(&self) -> Option<&'static str> {
         let Registration { configuration, runs, confidence, block_runs } = &self.registration;
         let is_count = (1..=MAX_RUNS).contains(runs) && *confidence > 0.5 && *confidence < 1.0;
-        let has_blocks =
-            block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MAX_BLOCKS);
+        let has_blocks = block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MAX_BLOCKS);
         let space = configuration.get("space_sha256");
         match () {
             () if !is_count => Some("registration: no number of runs and confidence that a count may have"),
@@ -190,7 +189,13 @@ impl CountRecord {
         } else {
             let rate_at_most = self.rate_at_most(tally.failures);
             let blocks = tally.blocks.iter().map(|block| (block.failures, block.sha256.clone())).collect();
-            Statement::Rate(RateClaim { registration, registration_sha256, failures: tally.failures, rate_at_most, blocks })
+            Statement::Rate(RateClaim {
+                registration,
+                registration_sha256,
+                failures: tally.failures,
+                rate_at_most,
+                blocks,
+            })
         };
         let space = self.registration.configuration.get("space").cloned().unwrap_or_default();
         build_certificate(space, Some(self.space_text.clone()), None, statement)
@@ -259,7 +264,10 @@ mod tests {
         {
             let bound = upper_bound(failures, runs, confidence);
             assert!(binomial_tail_upper_bound(failures, runs, bound) <= 1.0 - confidence);
-            assert!(binomial_tail_upper_bound(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence, "{failures} {runs} {bound}");
+            assert!(
+                binomial_tail_upper_bound(failures, runs, bound * (1.0 - 1e-6)) > 1.0 - confidence,
+                "{failures} {runs} {bound}"
+            );
         }
         assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
@@ -270,7 +278,10 @@ mod tests {
         for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
             let bound = upper_bound(failures, 700_000_000, confidence);
             assert!(binomial_tail_upper_bound(failures, 700_000_000, bound) <= 1.0 - confidence);
-            assert!(binomial_tail_upper_bound(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence, "{failures} {bound}");
+            assert!(
+                binomial_tail_upper_bound(failures, 700_000_000, bound * (1.0 - 1e-8)) > 1.0 - confidence,
+                "{failures} {bound}"
+            );
         }
         // 1 - (1 - γ)^(1/n), within what the tail rounds.
         let (bound, exact) = (upper_bound(0, 700_000_000, 0.999), -(0.001_f64.ln() / 7e8).exp_m1());

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::binding::{self, BindingError};
 use super::{CountedBlock, RateError, RatePlan};
 use crumple_core::digest::Sha256;
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Stopped};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_world::sim::NamedController;
 
 /// Which blocks are counted again.
@@ -142,7 +142,10 @@ impl Rerun {
             }
             Statement::Comparison(claim) => {
                 let blocks = claim.blocks.iter();
-                (&claim.registration, blocks.map(|(k, sha256)| StatedBlock { counts: *k, sha256: sha256.clone() }).collect())
+                (
+                    &claim.registration,
+                    blocks.map(|(k, sha256)| StatedBlock { counts: *k, sha256: sha256.clone() }).collect(),
+                )
             }
             other => return Err(RerunError::NothingCounted(other.name())),
         };
@@ -195,7 +198,11 @@ impl Rerun {
     ///
     /// # Errors
     /// [`RerunError::Refuted`] names the first block of the sample that is not as stated; [`RerunError::Stopped`] if `observer` stops.
-    pub fn confirm(&self, sample: BlockSelection, observer: &dyn Observer<RunProgress>) -> Result<Confirmation, RerunError> {
+    pub fn confirm(
+        &self,
+        sample: BlockSelection,
+        observer: &dyn Observer<RunProgress>,
+    ) -> Result<Confirmation, RerunError> {
         let counter = ProgressCounter::new(observer, Some(self.run_count(sample)));
         let blocks = self.select_blocks(sample);
         let judged = blocks.par_iter().map(|&block| {

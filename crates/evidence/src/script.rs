@@ -44,7 +44,11 @@ pub enum ScriptBeyondLimit {
 ///
 /// The acceleration of a step is the mean of the script's acceleration within the step. The simulator rounds that, as it rounds
 /// the motion of a leader with the plain script `brake`: by far less than the 10⁻⁹ m and m/s that every reach allows for.
-pub(super) fn check_script_limits(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64) -> Result<(), ScriptBeyondLimit> {
+pub(super) fn check_script_limits(
+    leader: &VehicleSpec,
+    limit_mps2: f64,
+    horizon_s: f64,
+) -> Result<(), ScriptBeyondLimit> {
     let Driver::Profile(profile) = &leader.driver else { return Err(ScriptBeyondLimit::NotScripted) };
     let [lowest, highest] = match profile {
         LeadProfile::Recorded(recorded) => {
@@ -109,7 +113,11 @@ mod tests {
     const SPEED_MPS: f64 = 20.0;
 
     fn check_profile(profile: LeadProfile) -> Result<(), ScriptBeyondLimit> {
-        check_script_limits(&VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::Profile(profile)), 3.0, HORIZON_S)
+        check_script_limits(
+            &VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::Profile(profile)),
+            3.0,
+            HORIZON_S,
+        )
     }
 
     fn pieces(from_s: &[f64], accel_mps2: &[f64]) -> LeadProfile {
@@ -184,8 +192,12 @@ mod tests {
         let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);
         assert_eq!(check_script_limits(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
         assert!(
-            check_script_limits(&VehicleSpec { driver: Driver::Profile(allowed_profiles().remove(1)), ..driven }, f64::NAN, HORIZON_S)
-                .is_err()
+            check_script_limits(
+                &VehicleSpec { driver: Driver::Profile(allowed_profiles().remove(1)), ..driven },
+                f64::NAN,
+                HORIZON_S
+            )
+            .is_err()
         );
     }
 }

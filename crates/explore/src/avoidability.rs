@@ -7,8 +7,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use serde::Serialize;
 
-use crate::render::render_replay;
 use crate::error::RequestError;
+use crate::render::render_replay;
 
 /// The answer.
 #[derive(Debug, Serialize)]

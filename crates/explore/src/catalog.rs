@@ -6,7 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names};
+use crumple_world::scenario::{
+    Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names,
+};
 use crumple_world::sim::NamedController;
 
 use crate::campaign::CatalogCampaign;
@@ -108,7 +110,9 @@ impl ExploreConfig {
         }
         let chosen = controllers.len();
         for (name, _) in built_in_scenario_names() {
-            if let (Some(scenario), false) = (built_in_scenario(name), scenarios.iter().any(|offered| offered.name == *name)) {
+            if let (Some(scenario), false) =
+                (built_in_scenario(name), scenarios.iter().any(|offered| offered.name == *name))
+            {
                 scenarios.push(CatalogScenario { name: (*name).to_owned(), scenario });
             }
         }
@@ -126,7 +130,15 @@ impl ExploreConfig {
                 controllers.push(spec.into());
             }
         }
-        Ok(Catalog { scenarios, controllers, selected_controllers: chosen, estimator, save_folder: out, campaigns, opened_drivers: Mutex::default() })
+        Ok(Catalog {
+            scenarios,
+            controllers,
+            selected_controllers: chosen,
+            estimator,
+            save_folder: out,
+            campaigns,
+            opened_drivers: Mutex::default(),
+        })
     }
 }
 

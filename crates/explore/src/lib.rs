@@ -24,17 +24,17 @@
 //! No path in a request is ever opened: a request names scenarios, controllers and campaigns by number or by a name that was
 //! offered, and a scenario that it sends may name the files of those that were offered and no others.
 
-mod routes;
+mod auth;
 mod avoidability;
 mod campaign;
-mod render;
-mod auth;
 mod catalog;
-mod page;
 mod error;
+mod page;
+mod render;
 mod request;
+mod routes;
 mod save;
 mod server;
 
-pub use catalog::{ExploreConfig, ExploreConfigError, CatalogScenario};
+pub use catalog::{CatalogScenario, ExploreConfig, ExploreConfigError};
 pub use server::{ServeError, Server};

@@ -8,7 +8,7 @@ use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::catalog::{ExploreConfig, Catalog};
+use crate::catalog::{Catalog, ExploreConfig};
 
 /// The one style sheet.
 pub(crate) fn style_sheet() -> String {

@@ -1,7 +1,7 @@
 //! Runs of a scenario as the page shows them: verdicts, diagrams, the view from above, and where its sliders stand.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
-use crumple_report::draw::{self, PanelArrangement, MotionAxes, MotionFigure, draw_motion_on_axes, vehicle_names};
+use crumple_report::draw::{self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names};
 use crumple_world::measure::UnnecessaryBraking;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario};
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
@@ -118,7 +118,13 @@ fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simula
         }
     }
     let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
-    RunSummary { controller: escape_text(&controller.name), verdict, summary: escape_text(&words), notes, contact_time_s }
+    RunSummary {
+        controller: escape_text(&controller.name),
+        verdict,
+        summary: escape_text(&words),
+        notes,
+        contact_time_s,
+    }
 }
 
 /// Text that somebody else wrote, with what does not show as itself escaped.
@@ -198,7 +204,9 @@ impl LeadPad {
         let cell_steps = steps.div_ceil(MAX_PAD_CELLS).max(1);
         let lead = spec.vehicles.first();
         let script = lead.and_then(|lead| match &lead.driver {
-            Driver::Profile(profile) => Some(mean_accelerations(profile, lead.speed_mps, spec.step_s, steps, cell_steps)),
+            Driver::Profile(profile) => {
+                Some(mean_accelerations(profile, lead.speed_mps, spec.step_s, steps, cell_steps))
+            }
             _ => None,
         });
         Self {
@@ -211,7 +219,13 @@ impl LeadPad {
 }
 
 /// What a script asks for on average over each cell, of a vehicle that follows it.
-fn mean_accelerations(profile: &LeadProfile, mut speed_mps: f64, step_s: f64, steps: usize, cell_steps: usize) -> Vec<f64> {
+fn mean_accelerations(
+    profile: &LeadProfile,
+    mut speed_mps: f64,
+    step_s: f64,
+    steps: usize,
+    cell_steps: usize,
+) -> Vec<f64> {
     let mut means = Vec::new();
     for first in (0..steps).step_by(cell_steps) {
         let here = first..steps.min(first + cell_steps);

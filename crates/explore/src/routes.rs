@@ -8,13 +8,13 @@ use crumple_world::scenario::ScenarioSpec;
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};
 
+use crate::auth::RequestAuth;
 use crate::avoidability::check_avoidability;
 use crate::campaign;
-use crate::render::{Sliders, run_and_render};
-use crate::auth::RequestAuth;
 use crate::catalog::Catalog;
-use crate::page;
 use crate::error::RequestError;
+use crate::page;
+use crate::render::{Sliders, run_and_render};
 use crate::request::{EditedScenario, RunRequest, parse_body};
 use crate::save::save_scenario;
 
@@ -83,16 +83,24 @@ impl Application {
     pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
             ("", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::scenario_page(&self.catalog))),
-            ("campaigns", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::campaigns_page(&self.catalog))),
+            ("campaigns", &Method::GET) => {
+                Ok(HttpResponse::new("text/html; charset=utf-8", page::campaigns_page(&self.catalog)))
+            }
             ("explore.css", &Method::GET) => Ok(HttpResponse::new("text/css; charset=utf-8", page::style_sheet())),
             ("explore.js", &Method::GET) => Ok(HttpResponse::new("text/javascript; charset=utf-8", page::script())),
             ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(RequestError::MethodNotAllowed("GET")),
             ("api/open", &Method::POST) => self.open(&parse_body(body)?),
-            ("api/run", &Method::POST) => json_response(&run_and_render(parse_body::<RunRequest>(body)?, &self.catalog)?),
+            ("api/run", &Method::POST) => {
+                json_response(&run_and_render(parse_body::<RunRequest>(body)?, &self.catalog)?)
+            }
             ("api/avoid", &Method::POST) => self.avoid(parse_body(body)?),
             ("api/save", &Method::POST) => self.save(parse_body(body)?),
-            ("api/campaign", &Method::POST) => json_response(&campaign::show_campaigns(&parse_body(body)?, &self.catalog.campaigns)?),
-            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => Err(RequestError::MethodNotAllowed("POST")),
+            ("api/campaign", &Method::POST) => {
+                json_response(&campaign::show_campaigns(&parse_body(body)?, &self.catalog.campaigns)?)
+            }
+            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => {
+                Err(RequestError::MethodNotAllowed("POST"))
+            }
             _ => Err(RequestError::NotFound("the pages and what they ask for are elsewhere")),
         }
     }
@@ -127,8 +135,9 @@ impl Application {
         evaluation: Option<usize>,
     ) -> Result<HttpResponse, RequestError> {
         let offered = self.catalog.campaigns.get(index);
-        let offered = offered
-            .ok_or_else(|| RequestError::invalid("campaign", format!("{} were offered", self.catalog.campaigns.len())))?;
+        let offered = offered.ok_or_else(|| {
+            RequestError::invalid("campaign", format!("{} were offered", self.catalog.campaigns.len()))
+        })?;
         // A campaign whose files are damaged is not opened in part.
         offered.poll()?;
         let look = offered.lock_reader();
@@ -141,8 +150,9 @@ impl Application {
             }
             (None, Some(place)) => {
                 let found = look.evaluations().get(place);
-                let (method, evaluated) = found
-                    .ok_or_else(|| RequestError::invalid("evaluation", format!("{} are known", look.evaluations().len())))?;
+                let (method, evaluated) = found.ok_or_else(|| {
+                    RequestError::invalid("evaluation", format!("{} are known", look.evaluations().len()))
+                })?;
                 let scenario = look.scenario(&evaluated.values).map_err(campaign::campaign_error)?;
                 let name = format!("{}-{}-{}", look.space().name(), method.name(), evaluated.number);
                 let about = format!(

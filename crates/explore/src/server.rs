@@ -23,10 +23,10 @@ use tokio::runtime::Runtime;
 use tokio::task::AbortHandle;
 use tokio::time::{sleep, timeout};
 
-use crate::routes::{HttpResponse, Application};
 use crate::auth::RequestAuth;
 use crate::catalog::{ExploreConfig, ExploreConfigError};
 use crate::error::RequestError;
+use crate::routes::{Application, HttpResponse};
 
 /// Most connections at once. Beyond that, the connection ends that has waited longest for its client. A connection whose request is being
 /// answered does not end.
@@ -264,15 +264,19 @@ async fn handle(
     idle_since.store(BUSY, Ordering::Relaxed);
     let answer = tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
     idle_since.store(next_tick(), Ordering::Relaxed);
-    answer.unwrap_or_else(|_| Err(RequestError::Internal("a fault of crumple: please report it with the scenario".to_owned())))
+    answer.unwrap_or_else(|_| {
+        Err(RequestError::Internal("a fault of crumple: please report it with the scenario".to_owned()))
+    })
 }
 
 /// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.
 async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
     let (mut bytes, mut length) = (Vec::new(), 0_usize);
     while let Some(frame) = body.frame().await {
-        let broken =
-            |error: hyper::Error| RequestError::Malformed { line: 1, message: format!("the request breaks off: {error}") };
+        let broken = |error: hyper::Error| RequestError::Malformed {
+            line: 1,
+            message: format!("the request breaks off: {error}"),
+        };
         let Ok(data) = frame.map_err(broken)?.into_data() else { continue };
         length = length.saturating_add(data.len());
         if length <= MAX_BODY_BYTES {

@@ -8,7 +8,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_core::observer::Quiet;
-use crumple_explore::{ExploreConfig, CatalogScenario, Server};
+use crumple_explore::{CatalogScenario, ExploreConfig, Server};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
@@ -255,7 +255,8 @@ fn slow_requests_keep_no_other_client_out() {
 
 #[test]
 fn a_request_that_does_not_arrive_in_time_is_ended() {
-    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
+    let (port, token) =
+        start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
     let answer = read_response(&mut start_request(port, &token));
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
     let mut head = TcpStream::connect(("127.0.0.1", port)).unwrap();

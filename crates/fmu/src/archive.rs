@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use crate::description::{ModelDescription, FmiVersion, InvalidDescription};
+use crate::description::{FmiVersion, InvalidDescription, ModelDescription};
 
 /// Longest description, in bytes.
 const MAX_DESCRIPTION_BYTES: u64 = 16 << 20;

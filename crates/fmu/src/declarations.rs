@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use crate::FmiVersion;
-use crate::description::{InvalidDescription, error_at, bool_attribute, required_attribute};
-use crate::unit::{BASE_UNITS, Conversion, UnitDimension, DeclaredUnit};
+use crate::description::{InvalidDescription, bool_attribute, error_at, required_attribute};
+use crate::unit::{BASE_UNITS, Conversion, DeclaredUnit, UnitDimension};
 use crate::xml::XmlElement;
 
 /// Units by name, and the attributes of real types by the name of the type.
@@ -75,8 +75,10 @@ fn read_conversion(base: &XmlElement) -> Result<Conversion, InvalidDescription> 
     let mut exponents = [0; 8];
     for (exponent, name) in exponents.iter_mut().zip(BASE_UNITS) {
         let Some(text) = base.attribute(name) else { continue };
-        *exponent =
-            text.trim().parse().map_err(|_| error_at(base, format!("`BaseUnit`: {name}: {text:?} is not a whole number")))?;
+        *exponent = text
+            .trim()
+            .parse()
+            .map_err(|_| error_at(base, format!("`BaseUnit`: {name}: {text:?} is not a whole number")))?;
     }
     let number = |name: &str, default: f64| match base.attribute(name) {
         None => Ok(default),

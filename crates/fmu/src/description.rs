@@ -198,7 +198,8 @@ impl ModelDescription {
         if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
             return Err(error_at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
         }
-        let listed = root.child("ModelVariables").ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
+        let listed =
+            root.child("ModelVariables").ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
         let declarations = Declarations::read(root, version)?;
         let mut variables: Vec<Variable> = Vec::new();
         for element in &listed.children {
@@ -233,7 +234,10 @@ impl ModelDescription {
 }
 
 /// Reads a `ScalarVariable`; none for one that a controller cannot use.
-fn read_fmi2_variable(element: &XmlElement, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
+fn read_fmi2_variable(
+    element: &XmlElement,
+    declarations: &Declarations<'_>,
+) -> Result<Option<Variable>, InvalidDescription> {
     let types = [("Real", VariableType::Real), ("Integer", VariableType::Integer), ("Boolean", VariableType::Boolean)];
     let typed = types.into_iter().find_map(|(name, kind)| Some((element.child(name)?, kind)));
     match typed {
@@ -243,7 +247,10 @@ fn read_fmi2_variable(element: &XmlElement, declarations: &Declarations<'_>) -> 
 }
 
 /// Reads a variable of FMI 3; none for one that a controller cannot use, such as an array.
-fn read_fmi3_variable(element: &XmlElement, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
+fn read_fmi3_variable(
+    element: &XmlElement,
+    declarations: &Declarations<'_>,
+) -> Result<Option<Variable>, InvalidDescription> {
     let kind = match element.name {
         "Float64" => VariableType::Real,
         "Int32" => VariableType::Integer,

@@ -22,5 +22,5 @@ mod unit;
 mod xml;
 
 pub use archive::{Fmu, FmuError};
-pub use description::{Causality, ModelDescription, FmiVersion, InvalidDescription, VariableType, Variable};
-pub use unit::{Conversion, UnitDimension, DeclaredUnit};
+pub use description::{Causality, FmiVersion, InvalidDescription, ModelDescription, Variable, VariableType};
+pub use unit::{Conversion, DeclaredUnit, UnitDimension};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::{Causality, ModelDescription, FmiVersion, VariableType, DeclaredUnit, Variable};
+use crate::{Causality, DeclaredUnit, FmiVersion, ModelDescription, Variable, VariableType};
 
 impl FmiVersion {
     /// Returns the number of the edition.

@@ -125,7 +125,8 @@ mod tests {
     #[test]
     fn units_are_written_with_their_conversion() {
         let unit = |name: &str, dimension, factor, offset| {
-            DeclaredUnit { name: name.to_owned(), conversion: Some(Conversion { dimension, factor, offset }) }.to_string()
+            DeclaredUnit { name: name.to_owned(), conversion: Some(Conversion { dimension, factor, offset }) }
+                .to_string()
         };
         assert_eq!(unit("m/s", UnitDimension::metres_seconds(1, -1), 1.0, 0.0), "m/s");
         assert_eq!(unit("ft", UnitDimension::metres_seconds(1, 0), 0.3048, 0.0), "ft (SI: 0.3048 x m)");
@@ -133,7 +134,10 @@ mod tests {
         assert_eq!(DeclaredUnit::undefined("furlong").to_string(), "furlong (not defined)");
         assert_eq!(UnitDimension::NONE.to_string(), "1");
         assert_eq!(UnitDimension::metres_seconds(1, -2).to_string(), "m.s-2");
-        assert_eq!(DeclaredUnit::undefined("m/s²").conversion.map(|found| found.dimension), Some(UnitDimension::metres_seconds(1, -2)));
+        assert_eq!(
+            DeclaredUnit::undefined("m/s²").conversion.map(|found| found.dimension),
+            Some(UnitDimension::metres_seconds(1, -2))
+        );
     }
 
     #[test]

@@ -29,8 +29,9 @@ const ROLE_COUNT: usize = 3;
 const KIND_BINS: usize = 4096;
 
 /// The number of features there are.
-pub const FEATURE_COUNT: usize =
-    VEHICLE_BINS * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS) + ROLE_COUNT * (VEHICLE_BINS + IMPACT_BINS) + 2 * KIND_BINS;
+pub const FEATURE_COUNT: usize = VEHICLE_BINS * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS)
+    + ROLE_COUNT * (VEHICLE_BINS + IMPACT_BINS)
+    + 2 * KIND_BINS;
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]

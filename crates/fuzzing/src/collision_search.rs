@@ -96,12 +96,14 @@ impl CollisionSearch {
     pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
-        if let Err(RunError::Shield { .. } | RunError::MissingNeighbour { .. }) = Run::new(&test_case.scenario, options) {
+        if let Err(RunError::Shield { .. } | RunError::MissingNeighbour { .. }) = Run::new(&test_case.scenario, options)
+        {
             return Ok(Vec::new());
         }
         let result = test_case.check_run(&Crumple)?;
         let features = behaviour::extract_features(&test_case, &result);
-        let is_new = |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
+        let is_new =
+            |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
         // Every feature is marked, so no short cut.
         let news = features.iter().filter(|feature| is_new(feature)).count();
         if news > 0 || self.input_count.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
@@ -119,7 +121,9 @@ fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError>
     let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
     let controller = TestedController::from_name(name).map_err(|error| match error {
         // A build without processes refuses FMUs by itself, without saying what to do.
-        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::ProcessFeatureDisabled, .. }) => other_process(),
+        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::ProcessFeatureDisabled, .. }) => {
+            other_process()
+        }
         other => other.into(),
     })?;
     if controller.is_process() {

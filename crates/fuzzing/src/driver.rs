@@ -5,7 +5,9 @@ use std::sync::LazyLock;
 use super::choices::Choices;
 use super::shape::DriverKind;
 use crumple_world::control::{ControllerSpec, Role};
-use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec};
+use crumple_world::scenario::{
+    Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec,
+};
 
 /// Bytes that a driver is read from.
 pub(super) const DRIVER_BYTES: usize = 26;

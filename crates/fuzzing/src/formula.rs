@@ -1,7 +1,7 @@
 //! Formulas of signal temporal logic from bytes.
 
 use super::choices::Choices;
-use crumple_world::measure::stl::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
+use crumple_world::measure::stl::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 
 /// How deep formulas nest.
 const MAX_DEPTH: u32 = 3;

@@ -3,7 +3,7 @@
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::{DRIVER_BYTES, read_driver, make_scripted};
+use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,

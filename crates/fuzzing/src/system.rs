@@ -9,7 +9,9 @@ use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper};
+use crumple_world::sim::{
+    self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
+};
 
 /// The parts of the program that oracles question.
 ///

@@ -4,12 +4,14 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use crumple_fmu::{ModelDescription, Fmu};
+use crumple_fmu::{Fmu, ModelDescription};
 use crumple_verify::{Certificate, WorkLimit, check_with};
 
-use super::run_folder;
 use super::oracle::motion_is_physical;
-use super::{OracleOutcome, Crumple, ScenarioFormat, Invariant, ORACLES, OracleContext, RunSetup, System, TestCase, Violation};
+use super::run_folder;
+use super::{
+    Crumple, Invariant, ORACLES, OracleContext, OracleOutcome, RunSetup, ScenarioFormat, System, TestCase, Violation,
+};
 use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
@@ -121,8 +123,11 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     let header = format!("{:?}", policy.header());
     let written = policy.to_bytes().ok();
     let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
-    ensure(back.as_ref() == Some(&policy), Invariant::Reading, &header, || "it is not what was written of it".to_owned())?;
-    let Some(short) = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok()) else {
+    ensure(back.as_ref() == Some(&policy), Invariant::Reading, &header, || {
+        "it is not what was written of it".to_owned()
+    })?;
+    let Some(short) = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok())
+    else {
         return Ok(());
     };
     // A policy may decide at instants that are not this scenario's.
@@ -189,7 +194,9 @@ pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
                 let is_one = names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
                 ensure(is_one, Invariant::Reading, &model_identifier, || format!("{names:?} are not all"))?;
             }
-            Err(refused) => ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a word".to_owned())?,
+            Err(refused) => {
+                ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a word".to_owned())?
+            }
         }
     }
     Ok(())
@@ -231,7 +238,9 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
     for map in [None, tracks.as_ref().ok()] {
         let Ok(recording) = recording::read(bytes, Path::new("f.csv"), map) else { continue };
-        for (number, episode) in find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate() {
+        for (number, episode) in
+            find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate()
+        {
             let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
             let text = to_toml(&scenario).unwrap_or_default();
             let back = from_toml(&text, Path::new("f.toml"));
@@ -261,14 +270,18 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
         Ok(formula) => formula,
         Err(crumple_world::measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
-            return ensure(columns.contains(&column), Invariant::Reading, text, || format!("column {column}: {problem}"));
+            return ensure(columns.contains(&column), Invariant::Reading, text, || {
+                format!("column {column}: {problem}")
+            });
         }
     };
     let printed = formula.to_string();
     match printed.parse::<Formula>() {
         // Printing adds parentheses and may write a sum out: a text at the limits can exceed them.
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
-        back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || format!("{printed} is read as {back:?}"))?,
+        back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || {
+            format!("{printed} is read as {back:?}")
+        })?,
     }
     let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };
     for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
@@ -281,7 +294,9 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let (Ok(robustness), Ok(defined)) = (formula.robustness(&signals), naive_robustness(&formula, &signals, 0)) else {
         return Ok(());
     };
-    ensure(robustness == defined, Invariant::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
+    ensure(robustness == defined, Invariant::Monitor, text, || {
+        format!("robustness {robustness}, defined as {defined}")
+    })?;
     let satisfied = formula.is_satisfied(&signals);
     let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
     ensure(sign, Invariant::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))

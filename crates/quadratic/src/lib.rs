@@ -113,7 +113,9 @@ impl QuadraticProgram {
             SolverStatus::Solved | SolverStatus::AlmostSolved => {
                 QuadraticSolution::Optimal { point: solution.x.clone(), multipliers: multipliers() }
             }
-            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => QuadraticSolution::Infeasible(multipliers()),
+            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
+                QuadraticSolution::Infeasible(multipliers())
+            }
             status => QuadraticSolution::SolverFailed(format!("{status:?}")),
         }
     }

@@ -6,8 +6,11 @@ use maud::html;
 
 pub use fit::draw_fit;
 
-use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg, extent, pad_interval};
-use crumple_world::policy::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};
+use crate::draw::{
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg, extent,
+    pad_interval,
+};
+use crumple_world::policy::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 use crumple_world::recording::{HardestBrakingResult, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
@@ -39,7 +42,12 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     // What is stated goes on beyond what was trained.
     let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
-    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
+    let frame = PixelRect {
+        left: LEFT_MARGIN + 24.0,
+        top: HEADING_HEIGHT,
+        width: FIGURE_WIDTH - LEFT_MARGIN - 40.0,
+        height: PANEL_HEIGHT,
+    };
     let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
     let x = Axis::numeric("episode", (0.0, last), 8);
     let y = Axis::numeric("", (low, COLLISION_FREE_REWARD * 1.06), 6);
@@ -51,7 +59,8 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     // Words stand where the curve's right end is not.
     let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * trained).map(|p| p.mean_reward).collect();
     let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
-    let words_at = |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
+    let words_at =
+        |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
     panel.add_note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
@@ -77,7 +86,13 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
         description += &format!(" Of {source} only what its text states is drawn, {said}: its curve has no numbers.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    Svg::new("learning-curve", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), &title, &description, content)
+    Svg::new(
+        "learning-curve",
+        (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN),
+        &title,
+        &description,
+        content,
+    )
 }
 
 /// A reward as in 22 500.
@@ -125,7 +140,12 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
         ends.push((done as f64, format!("round {number} {word}")));
     }
     let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
-    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
+    let frame = PixelRect {
+        left: LEFT_MARGIN + 24.0,
+        top: HEADING_HEIGHT,
+        width: FIGURE_WIDTH - LEFT_MARGIN - 40.0,
+        height: PANEL_HEIGHT,
+    };
     let title = "Contacts in the avoidable draws that select checkpoints";
     let x = Axis::numeric("episode", (0.0, done.max(1) as f64), 8);
     let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, most * 1.15), 6));
@@ -146,7 +166,8 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
     let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
-        let frame = PixelRect { left: LEFT_MARGIN + 24.0, top, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
+        let frame =
+            PixelRect { left: LEFT_MARGIN + 24.0, top, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
         let all = || preview.lines.iter().flat_map(&of);
         let time = Axis::numeric("s", extent(all().map(|point| point.0)), 8);
         let value = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
@@ -168,8 +189,10 @@ pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     let [speeds, gaps] =
         [("speeds", speeds), ("gaps", gaps)].map(|(name, panel)| panel.draw(&Svg::id("recorded", name)));
     let shown = preview.lines.len();
-    let description =
-        format!("Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.", preview.lead_vehicles);
+    let description = format!(
+        "Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.",
+        preview.lead_vehicles
+    );
     let content = html! { (speeds) (gaps) };
     Svg::new("recorded", (FIGURE_WIDTH, second + PANEL_HEIGHT + BOTTOM_MARGIN), file, &description, content)
 }

@@ -55,7 +55,9 @@ fn format_value(value: Option<&Value>) -> String {
         None | Some(Value::Null) => "nothing".to_owned(),
         Some(Value::Object(_)) => "a table".to_owned(),
         Some(Value::Array(_)) => "a list".to_owned(),
-        Some(Value::String(text)) if text.chars().count() > MAX_SHOWN_CHARS => format!("a text of {} bytes", text.len()),
+        Some(Value::String(text)) if text.chars().count() > MAX_SHOWN_CHARS => {
+            format!("a text of {} bytes", text.len())
+        }
         Some(value) => value.to_string(),
     }
 }

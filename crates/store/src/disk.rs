@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use tempfile::TempPath;
 pub(crate) use unfinished::is_unfinished;
 pub use unfinished::remove_unfinished;
-pub(crate) use unfinished::{parse_number, numbered_name, remove_all_unfinished};
+pub(crate) use unfinished::{numbered_name, parse_number, remove_all_unfinished};
 
 /// A file or folder that cannot be read or written.
 #[derive(Debug, thiserror::Error)]

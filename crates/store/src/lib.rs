@@ -13,5 +13,5 @@ pub mod difference;
 pub mod disk;
 pub mod jobs;
 pub mod program;
-pub mod shard;
 pub mod run_folder;
+pub mod shard;

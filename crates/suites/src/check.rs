@@ -6,7 +6,7 @@ use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::{InvalidField, format_compact};
 
 use super::SUITE_VERSION;
-use super::parameter::{TestParameter, ImpactLimit, ParameterKind, ParameterUnit};
+use super::parameter::{ImpactLimit, ParameterKind, ParameterUnit, TestParameter};
 use super::spec::{LeadManeuver, SuiteSpec, TestSpec, with_value};
 
 /// Most points of all grids of a suite.
@@ -242,10 +242,18 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     check_parameters(test, lead, place)?;
     if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
         let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
-        ensure(ParameterKind::OwnSpeed.allowed_units().contains(&found), at("unit"), SuiteProblem::ImpactUnit { found })?;
+        ensure(
+            ParameterKind::OwnSpeed.allowed_units().contains(&found),
+            at("unit"),
+            SuiteProblem::ImpactUnit { found },
+        )?;
         // To nine digits, so that it is 360 km/h.
         let most = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
-        ensure(*value > 0.0 && *value <= most, at("value"), SuiteProblem::ImpactOutOfRange { max: most, unit: *unit, found: *value })?;
+        ensure(
+            *value > 0.0 && *value <= most,
+            at("value"),
+            SuiteProblem::ImpactOutOfRange { max: most, unit: *unit, found: *value },
+        )?;
         ensure(note.is_empty() || check_text(note, "").is_ok(), at("note"), SuiteProblem::Text)?;
     }
     let found = before.saturating_add(test.point_count());
@@ -258,7 +266,8 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
         ensure(has_range, &field, SuiteProblem::NoValueRange { parameter })?;
         ensure(!test.ranges[..index].contains(&parameter), field, SuiteProblem::DuplicateRange)?;
     }
-    for (at, (parameter, figure)) in test.parameters.iter().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0)
+    for (at, (parameter, figure)) in
+        test.parameters.iter().enumerate().filter(|(_, (_, figure))| figure.tolerance > 0.0)
     {
         let field = format!("{place}.figures.{}.tolerance", parameter.name());
         for point in &grid {
@@ -296,7 +305,9 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
     for needed in lead.parameters() {
         let mut stated = needed.iter().filter(|parameter| test.parameters.get(**parameter).is_some());
         match (stated.next(), stated.next(), needed) {
-            (Some(&other), Some(&twice), _) => return Err(invalid(field(twice), SuiteProblem::AlreadyStated { other })),
+            (Some(&other), Some(&twice), _) => {
+                return Err(invalid(field(twice), SuiteProblem::AlreadyStated { other }));
+            }
             (None, _, [first, others @ ..]) => {
                 let missing = SuiteProblem::Missing { lead: lead.name(), alternative: others.first().copied() };
                 return Err(invalid(field(*first), missing));
@@ -309,7 +320,8 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
 
 fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) -> CheckResult {
     if lead.requires_slower_lead() {
-        let is_slower = test.si_value(point, ParameterKind::LeadSpeed) + 0.1 <= test.si_value(point, ParameterKind::OwnSpeed);
+        let is_slower =
+            test.si_value(point, ParameterKind::LeadSpeed) + 0.1 <= test.si_value(point, ParameterKind::OwnSpeed);
         ensure(is_slower, field, SuiteProblem::NotSlower)?;
     }
     let point_in_words = || test.describe_point(point);

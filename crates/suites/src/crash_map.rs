@@ -6,7 +6,7 @@ use crumple_world::sim::NamedController;
 use serde::Serialize;
 
 use super::result::{DISCLAIMER, TestVerdict};
-use super::run::{Criterion, ControllerSetup, SuiteRunError};
+use super::run::{ControllerSetup, Criterion, SuiteRunError};
 use super::situation::{Boundary, CrashMapAxis, CrashMapSituation};
 
 /// Most cells across, and most up.
@@ -103,7 +103,9 @@ impl CrashMapSpec {
     pub fn new(situation: CrashMapSituation, cells: [usize; 2]) -> Result<Self, MapProblem> {
         if !situation.is_in_range() {
             let ([low, high], unit, found) = match situation {
-                CrashMapSituation::CarFollowing { time_gap_s } => (CrashMapSituation::TIME_GAP_RANGE_S, "s", time_gap_s),
+                CrashMapSituation::CarFollowing { time_gap_s } => {
+                    (CrashMapSituation::TIME_GAP_RANGE_S, "s", time_gap_s)
+                }
                 CrashMapSituation::CutInGap { own_speed_kmph } | CrashMapSituation::CutInTime { own_speed_kmph } => {
                     (CrashMapSituation::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
                 }
@@ -164,7 +166,16 @@ impl CrashMapSpec {
         };
         let panels = references.chain(asked).map(panel).collect::<Result<_, SuiteRunError>>()?;
         let stated = situation.stated_points();
-        Ok(CrashMap { statement: DISCLAIMER, situation, across, up, estimator, boundaries, stated_points: stated, panels })
+        Ok(CrashMap {
+            statement: DISCLAIMER,
+            situation,
+            across,
+            up,
+            estimator,
+            boundaries,
+            stated_points: stated,
+            panels,
+        })
     }
 }
 

@@ -7,14 +7,14 @@
 //! It is after a document, on point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
 
 mod check;
-mod scenario;
-mod parameter;
 mod crash_map;
 mod margin;
+mod parameter;
 mod prevention;
 mod result;
 mod rows;
 mod run;
+mod scenario;
 mod shard;
 mod situation;
 mod spec;
@@ -23,11 +23,11 @@ mod worst_in_tolerance;
 use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
-pub use parameter::{TestParameter, TestParameters, ImpactLimit, Origin, ParameterKind, ParameterUnit};
-pub use crash_map::{CrashCell, CrashMap, MapPanel, MapProblem, CrashMapSpec};
-pub use margin::{SweepFailure, Margin, MarginEnd};
+pub use crash_map::{CrashCell, CrashMap, CrashMapSpec, MapPanel, MapProblem};
+pub use margin::{Margin, MarginEnd, SweepFailure};
+pub use parameter::{ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParameter, TestParameters};
 pub use prevention::{Prevention, ReferenceRun};
-pub use result::{ClauseResult, FailedPoint, DISCLAIMER, SuiteResult, TestResult, TestVerdict, ControllerResult};
+pub use result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
 pub use run::{SuiteRunError, run};
 pub use shard::{MergedSuite, SUITE_SHARD_KIND, SuiteShardError, UnavailableController, run_shard};
 pub use situation::{Boundary, CrashMapAxis, CrashMapSituation};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::parameter::{ParameterKind, ParameterUnit};
 use super::result::TestVerdict;
-use super::run::{Criterion, ControllerSetup};
+use super::run::{ControllerSetup, Criterion};
 use super::spec::{TestSpec, with_value};
 
 /// Equal parts of a direction, at whose ends the test is run.
@@ -156,7 +156,9 @@ fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criteri
     let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
     let at_middles = evaluate(lines, &middles, criterion, driven);
     for ((line, middle), found) in middles.into_iter().zip(at_middles) {
-        let Some(MarginEnd::Boundary { passes_at, fails_at, failure: beyond, .. }) = margin_ends.get_mut(line) else { continue };
+        let Some(MarginEnd::Boundary { passes_at, fails_at, failure: beyond, .. }) = margin_ends.get_mut(line) else {
+            continue;
+        };
         match found {
             Ok(()) => *passes_at = middle,
             Err(found) => (*fails_at, *beyond) = (middle, found),
@@ -165,7 +167,12 @@ fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criteri
 }
 
 /// What the test does at values of lines.
-fn evaluate(lines: &[Sweep<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &ControllerSetup<'_>) -> Vec<SweepOutcome> {
+fn evaluate(
+    lines: &[Sweep<'_>],
+    values: &[(usize, f64)],
+    criterion: Criterion,
+    driven: &ControllerSetup<'_>,
+) -> Vec<SweepOutcome> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Sweep<'_> = lines.get(line)?;
         line.test.scenario("margin", "", &with_value(&line.base, line.position, value)).ok()

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
-use super::run::{Criterion, ControllerSetup, PreventabilityCache};
+use super::run::{ControllerSetup, Criterion, PreventabilityCache};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityAnalysis};
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
@@ -43,7 +43,11 @@ pub(super) struct Preventability {
 }
 
 /// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
-pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario], known: &mut PreventabilityCache) -> Vec<Preventability> {
+pub(super) fn assess_preventability(
+    criterion: Criterion,
+    scenarios: &[&Scenario],
+    known: &mut PreventabilityCache,
+) -> Vec<Preventability> {
     let name = |scenario: &Scenario| scenario.spec().name.clone();
     let new: Vec<Scenario> =
         scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
@@ -56,7 +60,8 @@ pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario
         known.get(&name(scenario)).is_some_and(|known| known.classification.avoidability == Avoidability::NotAsked)
     };
     let asked: Vec<_> = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS).filter(is_open).collect();
-    let answers: Vec<_> = asked.par_iter().map(|scenario| (name(scenario), AvoidabilityAnalysis::classify_contact(scenario))).collect();
+    let answers: Vec<_> =
+        asked.par_iter().map(|scenario| (name(scenario), AvoidabilityAnalysis::classify_contact(scenario))).collect();
     for (name, answer) in answers {
         if let Some(known) = known.get_mut(&name) {
             known.classification = answer;
@@ -79,7 +84,8 @@ fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<Refer
     let runs = drivers.map(|spec| {
         let driver = spec.name();
         let controller = ControllerKind::from(spec);
-        let seen = ControllerSetup { controller: &controller, estimator: EstimatorKind::Truth }.run_scenarios(criterion, scenarios);
+        let seen = ControllerSetup { controller: &controller, estimator: EstimatorKind::Truth }
+            .run_scenarios(criterion, scenarios);
         let prevention = |seen: super::run::RunResult| match seen.verdict {
             TestVerdict::Passed => Prevention::Prevents,
             _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,

@@ -5,8 +5,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{TestParameters, ImpactLimit};
 use super::margin::Margin;
+use super::parameter::{ImpactLimit, TestParameters};
 use super::prevention::ReferenceRun;
 use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
@@ -154,7 +154,9 @@ impl ControllerResult {
 
     /// Every failure: of the grid, and the worst within the ranges.
     pub fn failures(&self) -> impl Iterator<Item = &FailedPoint> {
-        self.failed_points.iter().chain(self.worst_in_tolerance.as_ref().and_then(|within| within.failed_point.as_ref()))
+        self.failed_points
+            .iter()
+            .chain(self.worst_in_tolerance.as_ref().and_then(|within| within.failed_point.as_ref()))
     }
 
     /// Whether it passed on the grid, and nothing was found to fail within the ranges.

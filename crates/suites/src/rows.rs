@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::margin::Margin;
 use super::prevention::ReferenceRun;
-use super::result::{FailedPoint, TestVerdict, ControllerResult};
+use super::result::{ControllerResult, FailedPoint, TestVerdict};
 use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
@@ -60,7 +60,16 @@ struct FailedPointRow {
 
 impl ControllerResultRow {
     pub(super) fn encode(tested: &ControllerResult) -> Result<Self, toml::ser::Error> {
-        let ControllerResult { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed } = tested.clone();
+        let ControllerResult {
+            controller,
+            verdict,
+            points,
+            passed_points: passed,
+            min_gap_m,
+            margins,
+            worst_in_tolerance: within,
+            failed_points: failed,
+        } = tested.clone();
         Ok(Self {
             controller,
             verdict,
@@ -75,16 +84,42 @@ impl ControllerResultRow {
 
     /// What it was, unless it cannot be that.
     pub(super) fn decode(self) -> Result<ControllerResult, String> {
-        let Self { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed } = self;
+        let Self {
+            controller,
+            verdict,
+            points,
+            passed_points: passed,
+            min_gap_m,
+            margins,
+            worst_in_tolerance: within,
+            failed_points: failed,
+        } = self;
         let within = within.map(WorstInToleranceRow::decode).transpose()?;
         let failed = failed.into_iter().map(FailedPointRow::decode).collect::<Result<_, _>>()?;
-        Ok(ControllerResult { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed })
+        Ok(ControllerResult {
+            controller,
+            verdict,
+            points,
+            passed_points: passed,
+            min_gap_m,
+            margins,
+            worst_in_tolerance: within,
+            failed_points: failed,
+        })
     }
 }
 
 impl WorstInToleranceRow {
     fn encode(within: WorstInTolerance) -> Result<Self, toml::ser::Error> {
-        let WorstInTolerance { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed } = within;
+        let WorstInTolerance {
+            point,
+            verdict,
+            min_gap_m,
+            points_run: tried,
+            failures,
+            unanswered,
+            failed_point: failed,
+        } = within;
         let failed = failed.map(FailedPointRow::encode).transpose()?;
         Ok(Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed })
     }
@@ -92,7 +127,15 @@ impl WorstInToleranceRow {
     fn decode(self) -> Result<WorstInTolerance, String> {
         let Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed } = self;
         let failed = failed.map(FailedPointRow::decode).transpose()?;
-        Ok(WorstInTolerance { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed })
+        Ok(WorstInTolerance {
+            point,
+            verdict,
+            min_gap_m,
+            points_run: tried,
+            failures,
+            unanswered,
+            failed_point: failed,
+        })
     }
 }
 

@@ -6,14 +6,14 @@ use std::ops::Range;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult, Trace,
-    simulate_batch,
+    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult,
+    Trace, simulate_batch,
 };
 
 use super::TestSuite;
 use super::margin::find_margins;
 use super::prevention::{Preventability, assess_preventability};
-use super::result::{ClauseResult, FailedPoint, DISCLAIMER, SuiteResult, TestResult, TestVerdict, ControllerResult};
+use super::result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
 use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
 use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
@@ -182,7 +182,12 @@ impl<'t> TestGrid<'t> {
         Ok(Self { name, about: format!("{about} {DISCLAIMER}"), test, criterion: test.criterion(), grid, scenarios })
     }
 
-    fn run(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut PreventabilityCache) -> ControllerResult {
+    fn run(
+        &self,
+        controller: &NamedController,
+        estimator: EstimatorKind,
+        known: &mut PreventabilityCache,
+    ) -> ControllerResult {
         let driven = ControllerSetup { controller: &controller.kind, estimator };
         let seen = match (self.criterion, &self.test.refusal_reason) {
             (Some(criterion), _) => driven.run_scenarios(criterion, &self.scenarios),
@@ -202,7 +207,11 @@ impl<'t> TestGrid<'t> {
         }
     }
 
-    fn worst_in_tolerance(&self, driven: &ControllerSetup<'_>, known: &mut PreventabilityCache) -> Option<WorstInTolerance> {
+    fn worst_in_tolerance(
+        &self,
+        driven: &ControllerSetup<'_>,
+        known: &mut PreventabilityCache,
+    ) -> Option<WorstInTolerance> {
         let WorstPoint { point, scenario, result: seen, points_run: tried, failures, unanswered } =
             find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
@@ -219,14 +228,21 @@ impl<'t> TestGrid<'t> {
         })
     }
 
-    fn failed_points(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[RunResult], known: &mut PreventabilityCache) -> Vec<FailedPoint> {
+    fn failed_points(
+        &self,
+        points: &[Vec<f64>],
+        scenarios: &[Scenario],
+        seen: &[RunResult],
+        known: &mut PreventabilityCache,
+    ) -> Vec<FailedPoint> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
         // Where a controller gave no answer there may be nothing to prevent.
         let is_silent = |seen: &RunResult| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
         let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
-        let prevented = self.criterion.map(|criterion| assess_preventability(criterion, &scenarios, known)).unwrap_or_default();
+        let prevented =
+            self.criterion.map(|criterion| assess_preventability(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
         let nobody = || Preventability { references: Vec::new(), classification: AvoidabilityAnalysis::default() };
         let with = failed.into_iter().map(|one| {

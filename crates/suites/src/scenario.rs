@@ -69,7 +69,8 @@ impl TestSpec {
         match self.lead {
             Some(LeadManeuver::Decelerating) => {
                 let (rate_mps2, ramp_s) = (si(ParameterKind::Deceleration), si(ParameterKind::Ramp));
-                let mut lead = scripted_vehicle(self.gap_m(point, own_mps), own_mps, braking_profile(rate_mps2, ramp_s));
+                let mut lead =
+                    scripted_vehicle(self.gap_m(point, own_mps), own_mps, braking_profile(rate_mps2, ramp_s));
                 if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
                     lead.max_brake_mps2 = Some(rate_mps2);
                 }

@@ -8,11 +8,11 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::rows::ControllerResultRow;
-use super::run::{SuiteRunError, assemble, run_pairs, pair_count};
-use super::{InvalidSuite, TestSuite, SuiteResult, SuiteSpec, ControllerResult};
+use super::run::{SuiteRunError, assemble, pair_count, run_pairs};
+use super::{ControllerResult, InvalidSuite, SuiteResult, SuiteSpec, TestSuite};
 use crumple_core::observer::{Observer, RunProgress, Stopped};
-use crumple_store::shard::{MergeError, Mergeable, MergedShards, ShardId, Sharded, TooManyShards, open_shard};
 use crumple_store::run_folder::{CompletedRun, RunFolder, RunFolderError};
+use crumple_store::shard::{MergeError, Mergeable, MergedShards, ShardId, Sharded, TooManyShards, open_shard};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -106,7 +106,12 @@ impl Mergeable for ShardedSuite {
     type File = SuiteShardResults;
     type Results = Vec<ControllerResultRow>;
 
-    fn check(&self, results: SuiteShardResults, shard: ShardId, own: &Range<u64>) -> Result<Vec<ControllerResultRow>, String> {
+    fn check(
+        &self,
+        results: SuiteShardResults,
+        shard: ShardId,
+        own: &Range<u64>,
+    ) -> Result<Vec<ControllerResultRow>, String> {
         let names = self.run.controllers.iter().map(|(name, _)| name).cycle();
         let places = names.skip((own.start % self.run.controllers.len().max(1) as u64) as usize);
         let is_of = results.rows.iter().zip(places).all(|(tested, name)| tested.controller == *name);
@@ -174,9 +179,13 @@ pub fn run_shard(
         return Err(RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), "more than the shard has").into());
     }
     run_pairs(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
-        results.rows.push(ControllerResultRow::encode(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
+        results
+            .rows
+            .push(ControllerResultRow::encode(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
         work.write(ShardedSuite::RESULTS_FILE, to_json(&results)?)?;
-        Ok::<(), SuiteShardError>(observer.notify(&RunProgress { done: results.rows.len() as u64, total: Some(count) })?)
+        Ok::<(), SuiteShardError>(
+            observer.notify(&RunProgress { done: results.rows.len() as u64, total: Some(count) })?,
+        )
     })?;
     work.finish()?;
     Ok(count)

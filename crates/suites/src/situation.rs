@@ -5,7 +5,7 @@ use crumple_world::scenario::{InvalidField, Scenario, VehicleClass};
 use serde::Serialize;
 
 use super::TestSuite;
-use super::parameter::{TestParameter, TestParameters, Origin, ParameterUnit};
+use super::parameter::{Origin, ParameterUnit, TestParameter, TestParameters};
 use super::result::DISCLAIMER;
 use super::spec::{LeadManeuver, TestSpec};
 
@@ -153,11 +153,19 @@ impl CrashMapSituation {
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => TestParameters {
                 own_speed: figure(own_speed_kmph, ParameterUnit::Kmph),
                 lead_speed: figure(own_speed_kmph - across, ParameterUnit::Kmph),
-                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH_PER_MPS) }, ParameterUnit::Second),
+                closing_time: figure(
+                    if self.is_by_time() { up } else { up / (across / KMPH_PER_MPS) },
+                    ParameterUnit::Second,
+                ),
                 ..TestParameters::default()
             },
         };
-        let test = TestSpec { name: self.name().to_owned(), lead: Some(self.lead_maneuver()), parameters: figures, ..TestSpec::default() };
+        let test = TestSpec {
+            name: self.name().to_owned(),
+            lead: Some(self.lead_maneuver()),
+            parameters: figures,
+            ..TestSpec::default()
+        };
         let point: Vec<f64> = test.grid().concat();
         test.scenario(&format!("{}-{across}-{up}", self.name()), DISCLAIMER, &point)
     }
@@ -195,7 +203,8 @@ impl CrashMapSituation {
         match self {
             Self::CarFollowing { time_gap_s } => {
                 let harder = 1.0 / brake_mps2 - 1.0 / across;
-                (harder > 0.0 && time_gap_s >= reaction_s).then(|| KMPH_PER_MPS * 2.0 * (time_gap_s - reaction_s) / harder)
+                (harder > 0.0 && time_gap_s >= reaction_s)
+                    .then(|| KMPH_PER_MPS * 2.0 * (time_gap_s - reaction_s) / harder)
             }
             Self::CutInTime { .. } => Some(needed_s),
             Self::CutInGap { .. } => Some(needed_s * slower_mps),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{TestParameter, TestParameters, ImpactLimit, Origin, ParameterKind};
+use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
 use super::run::Criterion;
 
 /// A suite as a file states it: plain data that may hold nonsense.

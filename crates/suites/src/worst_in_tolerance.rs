@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::parameter::TestParameter;
 use super::result::{FailedPoint, TestVerdict};
-use super::run::{Criterion, ControllerSetup, RunResult};
+use super::run::{ControllerSetup, Criterion, RunResult};
 use super::spec::TestSpec;
 use crumple_core::digest::sha256;
 use crumple_world::random::{self, Purpose};
@@ -95,8 +95,17 @@ pub(super) fn find_worst(
         return None;
     }
     let grid = test.grid();
-    let mut search =
-        WorstPointSearch { name, about, test, criterion, driven, worst: None, points_run: 0, failures: 0, unanswered: None };
+    let mut search = WorstPointSearch {
+        name,
+        about,
+        test,
+        criterion,
+        driven,
+        worst: None,
+        points_run: 0,
+        failures: 0,
+        unanswered: None,
+    };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..SAMPLES.max(grid.len())).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
@@ -154,7 +163,10 @@ impl<'t> WorstPointSearch<'t> {
         seen.iter().for_each(|seen| FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered()));
         for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
             if self.worst.as_ref().is_none_or(|(_, worst)| severity_key(&seen) > severity_key(&worst.result)) {
-                self.worst = Some((home, WorstPoint { point, scenario, result: seen, points_run: 0, failures: 0, unanswered: None }));
+                self.worst = Some((
+                    home,
+                    WorstPoint { point, scenario, result: seen, points_run: 0, failures: 0, unanswered: None },
+                ));
             }
         }
     }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::simulate::OutputFormat;
-use super::{CliError, value_enums, output, args};
+use super::{CliError, args, output, value_enums};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::SearchObjective;
 use crumple_store::jobs::Engine;

@@ -5,8 +5,8 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::PlanCommand;
-use crate::cli::{CliError, output, args};
-use crumple_evidence::{SampleSizeError, RateConfig, RatePlan, required_runs};
+use crate::cli::{CliError, args, output};
+use crumple_evidence::{RateConfig, RatePlan, SampleSizeError, required_runs};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::ShardId;
@@ -66,7 +66,10 @@ impl PlanCommand {
             plan.shard_blocks(ShardId::new(shards, shards).map_err(CliError::input)?).map_err(CliError::input)?;
         }
         output::note("measuring the pace", quiet);
-        let pace = self.rate_plan(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?.runs_per_second(PACE_DURATION).map_err(CliError::input)?;
+        let pace = self
+            .rate_plan(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?
+            .runs_per_second(PACE_DURATION)
+            .map_err(CliError::input)?;
         let wanted = PlannedWork::Rate {
             registration_sha256: plan.registration().digest(),
             runs,
@@ -78,13 +81,21 @@ impl PlanCommand {
         // Those in resamples are not counted, and take as long.
         let (resamples, runs_each) = plan.resampling().unwrap_or_default();
         let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
-        let measure =
-            WorkEstimate { runs: runs_made, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: Box::new(move |shards| plan.estimated_bytes(shards)) };
+        let measure = WorkEstimate {
+            runs: runs_made,
+            runs_per_second: pace,
+            max_shards: most_shards,
+            bytes_of_shards: Box::new(move |shards| plan.estimated_bytes(shards)),
+        };
         Ok((wanted, self.rate_args(runs), measure))
     }
 
     /// A search.
-    pub(super) fn plan_search(&self, budget: u64, quiet: bool) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
+    pub(super) fn plan_search(
+        &self,
+        budget: u64,
+        quiet: bool,
+    ) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
         if self.seed > i64::MAX as u64 {
             return Err(CliError::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
         }
@@ -122,7 +133,11 @@ impl PlanCommand {
         let wanted = PlannedWork::Search { method: self.method.clone(), budget, evaluations };
         let most_shards = campaign.max_shards();
         let bytes = Box::new(move |shards| campaign.estimated_bytes(shards));
-        Ok((wanted, words, WorkEstimate { runs: evaluations, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: bytes }))
+        Ok((
+            wanted,
+            words,
+            WorkEstimate { runs: evaluations, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: bytes },
+        ))
     }
 
     fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, CliError> {

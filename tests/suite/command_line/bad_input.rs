@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Stdio;
 
-use super::{assert_refused, exit_code, command, run_crumple, temp_folder, file_names_in, stderr, stdout};
+use super::{assert_refused, command, exit_code, file_names_in, run_crumple, stderr, stdout, temp_folder};
 
 /// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
 const VALID_SCENARIO: &str = r#"version = 1

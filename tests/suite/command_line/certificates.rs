@@ -1,14 +1,14 @@
 //! `crumple check` and what a forger meets there.
 
 use crumple_core::digest::sha256;
-use crumple_verify::reach::{PartitionCell, FollowerLaw};
+use crumple_verify::reach::{FollowerLaw, PartitionCell};
 use crumple_verify::{Certificate, Interval, Registration, Statement};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, RampBrake, built_in_scenario, file};
 use serde_json::{Value, json};
 use std::path::Path;
 
-use super::{exit_code, run_crumple, run_ok, temp_folder, json_objects, stderr, stdout};
+use super::{exit_code, json_objects, run_crumple, run_ok, stderr, stdout, temp_folder};
 
 fn read_certificate(folder: &Path, name: &str) -> Certificate {
     Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
@@ -200,7 +200,10 @@ fn several_bounds_are_said_to_hold_at_once() {
 fn a_genuine_statement_cannot_carry_another_scenario() {
     let folder = temp_folder();
     for name in ["paper-1", "paper-2"] {
-        assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])), 0);
+        assert_eq!(
+            exit_code(&run_crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])),
+            0
+        );
     }
     let said = run_crumple(folder.path(), &["check", "paper-1.json"]);
     for words in [
@@ -346,7 +349,10 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         (exit_code(&said), stdout(&said).to_owned())
     };
     let pieces = |accel_mps2: [f64; 3]| {
-        Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![1.0, 2.0, 3.0], accel_mps2: accel_mps2.to_vec() }))
+        Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration {
+            from_s: vec![1.0, 2.0, 3.0],
+            accel_mps2: accel_mps2.to_vec(),
+        }))
     };
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
     for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
@@ -485,7 +491,8 @@ fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
 #[test]
 fn noise_that_is_not_assumed_is_noticed() {
     let folder = temp_folder();
-    let noisy = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
+    let noisy =
+        built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
     std::fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
     assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "noisy.toml", "--certificate", "noisy.json"])), 0);
     let check = |name: &str| exit_code(&run_crumple(folder.path(), &["check", name, "--scenario", "noisy.toml"]));
@@ -494,7 +501,11 @@ fn noise_that_is_not_assumed_is_noticed() {
     assert_eq!(silent.assumptions.pop(), Some(crumple_verify::Assumption::NoiseOfSeed));
     write_certificate(folder.path(), "silent.json", &silent);
     assert_eq!(check("silent.json"), 1);
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["check", "silent.json"])), 1, "its own text says that there is noise");
+    assert_eq!(
+        exit_code(&run_crumple(folder.path(), &["check", "silent.json"])),
+        1,
+        "its own text says that there is noise"
+    );
     silent.version = 1;
     (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
     write_certificate(folder.path(), "old.json", &silent);

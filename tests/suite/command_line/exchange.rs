@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crumple_world::recording::map::{RecordingMap, json_schema};
 
-use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, stderr, stdout};
+use super::{assert_refused, exit_code, file_names_in, run_crumple, run_ok, stderr, stdout, temp_folder};
 use crate::schema::{assert_committed, validate};
 
 /// The examples are maps, the schema says what they are, and it is committed.
@@ -97,7 +97,10 @@ fn damaged_maps_and_files_name_file_line_and_field() {
     }
     assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "none.toml"]), "none.toml: ");
     fs::write(folder.path().join("m.toml"), format!("{map}#{}", " ".repeat(1 << 16))).unwrap();
-    assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), "m.toml: holds more than 0 MiB");
+    assert_refused(
+        &run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]),
+        "m.toml: holds more than 0 MiB",
+    );
 }
 
 #[test]
@@ -160,8 +163,9 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     // Away from its record nothing says what drove, and a record may name several controllers.
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
     assert_refused(&export("alone.toml", &[]), "alone.toml: no record says which controller it is about: name one");
-    let record =
-        file_names_in(&folder.path().join("found/counterexamples")).into_iter().find(|name| name.starts_with("expected"));
+    let record = file_names_in(&folder.path().join("found/counterexamples"))
+        .into_iter()
+        .find(|name| name.starts_with("expected"));
     let record = folder.path().join("found/counterexamples").join(record.expect("recorded"));
     let text = fs::read_to_string(&record).unwrap();
     let entry = text.split("[[expected]]").find(|entry| entry.contains(&format!("\"{name}\""))).expect("an entry");

@@ -11,7 +11,8 @@ use flate2::read::GzDecoder;
 use serde_json::Value;
 
 use super::{
-    assert_refused, exit_code, command, run_crumple, run_ok, temp_folder, kill_at_random_times, file_names_in, json_objects, stderr, stdout,
+    assert_refused, command, exit_code, file_names_in, json_objects, kill_at_random_times, run_crumple, run_ok, stderr,
+    stdout, temp_folder,
 };
 use crumple_search::falsify::counterexample::ExpectedFile;
 
@@ -163,7 +164,11 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     let again = run_crumple(folder.path(), &campaign);
     assert_eq!(exit_code(&again), 2, "an existing campaign is not overwritten");
     let resumed = run_crumple(folder.path(), &[&campaign[..], &["--resume"]].concat());
-    assert_eq!((exit_code(&resumed), stdout(&resumed)), (0, stdout(&output)), "a complete one only repeats its summary");
+    assert_eq!(
+        (exit_code(&resumed), stdout(&resumed)),
+        (0, stdout(&output)),
+        "a complete one only repeats its summary"
+    );
     let other = run_crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
     assert_refused(&other, "another `seed`: 0 instead of 5");
 }

@@ -126,7 +126,8 @@ fn what_cannot_be_fitted_is_refused() {
     let here = folder.path();
     std::fs::write(here.join("few.csv"), events_csv(19)).unwrap();
     std::fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
-    let fit = |recording: &str, more: &[&str]| run_crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
+    let fit =
+        |recording: &str, more: &[&str]| run_crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
     assert_refused(&fit("few.csv", &[]), "19 episodes of 2 vehicles, and 20 are needed");
     assert_refused(
         &fit("enough.csv", &["--vehicles", "3"]),

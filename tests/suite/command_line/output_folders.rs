@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::{assert_refused, exit_code, run_crumple, temp_folder, file_names_in, stderr};
+use super::{assert_refused, exit_code, file_names_in, run_crumple, stderr, temp_folder};
 use crumple_store::disk::StagedFiles;
 
 const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");

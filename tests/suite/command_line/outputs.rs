@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::{assert_refused, exit_code, run_crumple, temp_folder, file_names_in, stderr};
+use super::{assert_refused, exit_code, file_names_in, run_crumple, stderr, temp_folder};
 
 /// A link stays, and what it leads to is written; what is no file is left alone.
 #[cfg(unix)]

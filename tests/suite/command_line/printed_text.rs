@@ -1,6 +1,6 @@
 //! Text that the program prints, as a reviewer last accepted it.
 
-use super::{run_ok, temp_folder, stdout};
+use super::{run_ok, stdout, temp_folder};
 
 #[test]
 fn printed_text_is_as_reviewed() {

@@ -4,7 +4,7 @@ use crate::report::without_build_info;
 use std::fs;
 use std::path::Path;
 
-use super::{exit_code, command, run_crumple, temp_folder, file_names_in, stderr, stdout};
+use super::{command, exit_code, file_names_in, run_crumple, stderr, stdout, temp_folder};
 
 /// A small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
 fn platoon_csv() -> String {

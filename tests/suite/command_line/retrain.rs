@@ -6,7 +6,9 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::falsify::assert_same_folders;
-use super::{assert_refused, exit_code, command, run_crumple, temp_folder, kill_at_random_times, json_objects, stderr, stdout};
+use super::{
+    assert_refused, command, exit_code, json_objects, kill_at_random_times, run_crumple, stderr, stdout, temp_folder,
+};
 use crate::tiny;
 
 const RETRAIN_ARGS: [&str; 22] = [
@@ -80,7 +82,11 @@ mod tier_2 {
         );
         assert_refused(&other, "the retraining there has another `policy`: \"policy\" instead of \"through/");
         let read = run_crumple(folder.path(), &resume);
-        assert_eq!((exit_code(&read), stdout(&read)), (exit_code(&through), stdout(&through)), "a complete one is read");
+        assert_eq!(
+            (exit_code(&read), stdout(&read)),
+            (exit_code(&through), stdout(&through)),
+            "a complete one is read"
+        );
         let whole = run_crumple(folder.path(), &["fsck", "killed"]);
         assert!(exit_code(&whole) == 0 && !stdout(&whole).contains("not of this work"), "{}", stdout(&whole));
         fs::write(folder.path().join("killed/rounds/01/search/mine.txt"), "of somebody").unwrap();

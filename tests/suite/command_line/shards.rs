@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crumple_core::digest::sha256;
 
-use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, json_objects, stderr, stdout};
+use super::{assert_refused, exit_code, file_names_in, json_objects, run_crumple, run_ok, stderr, stdout, temp_folder};
 
 const COUNT_ARGS: [&str; 7] =
     ["verify", "rate", "--controller=idm", "--space=high-risk", "--estimator=truth", "--runs=900", "--confidence=0.9"];
@@ -71,7 +71,10 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
     let text = fs::read_to_string(&progress).unwrap();
     fs::write(&progress, text.replacen("\"runs\": 300", "\"runs\": 400", 1)).unwrap();
     assert_refused(&merge(&["s/a", "s/b"]), "s/a/progress.json: not as it was written");
-    assert_refused(&run_crumple(folder, &[&COUNT_ARGS[..], &["--shard", "1/10"]].concat()), "there are 9 blocks of runs");
+    assert_refused(
+        &run_crumple(folder, &[&COUNT_ARGS[..], &["--shard", "1/10"]].concat()),
+        "there are 9 blocks of runs",
+    );
 }
 
 #[test]
@@ -145,7 +148,10 @@ fn shards_of_a_search_are_one_campaign() {
     let part = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=part", "--resume"]].concat());
     assert_refused(&part, "the campaign there has another `divided`");
     assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
-    assert_refused(&run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()), "a shard keeps no log");
+    assert_refused(
+        &run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()),
+        "a shard keeps no log",
+    );
     assert_refused(&run_crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit and HTML are of suites");
 }
 
@@ -228,7 +234,10 @@ fn shards_of_an_assessment_are_its_evidence() {
         &run_crumple(folder, &["merge", "2", "b", "--out=x"]),
         "the configuration, or something that it names, differs",
     );
-    assert_refused(&run_crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]), "there are 5 pieces of evidence");
+    assert_refused(
+        &run_crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]),
+        "there are 5 pieces of evidence",
+    );
 }
 
 #[test]
@@ -435,7 +444,10 @@ fn job_files_connect_to_what_is_named_and_to_nothing_else() {
         return;
     }
     write_engine_stubs(folder);
-    assert_eq!(exit_code(&run_crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])), 0);
+    assert_eq!(
+        exit_code(&run_crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])),
+        0
+    );
     let said = |words: &[&str], address: Option<&str>| {
         let output = python(words, address).unwrap();
         assert_eq!((exit_code(&output), stderr(&output).lines().count()), (1, 1), "{}", stderr(&output));

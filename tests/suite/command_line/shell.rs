@@ -76,8 +76,10 @@ fn what_is_built_in_is_shown_as_a_file() {
     show(&["traffic"]);
     runs(&["verify", "rate", "--controller", "idm", "--space", "mine.toml", "--runs", "5", "--out", "rate"]);
     show(&["fast"]);
-    let trained =
-        run_crumple(folder.path(), &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"]);
+    let trained = run_crumple(
+        folder.path(),
+        &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"],
+    );
     assert_ne!(exit_code(&trained), 2, "{}", stderr(&trained));
     show(&["un-r152"]);
     assert_eq!(

@@ -6,7 +6,9 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{assert_refused, exit_code, run_crumple, run_ok, temp_folder, file_names_in, stderr, stdout, write_with_replacements};
+use super::{
+    assert_refused, exit_code, file_names_in, run_crumple, run_ok, stderr, stdout, temp_folder, write_with_replacements,
+};
 use crate::tiny;
 
 const SEED_FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
@@ -41,11 +43,13 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     let resumed = run_ok(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
     assert_eq!(stdout(&resumed), stdout(&through));
     for seed in 0..2 {
-        for (name, (through, killed)) in SEED_FILES.iter().zip(read_seed_files(folder.path(), "through", seed).into_iter().zip(read_seed_files(
-            folder.path(),
-            "killed",
-            seed,
-        ))) {
+        for (name, (through, killed)) in
+            SEED_FILES.iter().zip(read_seed_files(folder.path(), "through", seed).into_iter().zip(read_seed_files(
+                folder.path(),
+                "killed",
+                seed,
+            )))
+        {
             assert!(through == killed, "seed {seed}: {name}");
         }
     }
@@ -73,7 +77,8 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
         for episodes in [ends[1], "14"] {
             train(out, episodes, &["--resume"]);
         }
-        let both = read_seed_files(folder.path(), "straight", 4).into_iter().zip(read_seed_files(folder.path(), out, 4));
+        let both =
+            read_seed_files(folder.path(), "straight", 4).into_iter().zip(read_seed_files(folder.path(), out, 4));
         for (name, (straight, longer)) in SEED_FILES.iter().zip(both) {
             assert!(straight == longer, "{out}: {name}");
         }
@@ -189,8 +194,10 @@ fn what_learned_nothing_leaves_no_policy_and_is_no_success() {
 fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
-    let trained =
-        run_crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
+    let trained = run_crumple(
+        folder.path(),
+        &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"],
+    );
     assert_eq!(exit_code(&trained), 0, "{}", stderr(&trained));
     let policy = "run/seed-4/policy.safetensors";
     let driven = run_ok(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);

@@ -7,7 +7,8 @@ use serde_json::Value;
 
 use super::falsify::assert_same_folders;
 use super::{
-    assert_refused, exit_code, command, run_crumple, run_ok, temp_folder, kill_at_random_times, file_names_in, json_objects, stderr, stdout,
+    assert_refused, command, exit_code, file_names_in, json_objects, kill_at_random_times, run_crumple, run_ok, stderr,
+    stdout, temp_folder,
 };
 
 #[test]
@@ -214,13 +215,19 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
     assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
     let fsck = || run_crumple(folder.path(), &["fsck", "rare"]);
-    assert!(exit_code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files"));
+    assert!(
+        exit_code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files")
+    );
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
         .unwrap();
     assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: not as it was written");
     assert_eq!(exit_code(&fsck()), 1);
     assert_eq!(exit_code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["verify", "rate", "--controller", "idm"])), 2, "--runs is missing");
+    assert_eq!(
+        exit_code(&run_crumple(folder.path(), &["verify", "rate", "--controller", "idm"])),
+        2,
+        "--runs is missing"
+    );
 }
 
 /// Killed at any moment, an estimate goes on where it was, to the bytes of one that nothing happened to.
@@ -236,7 +243,8 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
             .unwrap();
         assert_eq!(exit_code(&through), 0, "{}", stderr(&through));
         let resume = [&asked[..], &["--out", "killed", "--resume"]].concat();
-        let killed = kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        let killed =
+            kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
         assert!(killed >= 2, "killed {killed} times");
         let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
         assert_refused(&run_crumple(folder.path(), &other), "the rare-failure estimate there was configured otherwise");
@@ -287,7 +295,10 @@ fn a_count_says_what_it_is_of() {
     let folder = temp_folder();
     let rate = ["verify", "rate", "--controller", "baseline", "--runs", "100", "--estimator", "truth", "--out", "rate"];
     for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {
-        assert_refused(&run_crumple(folder.path(), &[&rate[..], &rare].concat()), &format!("{}: is of --rare", rare[0]));
+        assert_refused(
+            &run_crumple(folder.path(), &[&rate[..], &rare].concat()),
+            &format!("{}: is of --rare", rare[0]),
+        );
     }
     let shown = run_crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
     let one = &json_objects(&shown)[0];

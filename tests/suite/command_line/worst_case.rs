@@ -3,7 +3,7 @@
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, built_in_scenario, file};
 
-use super::{assert_refused, exit_code, run_crumple, temp_folder, json_objects, stdout};
+use super::{assert_refused, exit_code, json_objects, run_crumple, stdout, temp_folder};
 
 #[test]
 fn an_escape_is_written_replayed_and_checked() {
@@ -150,6 +150,7 @@ fn a_worst_case_is_written_and_collides() {
     assert!(stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"), "{}", stdout(&words));
     let exact = ["worst-case", "paper-1", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
     assert_eq!(json_objects(&run_crumple(folder.path(), &exact)).remove(0)["optimality"], "exact-on-grid");
-    let replayed = run_crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
+    let replayed =
+        run_crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
     assert_eq!(exit_code(&replayed), 0);
 }

@@ -9,7 +9,7 @@ use crumple_world::scenario::{built_in_scenario, file};
 use tempfile::TempDir;
 
 use crate::command_line::{exit_code, run_crumple, temp_folder};
-use crate::fmus::{zip_archive, library_member};
+use crate::fmus::{library_member, zip_archive};
 
 /// The file that the program makes when it starts.
 pub(super) const MARKER_FILE: &str = "started";
@@ -144,7 +144,10 @@ impl InputFolder {
         self.write("suite.toml", SUITE);
         let idm = "controllers = [\"idm\"]";
         self.write("scenarios.toml", assessment_toml(idm, "scenarios = [\"driven.toml\"]"));
-        self.write("spaces.toml", assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"));
+        self.write(
+            "spaces.toml",
+            assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"),
+        );
         let preset = crate::tiny::training();
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }

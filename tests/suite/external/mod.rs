@@ -146,8 +146,11 @@ fn the_option_permits_the_fmu_that_a_scenario_names() {
 #[test]
 fn what_the_command_line_or_its_configuration_names_starts() {
     let inputs = InputFolder::new();
-    fs::write(inputs.folder().join("named.toml"), inputs::assessment_toml("controllers = [\"idm\", \"evil.toml\"]", ""))
-        .unwrap();
+    fs::write(
+        inputs.folder().join("named.toml"),
+        inputs::assessment_toml("controllers = [\"idm\", \"evil.toml\"]", ""),
+    )
+    .unwrap();
     let search = ["falsify", "--controller", "evil.toml", "--space", "plain.toml", "--budget", "2", "--out", "own"];
     let cases: [&[&str]; 6] = [
         &["simulate", "paper-1", "--controller", "evil.toml"],
@@ -183,7 +186,11 @@ fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available
         );
     }
     let said = page("suite-shard", &[OPTION]);
-    assert!(inputs.has_started() && said.stdout.contains("<figure") && !said.stdout.contains(is_missing), "{}", said.stderr);
+    assert!(
+        inputs.has_started() && said.stdout.contains("<figure") && !said.stdout.contains(is_missing),
+        "{}",
+        said.stderr
+    );
     // Another controller of the same name: a network, which needs no permission, and a program.
     let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
     fs::write(inputs.folder().join("evil.toml"), changed).unwrap();

@@ -24,8 +24,10 @@ struct ResumableCommand {
     preset: Option<fn() -> String>,
 }
 
-const CAMPAIGN: ResumableCommand =
-    ResumableCommand { arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"], preset: None };
+const CAMPAIGN: ResumableCommand = ResumableCommand {
+    arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"],
+    preset: None,
+};
 
 const COUNT: ResumableCommand = ResumableCommand {
     arguments: &["verify", "rate", "--controller", "idm", "--space", "paper", "--runs", "400", "--confidence", "0.9"],

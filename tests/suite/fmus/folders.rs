@@ -12,8 +12,11 @@ fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
     let library = compile_library(place.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
     let resource = vec![7; 1 << 20];
-    let members: [(&str, &[u8]); 3] =
-        [("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library), ("resources/data", &resource)];
+    let members: [(&str, &[u8]); 3] = [
+        ("modelDescription.xml", xml.as_bytes()),
+        (&library_member(3, "odd"), &library),
+        ("resources/data", &resource),
+    ];
     fs::write(place.path().join("odd.fmu"), zip_archive(&members)).unwrap();
     Some(place)
 }

@@ -179,7 +179,9 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
     ];
     for (what, time_s, why, last) in cases {
         let Some(odd) = odd_fmu_folder(what) else { return };
-        let failed = simulate_with_truth(&find_controller("odd.toml", odd.path()).kind, &built_in_scenario("paper-1").unwrap()).outcome;
+        let failed =
+            simulate_with_truth(&find_controller("odd.toml", odd.path()).kind, &built_in_scenario("paper-1").unwrap())
+                .outcome;
         let failed = failed.failed_controller().unwrap_or_else(|| panic!("{what} drives on"));
         let said = failed.to_string();
         assert!((failed.time_s - time_s).abs() < 1e-9 && said.contains("`odd.fmu`"), "{what}: {said}");

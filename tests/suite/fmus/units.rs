@@ -101,7 +101,10 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     .unwrap();
     let text = ODD_CONTROLLER.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
     fs::write(three.path().join("odd.toml"), text).unwrap();
-    let apart_m = largest_difference_m(&expected, &simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario));
+    let apart_m = largest_difference_m(
+        &expected,
+        &simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario),
+    );
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
 
@@ -149,7 +152,11 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (answer_in("km/h"), plain.clone(), "has the unit `km/h` (m.s-1 in SI units), and the answer is in m.s-2"),
         (answer_in("1"), plain.clone(), "a plain number needs a `scale_mps2`"),
         (other_units_xml(), wired("gap_ahead_m", "", "scale_mps2 = 9.8"), "`scale_mps2` must be 1 or -1, found 9.8"),
-        (other_units_xml(), wired("gap_ahead_m", "", "squash = \"tanh\""), "has the unit `g`, and `squash` is for answers"),
+        (
+            other_units_xml(),
+            wired("gap_ahead_m", "", "squash = \"tanh\""),
+            "has the unit `g`, and `squash` is for answers",
+        ),
         (
             with("unit=\"late\"", "unit=\"furlong\""),
             format!("{plain}[parameters]\ntime_gap_s = 1.0\n"),

@@ -33,7 +33,11 @@ pub(super) struct ForgedCertificate {
 }
 
 /// Forges one of some genuine certificates; `others` lends it parts.
-pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate], random: &mut Xoshiro256PlusPlus) -> ForgedCertificate {
+pub(super) fn forge(
+    genuine: &GenuineCertificate,
+    others: &[GenuineCertificate],
+    random: &mut Xoshiro256PlusPlus,
+) -> ForgedCertificate {
     let mut value = serde_json::to_value(&genuine.certificate).unwrap_or_default();
     let mut policy = genuine.policy.clone();
     let places = json_pointers(&value);
@@ -106,7 +110,8 @@ pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate],
     }
     // In the order of the types, or it would be refused for its order alone.
     let ordered = serde_json::from_value::<Certificate>(value.clone()).ok().filter(|_| keeps_order);
-    let text = text.unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.to_canonical_json()));
+    let text = text
+        .unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.to_canonical_json()));
     ForgedCertificate { change, text, policy }
 }
 

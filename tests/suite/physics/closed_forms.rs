@@ -2,14 +2,14 @@
 
 use crumple_fuzzing::RunSetup;
 use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
-    VehicleSpec,
+    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_profile, with_cases, simulate_traced};
+use crate::generate::{any_profile, simulate_traced, with_cases};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]

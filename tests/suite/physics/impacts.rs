@@ -7,7 +7,7 @@ use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_scenario, check_oracle, with_cases, simulate_traced};
+use crate::generate::{any_scenario, check_oracle, simulate_traced, with_cases};
 
 /// A line in which some vehicles do not look and the one ahead of them is slower.
 fn any_pile_up() -> impl Strategy<Value = Scenario> {
@@ -83,7 +83,8 @@ fn pile_ups_pile_up() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let strategy = any_pile_up();
     let options = continuing_setup().options(0.01);
-    let impacts: usize =
-        (0..200).map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len()).sum();
+    let impacts: usize = (0..200)
+        .map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
+        .sum();
     assert!(impacts > 200, "{impacts} impacts in 200 scenarios");
 }

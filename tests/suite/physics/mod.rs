@@ -4,13 +4,15 @@ mod closed_forms;
 mod impacts;
 mod symmetry;
 
-use crumple_fuzzing::oracle::{monitor_agrees, motion_is_physical, metrics_agree, check_same_impacts, step_size_changes_nothing};
+use crumple_fuzzing::oracle::{
+    check_same_impacts, metrics_agree, monitor_agrees, motion_is_physical, step_size_changes_nothing,
+};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{SimulationResult, Trace};
 use proptest::prelude::*;
 
-use crate::generate::{any_test_case, check_oracle, with_cases, simulate_traced};
+use crate::generate::{any_test_case, check_oracle, simulate_traced, with_cases};
 
 fn trace_of(result: &SimulationResult) -> &Trace {
     result.trace.as_ref().expect("kept")

@@ -1,6 +1,6 @@
 //! What may be moved, delayed or added without changing what happens.
 
-use crumple_fuzzing::oracle::{is_grazing, check_same_impacts};
+use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
 use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape, make_scripted};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
@@ -9,11 +9,17 @@ use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_setup, with_cases, without_noise, any_scenario_of_shape, simulate_traced, without_learned_drivers,
+    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, simulate_traced, with_cases,
+    without_learned_drivers, without_noise,
 };
 
 /// [`same_impacts`] for a property.
-fn assert_same_impacts(before: &SimulationResult, after: &SimulationResult, shift: usize, shift_s: f64) -> Result<(), TestCaseError> {
+fn assert_same_impacts(
+    before: &SimulationResult,
+    after: &SimulationResult,
+    shift: usize,
+    shift_s: f64,
+) -> Result<(), TestCaseError> {
     check_same_impacts(before, after, shift, shift_s).map_err(TestCaseError::fail)
 }
 

@@ -14,11 +14,12 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
+    ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    simulate_batch,
 };
 
 use crate::command_line::falsify::assert_same_folders;
-use crate::command_line::{exit_code, run_crumple, temp_folder, kill_at_random_times};
+use crate::command_line::{exit_code, kill_at_random_times, run_crumple, temp_folder};
 
 const BAD_SCRIPT: &str = include_str!("bad.sh");
 
@@ -122,7 +123,8 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         drop(controller);
         assert_no_process_remains(&folder.path().display().to_string());
     }
-    let failed = simulate_with_truth(&find_controller("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
+    let failed =
+        simulate_with_truth(&find_controller("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
     let said = failed.failed_controller().unwrap().to_string();
     assert!(said.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"), "{said}");
     assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
@@ -191,7 +193,14 @@ fn the_examples_drive_alike() {
         assert_eq!(simulate_in_lockstep(&controller, &scenarios), first, "{command}");
         assert_eq!(simulate_with_truth(&controller, &scenarios[3]), first[3], "{command}");
     }
-    assert!(simulate_with_truth(&find_controller("follower.toml", folder.path()).kind, &built_in_scenario("paper-1").unwrap()).outcome.is_safe());
+    assert!(
+        simulate_with_truth(
+            &find_controller("follower.toml", folder.path()).kind,
+            &built_in_scenario("paper-1").unwrap()
+        )
+        .outcome
+        .is_safe()
+    );
 }
 
 /// Asked twice, each of its first runs; from then on it is not started any more.
@@ -213,9 +222,16 @@ fn who_is_not_what_he_claims_is_caught_within_two_runs() {
 fn who_says_that_he_is_not_deterministic_is_marked() {
     let own = bad_process_folder("admit", LISTED_FILES);
     let failed = simulate_with_truth(&find_controller("bad.toml", own.path()).kind, &short_scenario()).outcome;
-    assert!(failed.failed_controller().unwrap().to_string().contains("its controller file has to say `deterministic = false`"));
+    assert!(
+        failed
+            .failed_controller()
+            .unwrap()
+            .to_string()
+            .contains("its controller file has to say `deterministic = false`")
+    );
     let folder = bad_process_folder("admit", &format!("{LISTED_FILES}\ndeterministic = false"));
-    let simulated = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
+    let simulated =
+        run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
     let report: serde_json::Value = serde_json::from_slice(&simulated.stdout).unwrap();
     assert_eq!(report["nondeterministic"], true, "{report}");
     let text = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
@@ -242,7 +258,8 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
         let said = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
         assert!(said.contains("states no identity"), "{said}");
     }
-    let text = file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let text =
+        file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
     let said = refused(&["simulate", "driven.toml", "--allow-external"]);
     assert!(said.contains("states no identity: the driver of a scenario has to list its `files`"), "{said}");
@@ -257,12 +274,16 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
 fn a_scenario_may_have_a_process_as_a_driver() {
     allow_external();
     let folder = bad_process_folder("be good", LISTED_FILES);
-    let text = file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let text =
+        file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     let driven = file::from_toml(&text, &folder.path().join("driven.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
     let under_test = simulate_with_truth(&find_controller("bad.toml", folder.path()).kind, &short_scenario());
     assert_eq!(
-        simulate_with_truth(&ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::from_name("idm").unwrap()), &driven),
+        simulate_with_truth(
+            &ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::from_name("idm").unwrap()),
+            &driven
+        ),
         under_test
     );
 }
@@ -385,17 +406,24 @@ mod tier_2 {
     fn a_campaign_with_a_process_goes_on_after_a_kill() {
         let Some(folder) = python_example_folder() else { return };
         let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
-        let alone = crate::tiny::replace_passages(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
+        let alone =
+            crate::tiny::replace_passages(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
         fs::write(folder.path().join("alone.toml"), alone).unwrap();
         let campaign =
             ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
         let through = run_crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
         assert_eq!(exit_code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
         let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
-        let killed = kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        let killed =
+            kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
         assert!(killed >= 2, "killed {killed} times");
         let ended = run_crumple(folder.path(), &resume);
-        assert_eq!((exit_code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
+        assert_eq!(
+            (exit_code(&ended), ended.stdout),
+            (0, through.stdout),
+            "{}",
+            String::from_utf8_lossy(&ended.stderr)
+        );
         assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
     }
 }

@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_suites::{CrashMapSpec, CrashMapSituation, TestSuite, SuiteRunError, run};
+use crumple_suites::{CrashMapSituation, CrashMapSpec, SuiteRunError, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
 
-use super::{bad_process_folder, simulate_with_truth, find_controller, short_scenario, write_short_space};
+use super::{bad_process_folder, find_controller, short_scenario, simulate_with_truth, write_short_space};
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 
 /// Holds its speed, and dies where the vehicle ahead is nearer than its argument, in whole metres.
@@ -96,8 +96,9 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
             assert!(text.is_empty() && !folder.path().join("out").exists(), "{command:?}: {text}");
         }
         if controller == "missing.toml" {
-            let driven =
-                file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
+            let driven = file::to_toml(&short_scenario())
+                .unwrap()
+                .replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
             fs::write(folder.path().join("driven.toml"), driven).unwrap();
             let (code, _, error) = run_and_capture(folder.path(), &["simulate", "driven.toml", "--allow-external"]);
             assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
@@ -137,8 +138,10 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
     let folder = controllers_folder();
     let against = |controller: &str, other: &str| {
         let search = ["falsify", "--space", "short.toml", "--budget", "10", "--out", "out", "--format"];
-        let out =
-            run_and_capture(folder.path(), &[&search[..], &["text", "--controller", controller, "--against", other]].concat());
+        let out = run_and_capture(
+            folder.path(),
+            &[&search[..], &["text", "--controller", controller, "--against", other]].concat(),
+        );
         let summary = read_json(&folder.path().join("out/summary.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
         (out, summary)
@@ -188,8 +191,10 @@ fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
     .unwrap();
     // Both fail by giving no answer: the first against it, the second for nobody.
     let rate = ["verify", "rate", "--space", "short.toml", "--runs", "40", "--confidence", "0.6", "--out", "out"];
-    let (code, text, error) =
-        run_and_capture(folder.path(), &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat());
+    let (code, text, error) = run_and_capture(
+        folder.path(),
+        &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat(),
+    );
     assert_eq!(code, 1, "{text}{error}");
     let (code, text, error) =
         run_and_capture(folder.path(), &[&rate[..8], &["--out", "one", "--controller", "near.toml"]].concat());
@@ -245,9 +250,12 @@ fn who_remembers_late_is_caught_in_the_end() {
     let folder = bad_process_folder("remember-late", "files = [\"bad.sh\"]");
     let controller = find_controller("bad.toml", folder.path());
     let scenario = short_scenario();
-    let failed = (0..64).find(|_| simulate_with_truth(&controller.kind, &scenario).outcome.failed_controller().is_some());
+    let failed =
+        (0..64).find(|_| simulate_with_truth(&controller.kind, &scenario).outcome.failed_controller().is_some());
     assert!(failed.is_some_and(|run| run > 4), "{failed:?}");
-    assert!(controller.ensure_trusted().is_err_and(|error| error.to_string().contains("is its state cleared at reset?")));
+    assert!(
+        controller.ensure_trusted().is_err_and(|error| error.to_string().contains("is its state cleared at reset?"))
+    );
     assert!(find_controller("bad.toml", folder.path()).ensure_trusted().is_ok());
 }
 
@@ -290,7 +298,8 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     // It dies in every drive, and at once in most.
     let near = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("\"24\"", "\"900\"");
     fs::write(folder.path().join("near.toml"), near).unwrap();
-    let config = format!("{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
+    let config =
+        format!("{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let (code, text, error) = run_and_capture(folder.path(), &["assess", "a.toml", "--out", "out"]);
     assert_eq!(code, 1, "{text}{error}");

@@ -4,10 +4,12 @@ use std::collections::HashSet;
 use std::sync::LazyLock;
 
 use crumple_fuzzing::oracle::{
-    engines_agree, estimates_within_bounds, files_round_trip, impacts_are_inelastic, monitor_agrees, motion_is_physical,
-    avoidability_bound_holds, metrics_agree, shield_prevents_front_collisions, step_size_changes_nothing,
+    avoidability_bound_holds, engines_agree, estimates_within_bounds, files_round_trip, impacts_are_inelastic,
+    metrics_agree, monitor_agrees, motion_is_physical, shield_prevents_front_collisions, step_size_changes_nothing,
 };
-use crumple_fuzzing::{Crumple, ScenarioFormat, Invariant, ORACLES, OracleFn, ObservationSample, System, TEST_CASE_BYTES, TestCase};
+use crumple_fuzzing::{
+    Crumple, Invariant, ORACLES, ObservationSample, OracleFn, ScenarioFormat, System, TEST_CASE_BYTES, TestCase,
+};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_verify::Certificate;
 use crumple_world::control::ControllerSpec;
@@ -23,7 +25,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_test_case, any_bytes, with_cases};
+use crate::generate::{any_bytes, any_test_case, with_cases};
 
 /// A proof, of something else than what it is shown for.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {

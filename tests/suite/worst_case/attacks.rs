@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crumple_core::observer::Quiet;
-use crumple_search::worst_case::{Aim, Attack, AttackMethod, Envelope, attack};
+use crumple_search::worst_case::{Attack, AttackMethod, AttackObjective, Envelope, attack};
 use crumple_world::control::{
     AebSettings, Baseline, BuiltIn, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
 };
@@ -17,7 +17,13 @@ fn options(controller: &str) -> RunOptions {
     RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
 }
 
-fn find_attack(scenario: &Scenario, options: &RunOptions, aim: Aim, envelope: Envelope, budget: usize) -> Option<Attack> {
+fn find_attack(
+    scenario: &Scenario,
+    options: &RunOptions,
+    aim: AttackObjective,
+    envelope: Envelope,
+    budget: usize,
+) -> Option<Attack> {
     attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").attack
 }
 
@@ -46,7 +52,8 @@ fn the_mildest_profile_is_milder_than_any_sample() {
     for name in ["paper-1", "paper-2"] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
-        let mildest = find_attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
+        let mildest =
+            find_attack(&scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0).expect("collides");
         assert_eq!(mildest.method, AttackMethod::Exact);
         assert!(mildest.programs <= 40, "{name}: {} programs", mildest.programs);
         assert!(mildest.outcome.contact().is_some());
@@ -59,7 +66,8 @@ fn the_mildest_profile_is_milder_than_any_sample() {
         let least = collided.map(|((effort, _), _)| *effort).fold(f64::INFINITY, f64::min);
         assert!(least.is_finite(), "some samples collide");
         assert!(mildest.effort_m2ps3 < least, "{name}: {} against {least} of samples", mildest.effort_m2ps3);
-        let peak = find_attack(&scenario, &options("baseline"), Aim::LeastPeak, envelope, 0).expect("collides");
+        let peak =
+            find_attack(&scenario, &options("baseline"), AttackObjective::LeastPeak, envelope, 0).expect("collides");
         assert!(peak.peak_brake_mps2 <= mildest.peak_brake_mps2 + 1e-6);
         assert!(peak.effort_m2ps3 >= mildest.effort_m2ps3 - 1e-6);
     }
@@ -71,7 +79,13 @@ fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
     let mut exact = 0;
     for seed in 0..16 {
         let scenario = small_scenario(seed).edited(|spec| spec.vehicles.truncate(2)).unwrap();
-        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::from_scenario(&scenario), 0);
+        let found = find_attack(
+            &scenario,
+            &options("baseline"),
+            AttackObjective::Mildest,
+            Envelope::from_scenario(&scenario),
+            0,
+        );
         let steps = scenario.steps();
         let plain = (0..=90).map(|tenths| {
             let accel_mps2: Vec<f64> = (1..=steps).map(|step| -(0.1 * f64::from(tenths)).min(step as f64)).collect();
@@ -103,7 +117,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
     let scenario = built_in_scenario("paper-1").unwrap();
     let envelope = Envelope::from_scenario(&scenario);
     for controller in ["baseline", "match-leader", "idm", "policy"] {
-        for aim in [Aim::Mildest, Aim::Severest] {
+        for aim in [AttackObjective::Mildest, AttackObjective::Severest] {
             let found = find_attack(&scenario, &options(controller), aim, envelope, 1500);
             let found = found.unwrap_or_else(|| panic!("{controller}: nothing found"));
             let text = file::to_toml(&found.scenario).unwrap();
@@ -138,7 +152,8 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
     for (name, controller) in [("paper-1", "idm"), ("paper-1", "acc-aeb"), ("paper-2", "idm")] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
-        let found = find_attack(&scenario, &options(controller), Aim::Mildest, envelope, 3000).expect("collides");
+        let found =
+            find_attack(&scenario, &options(controller), AttackObjective::Mildest, envelope, 3000).expect("collides");
         assert_eq!((found.method, found.method.optimality()), (AttackMethod::Sequential, "best-found"));
         let cells = scenario.steps() / 10;
         let pulses = (1..=30).flat_map(|depth| (2..60).step_by(2).map(move |length| (f64::from(depth) * 0.25, length)));
@@ -185,10 +200,10 @@ impl ControllerSource for OutsideBaseline {
 
 fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
     let envelope = Envelope::from_scenario(scenario);
-    let exact = find_attack(scenario, &options("baseline"), Aim::Mildest, envelope, 0).expect("collides");
+    let exact = find_attack(scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0).expect("collides");
     // The same controller from outside takes the other way.
     let custom = RunOptions { controller: std::sync::Arc::new(OutsideBaseline).into(), ..options("baseline") };
-    let found = find_attack(scenario, &custom, Aim::Mildest, envelope, 3000).expect("collides");
+    let found = find_attack(scenario, &custom, AttackObjective::Mildest, envelope, 3000).expect("collides");
     assert_eq!((exact.method, found.method), (AttackMethod::Exact, AttackMethod::Sequential));
     assert!(exact.programs <= 150, "{} programs", exact.programs);
     assert!(found.effort_m2ps3 < most_m2ps3, "{} m²/s³", found.effort_m2ps3);
@@ -201,7 +216,7 @@ fn a_jerk_without_bounds_is_none() {
     for controller in ["baseline", "idm"] {
         let effort = |jerk_mps3| {
             let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
-            let found = find_attack(&scenario, &options(controller), Aim::Mildest, envelope, 400);
+            let found = find_attack(&scenario, &options(controller), AttackObjective::Mildest, envelope, 400);
             found.expect("collides").effort_m2ps3
         };
         assert_eq!(effort(1e308), effort(1e6), "{controller}");
@@ -210,7 +225,7 @@ fn a_jerk_without_bounds_is_none() {
     // What is exact can only get milder with more freedom.
     let exact = |jerk_mps3| {
         let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
-        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, envelope, 0);
+        let found = find_attack(&scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0);
         found.expect("collides").effort_m2ps3
     };
     assert!(exact(1e308) <= exact(10.0) * (1.0 + 1e-3), "{} against {}", exact(1e308), exact(10.0));
@@ -221,7 +236,11 @@ fn a_jerk_without_bounds_is_none() {
 fn no_profile_is_rougher_than_the_envelope() {
     let scenario = built_in_scenario("paper-1").unwrap();
     let envelope = Envelope { max_brake_mps2: 6.0, jerk_mps3: 8.0 };
-    for (controller, aim) in [("baseline", Aim::Mildest), ("idm", Aim::Mildest), ("policy", Aim::Severest)] {
+    for (controller, aim) in [
+        ("baseline", AttackObjective::Mildest),
+        ("idm", AttackObjective::Mildest),
+        ("policy", AttackObjective::Severest),
+    ] {
         let found = find_attack(&scenario, &options(controller), aim, envelope, 800).expect("collides");
         let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver else { panic!() };
         let mut before = (0.0, 0.0);
@@ -246,7 +265,13 @@ fn whoever_answers_late_or_with_noise_is_not_enumerated() {
     ];
     for (index, change) in changes.into_iter().enumerate() {
         let scenario = built_in_scenario("paper-1").unwrap().edited(change).unwrap();
-        let found = find_attack(&scenario, &options("baseline"), Aim::Mildest, Envelope::from_scenario(&scenario), 200);
+        let found = find_attack(
+            &scenario,
+            &options("baseline"),
+            AttackObjective::Mildest,
+            Envelope::from_scenario(&scenario),
+            200,
+        );
         assert_eq!(found.expect("collides").method, AttackMethod::Sequential, "change {index}");
     }
 }
@@ -255,13 +280,23 @@ fn whoever_answers_late_or_with_noise_is_not_enumerated() {
 fn nonsense_is_refused() {
     let scenario = built_in_scenario("paper-1").unwrap();
     let none = Envelope { max_brake_mps2: 0.0, jerk_mps3: 10.0 };
-    assert!(attack(&scenario, &options("idm"), Aim::Mildest, none, 100, &Quiet).is_err());
+    assert!(attack(&scenario, &options("idm"), AttackObjective::Mildest, none, 100, &Quiet).is_err());
     let reacting = scenario.edited(|spec| {
         spec.vehicles[0].driver = Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
     });
-    assert!(attack(&reacting.unwrap(), &options("idm"), Aim::Mildest, Envelope::from_scenario(&scenario), 100, &Quiet).is_err());
+    assert!(
+        attack(
+            &reacting.unwrap(),
+            &options("idm"),
+            AttackObjective::Mildest,
+            Envelope::from_scenario(&scenario),
+            100,
+            &Quiet
+        )
+        .is_err()
+    );
     // Nothing to hit and nobody behind: a single pair that matches its leader.
     let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
     let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
-    assert!(find_attack(&pair, &options("match-leader"), Aim::Mildest, gentle, 500).is_none());
+    assert!(find_attack(&pair, &options("match-leader"), AttackObjective::Mildest, gentle, 500).is_none());
 }

@@ -8,10 +8,10 @@ mod opponent;
 mod scenes;
 
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, ScenarioBox, FieldRange, ScenarioRanges, UndecidedReason, avoid, avoid_box,
-    certify, covers_scenario,
+    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, FieldRange, ScenarioBox, ScenarioRanges, UndecidedReason,
+    avoid, avoid_box, certify, covers_scenario,
 };
-use crumple_verify::{ProvedClaim, Certificate, Rejection, Statement};
+use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file};
@@ -197,7 +197,9 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
                 }
-                check_certificate(&certify(&ScenarioBox::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
+                check_certificate(
+                    &certify(&ScenarioBox::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")),
+                );
             }
             AvoidanceVerdict::Unavoidable(certificate) => {
                 unavoidable += 1;
@@ -205,7 +207,9 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= 0.0, "{seed}: {name} survives what nobody can");
                 }
-                assert!(matches!(check_certificate(certificate), ProvedClaim::Unavoidable { overlap_m, .. } if overlap_m > 0.0));
+                assert!(
+                    matches!(check_certificate(certificate), ProvedClaim::Unavoidable { overlap_m, .. } if overlap_m > 0.0)
+                );
                 assert!(covers_scenario(certificate, &scenario));
             }
             AvoidanceVerdict::Undecided(reason) => undecided.push((seed, reason.clone())),
@@ -262,7 +266,11 @@ fn a_certificate_is_about_its_own_scenario() {
     for scenario in (0..12).map(small_scenario) {
         let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
         if let Some(certificate) = certified(&pair) {
-            assert!(covers_scenario(&certificate, &pair) && !covers_scenario(&certificate, &scenario), "{}", scenario.spec().name);
+            assert!(
+                covers_scenario(&certificate, &pair) && !covers_scenario(&certificate, &scenario),
+                "{}",
+                scenario.spec().name
+            );
         }
         let Some(certificate) = certified(&scenario) else { continue };
         kinds.insert(certificate.statement.name());
@@ -282,7 +290,9 @@ fn what_survives_mutation_is_true() {
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
         let (kind, certificate) = match verdict {
-            AvoidanceVerdict::Avoidable(escape) => (0, certify(&ScenarioBox::point(&scenario), &escape).expect("accepted")),
+            AvoidanceVerdict::Avoidable(escape) => {
+                (0, certify(&ScenarioBox::point(&scenario), &escape).expect("accepted"))
+            }
             AvoidanceVerdict::Unavoidable(certificate) => (1, *certificate),
             AvoidanceVerdict::Undecided(_) => continue,
         };

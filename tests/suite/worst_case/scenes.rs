@@ -4,8 +4,8 @@ use crumple_verify::{ConstantPiece, Scene};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
-    VehicleSpec,
+    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    VehicleClass, VehicleSpec,
 };
 
 /// Numbers between 0 and 1 that depend on a seed alone.
@@ -74,7 +74,13 @@ pub(crate) fn small_scenario(seed: u64) -> Scenario {
 }
 
 /// Positions are still the gaps ahead.
-fn scenario_from_gaps(name: String, step_s: f64, duration_s: f64, friction: f64, mut vehicles: Vec<VehicleSpec>) -> Scenario {
+fn scenario_from_gaps(
+    name: String,
+    step_s: f64,
+    duration_s: f64,
+    friction: f64,
+    mut vehicles: Vec<VehicleSpec>,
+) -> Scenario {
     let mut rear_bumper_m = 0.0;
     for vehicle in &mut vehicles {
         vehicle.position_m = rear_bumper_m - vehicle.position_m;
@@ -114,14 +120,16 @@ pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<ConstantPiece<f64>
         }
         Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }))
     };
-    let script = scene.leader.acceleration_mps2.iter().map(|ConstantPiece(steps, value)| (*steps, value.low())).collect();
+    let script =
+        scene.leader.acceleration_mps2.iter().map(|ConstantPiece(steps, value)| (*steps, value.low())).collect();
     let (position_m, speed_mps) = (scene.leader.position_m.low(), scene.leader.speed_mps.low());
     let mut leader = VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, pieces(script));
     (leader.length_m, leader.max_brake_mps2, leader.max_accel_mps2) =
         (Some(scene.leader.length_m), Some(30.0), Some(30.0));
     let mut vehicles = vec![leader];
     for (index, ego) in scene.egos.iter().enumerate() {
-        let runs = witness.get(index).map(|runs| runs.iter().map(|ConstantPiece(steps, value)| (*steps, *value)).collect());
+        let runs =
+            witness.get(index).map(|runs| runs.iter().map(|ConstantPiece(steps, value)| (*steps, *value)).collect());
         let driver = runs.map_or(Driver::UnderTest, pieces);
         let mut vehicle = VehicleSpec::new(VehicleClass::Light, ego.position_m.low(), ego.speed_mps.low(), driver);
         vehicle.length_m = Some(ego.length_m);

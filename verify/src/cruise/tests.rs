@@ -1,7 +1,7 @@
 //! Against closed forms, a simulation, and affine networks.
 
 use super::*;
-use crate::reach::{NetworkFileFormat, LinearLayer, NetworkLayer};
+use crate::reach::{LinearLayer, NetworkFileFormat, NetworkLayer};
 use proptest::prelude::*;
 
 fn point(value: f64) -> Interval {
@@ -71,7 +71,11 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
         for ulps in (-20_000..=20_i64).step_by(2) {
             let gamma = f64::from_bits(20.0_f64.to_bits().wrapping_add_signed(ulps));
             let gamma = Interval::new(gamma.min(0.0), gamma).map(|up| if sign > 0.0 { up } else { -up }).unwrap();
-            let car = CarState { distance: AffineForm::default(), speed: AffineForm::constant(point(30.0)), gamma: AffineForm::constant(gamma) };
+            let car = CarState {
+                distance: AffineForm::default(),
+                speed: AffineForm::constant(point(30.0)),
+                gamma: AffineForm::constant(gamma),
+            };
             let before = car.speed.range();
             let within = before + period.time.hull(Interval::ZERO) * car.gamma.range();
             let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);

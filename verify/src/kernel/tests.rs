@@ -19,8 +19,9 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
     let [b, c, p, q, r] = [b, c, p, q, r].map(rational);
     let [x, y, z] = at;
     let (xy, xyz) = (x + y, x + y + z);
-    let closing =
-        |a: &BigRational, stop_ahead: &BigRational, t: &BigRational| distance_covered(&b, a, t) - distance_covered(&c, stop_ahead, t);
+    let closing = |a: &BigRational, stop_ahead: &BigRational, t: &BigRational| {
+        distance_covered(&b, a, t) - distance_covered(&c, stop_ahead, t)
+    };
     let s_of = |a: &BigRational, stop_ahead: &BigRational| {
         let (v, w) = (&b * a, &c * stop_ahead);
         &p * &v * &v + &q * &w * &w

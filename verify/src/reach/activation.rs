@@ -22,7 +22,7 @@
 
 use super::controller::{TANH_ERROR, UNIT_ROUNDOFF};
 use super::form::AffineForm;
-use super::relax::{elu_relaxation, tanh_relaxation, linear_enclosure, relu_relaxation};
+use super::relax::{elu_relaxation, linear_enclosure, relu_relaxation, tanh_relaxation};
 use crate::interval::Interval;
 
 /// How far 1/(1 + e⁻ˣ) in single precision is from the true one at most.
@@ -209,7 +209,12 @@ impl Activation {
             }
             Self::Multiply(operands) => {
                 let a = of(operands);
-                LinearRelaxation { slope: a, low: 0.0, high: 0.0, rounding: rounding_error(largest * a.abs()) + UNDERFLOW }
+                LinearRelaxation {
+                    slope: a,
+                    low: 0.0,
+                    high: 0.0,
+                    rounding: rounding_error(largest * a.abs()) + UNDERFLOW,
+                }
             }
             Self::Divide(operands) => {
                 let slope = 1.0 / of(operands);

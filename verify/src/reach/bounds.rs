@@ -26,8 +26,9 @@ pub(super) struct NetworkBounds {
 impl InputForms {
     pub(super) fn new(inputs: &[AffineForm]) -> Self {
         let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
-        let row =
-            |form: &AffineForm| form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>();
+        let row = |form: &AffineForm| {
+            form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>()
+        };
         Self {
             symbol_count: symbols,
             terms: inputs.iter().flat_map(row).collect(),

@@ -50,7 +50,13 @@ impl VehicleState {
 }
 
 impl BrakingVehicle {
-    pub(super) fn new(speed: AffineForm, rate: AffineForm, onset: AffineForm, onset_range: Interval, step: Interval) -> Self {
+    pub(super) fn new(
+        speed: AffineForm,
+        rate: AffineForm,
+        onset: AffineForm,
+        onset_range: Interval,
+        step: Interval,
+    ) -> Self {
         let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
         let cost = rate.range() * step.sqr() * Interval::point(0.125);
         let mean_held_m = if is_instant { Interval::ZERO } else { -cost.max(Interval::ZERO).hull(Interval::ZERO) };

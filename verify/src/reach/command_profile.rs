@@ -5,8 +5,8 @@
 //! next decision the set is split in those who move and those who stand, as [`members`](super::members) does for the whole of an interval.
 
 use super::braking::VehicleState;
+use super::ego_set::{EgoSet, MotionMode};
 use super::form::AffineForm;
-use super::ego_set::{MotionMode, EgoSet};
 use super::relax::{relu, relu_above};
 use crate::interval::Interval;
 
@@ -97,7 +97,11 @@ impl CommandProfile {
 }
 
 /// Egos a step later. Those that were there before are as many: who stops is among them with a speed of 0.
-fn advance_step(VehicleState { distance, speed, .. }: &VehicleState, wanted: &AffineForm, step: Interval) -> VehicleState {
+fn advance_step(
+    VehicleState { distance, speed, .. }: &VehicleState,
+    wanted: &AffineForm,
+    step: Interval,
+) -> VehicleState {
     let half = Interval::point(0.5);
     if speed.is_zero() {
         // Who stands accelerates at max(0, u).

@@ -29,10 +29,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::activation::Activation;
-use super::bounds::{NetworkBounds, InputForms};
-use super::residual::ResidualPolicy;
+use super::bounds::{InputForms, NetworkBounds};
 use super::form::AffineForm;
 use super::relax::relu;
+use super::residual::ResidualPolicy;
 use crate::interval::Interval;
 use crate::work::{OpBudget, WorkLimit};
 
@@ -168,7 +168,16 @@ pub struct NativePolicy {
 
 impl From<NativePolicy> for NeuralController {
     fn from(own: NativePolicy) -> Self {
-        let NativePolicy { layers, offset, scale, limit, empty_gap_m, action_bounds_mps2: action_mps2, residual_over: departs_from, decision_interval_s } = own;
+        let NativePolicy {
+            layers,
+            offset,
+            scale,
+            limit,
+            empty_gap_m,
+            action_bounds_mps2: action_mps2,
+            residual_over: departs_from,
+            decision_interval_s,
+        } = own;
         let input = |i: usize| ControllerInput {
             coefficients: std::array::from_fn(|j| f64::from(u8::from(i == j))),
             constant: 0.0,
@@ -233,7 +242,12 @@ impl NeuralController {
     /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s², with somebody behind or not; of who
     /// departs from a law the action.
     #[must_use]
-    pub fn decide(&self, seen: &[AffineForm; OBSERVATION_SIZE], error: &[f64; OBSERVATION_SIZE], is_followed: bool) -> AffineForm {
+    pub fn decide(
+        &self,
+        seen: &[AffineForm; OBSERVATION_SIZE],
+        error: &[f64; OBSERVATION_SIZE],
+        is_followed: bool,
+    ) -> AffineForm {
         self.decide_with_budget(seen, error, is_followed, &OpBudget::new(WorkLimit::UNLIMITED))
     }
 
@@ -246,7 +260,8 @@ impl NeuralController {
         work: &OpBudget,
     ) -> AffineForm {
         let inputs: Vec<AffineForm> = self.inputs.iter().map(|input| input.enclose(seen, error, is_followed)).collect();
-        let answer = network_output_with_budget(&self.layers, self.output_index, &inputs, work).unwrap_or_else(AffineForm::entire);
+        let answer = network_output_with_budget(&self.layers, self.output_index, &inputs, work)
+            .unwrap_or_else(AffineForm::entire);
         let size = self.offset_mps2.abs() + self.scale_mps2.abs() * (answer.centre().abs() + answer.radius());
         let mut wanted = answer.scaled(Interval::point(self.scale_mps2));
         wanted.shift(Interval::point(self.offset_mps2));
@@ -257,7 +272,12 @@ impl NeuralController {
 
 impl ControllerInput {
     /// It, for observations of which each may be off by `error`.
-    fn enclose(&self, seen: &[AffineForm; OBSERVATION_SIZE], error: &[f64; OBSERVATION_SIZE], is_followed: bool) -> AffineForm {
+    fn enclose(
+        &self,
+        seen: &[AffineForm; OBSERVATION_SIZE],
+        error: &[f64; OBSERVATION_SIZE],
+        is_followed: bool,
+    ) -> AffineForm {
         let Self { coefficients: of, constant, absent_value: absent, offset, scale, low, high } = self;
         let (mut value, mut off, mut terms) = (AffineForm::default(), 0.0, 0);
         match absent.filter(|_| !is_followed) {
@@ -308,11 +328,17 @@ fn clip(y: &AffineForm, [low, high]: [f64; 2]) -> AffineForm {
 /// What steps make of inputs, the first of their answers, as a form in the inputs' symbols.
 #[must_use]
 pub fn network_output(steps: &[NetworkLayer], inputs: &[AffineForm]) -> AffineForm {
-    network_output_with_budget(steps, 0, inputs, &OpBudget::new(WorkLimit::UNLIMITED)).unwrap_or_else(AffineForm::entire)
+    network_output_with_budget(steps, 0, inputs, &OpBudget::new(WorkLimit::UNLIMITED))
+        .unwrap_or_else(AffineForm::entire)
 }
 
 /// One of the answers; none where it takes too much work, or there is no such answer.
-fn network_output_with_budget(steps: &[NetworkLayer], which: usize, inputs: &[AffineForm], work: &OpBudget) -> Option<AffineForm> {
+fn network_output_with_budget(
+    steps: &[NetworkLayer],
+    which: usize,
+    inputs: &[AffineForm],
+    work: &OpBudget,
+) -> Option<AffineForm> {
     let seen = InputForms::new(inputs);
     let mut bounds = NetworkBounds::from_inputs(inputs);
     let last = steps.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));

@@ -132,18 +132,24 @@ impl EgoSet {
         let symbols = self.next_symbol.max(other.next_symbol);
         let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.join(b));
         let VehicleState { distance, speed, acceleration } = self.ego.join(&other.ego);
-        Self { mode: self.mode, ego: self.ego.clone(), follower, first_own_symbol: self.first_own_symbol, next_symbol: symbols }.with_state(
-            self.mode,
-            distance,
-            speed,
-            acceleration,
-        )
+        Self {
+            mode: self.mode,
+            ego: self.ego.clone(),
+            follower,
+            first_own_symbol: self.first_own_symbol,
+            next_symbol: symbols,
+        }
+        .with_state(self.mode, distance, speed, acceleration)
     }
 
     fn with_state(&self, kind: MotionMode, distance: AffineForm, speed: AffineForm, acceleration: AffineForm) -> Self {
         let (ego, follower) = (VehicleState { distance, speed, acceleration }, self.follower.clone());
         let next = Self { mode: kind, ego, follower, ..*self }.with_rests_as_symbols();
-        if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS { next.reduce_order().with_rests_as_symbols() } else { next }
+        if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS {
+            next.reduce_order().with_rests_as_symbols()
+        } else {
+            next
+        }
     }
 
     /// The same set with what is uncertain about distances and speeds as symbols.
@@ -200,7 +206,11 @@ impl EgoSet {
 }
 
 /// A vehicle some time later, if it holds an acceleration until it stands; what it accelerates at is left open.
-pub(super) fn advance_vehicle(VehicleState { distance, speed, .. }: &VehicleState, wanted: &AffineForm, time: Interval) -> VehicleState {
+pub(super) fn advance_vehicle(
+    VehicleState { distance, speed, .. }: &VehicleState,
+    wanted: &AffineForm,
+    time: Interval,
+) -> VehicleState {
     let half = Interval::point(0.5);
     if speed.is_zero() && wanted.range().high() <= 0.0 {
         return VehicleState { distance: distance.clone(), speed: speed.clone(), acceleration: AffineForm::default() };

@@ -1,7 +1,7 @@
 //! What tests of several modules start from.
 
 use super::form::AffineForm;
-use super::{NeuralController, ControllerInput, OBSERVATION_SIZE, InitialRanges, ReachProblem};
+use super::{ControllerInput, InitialRanges, NeuralController, OBSERVATION_SIZE, ReachProblem};
 use crate::interval::Interval;
 
 /// The numbers from one to another.

@@ -23,8 +23,8 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::braking::VehicleState;
-use super::form::AffineForm;
 use super::ego_set::advance_vehicle;
+use super::form::AffineForm;
 use super::ranges::{BoxDimension, InitialRanges};
 use super::relax::{reciprocal, relu, relu_squared};
 use crate::Rejection;
@@ -269,10 +269,17 @@ impl IdmLaw {
     /// The same, as a form and by plain numbers.
     pub(super) fn acceleration_bounds(&self, sight: &LawInput, brake: &AffineForm) -> (AffineForm, Interval) {
         let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
-        (acceleration, self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
+        (
+            acceleration,
+            self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)),
+        )
     }
 
-    fn desired_acceleration(&self, LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput, brake: &AffineForm) -> AffineForm {
+    fn desired_acceleration(
+        &self,
+        LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput,
+        brake: &AffineForm,
+    ) -> AffineForm {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
         if gap.range().low() <= MIN_GAP_M {
@@ -295,7 +302,10 @@ impl IdmLaw {
     }
 
     /// The same of numbers that have nothing to do with each other.
-    fn desired_acceleration_interval(&self, LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput) -> Interval {
+    fn desired_acceleration_interval(
+        &self,
+        LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput,
+    ) -> Interval {
         let point = Interval::point;
         let (speed, gap) = (speed.range().max(point(*least_mps)), gap.range().max(point(MIN_GAP_M)));
         let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.inverse_twice_geometric_mean();

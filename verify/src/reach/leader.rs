@@ -23,9 +23,9 @@
 //! acceleration that is observed, that of the step before.
 
 use super::braking::{BrakingVehicle, VehicleState};
-use super::propagate::ReachProblem;
-use super::form::AffineForm;
 use super::ego_set::SHARED_SYMBOLS;
+use super::form::AffineForm;
+use super::propagate::ReachProblem;
 use super::relax::relu;
 use super::{InitialRanges, ReachClaim};
 use crate::interval::Interval;
@@ -132,7 +132,11 @@ impl BoundedLeader {
         let place = ((k / self.block_steps) as usize).min(self.block_starts.len() - 1);
         let [distance, speed] = &self.block_starts[place];
         if self.is_standing() || k == 0 {
-            return VehicleState { distance: AffineForm::default(), speed: speed.clone(), acceleration: AffineForm::default() };
+            return VehicleState {
+                distance: AffineForm::default(),
+                speed: speed.clone(),
+                acceleration: AffineForm::default(),
+            };
         }
         let since_steps = k.saturating_sub(self.block_steps.saturating_mul(place as u32));
         let [mut distance, mut speed] = if since_steps == 0 {
@@ -191,7 +195,9 @@ impl ReachClaim {
 fn scripted_ranges(ranges: InitialRanges, limit_mps2: Option<f64>, steps: u32) -> InitialRanges {
     let up_to = |most: f64| Interval::new(0.0, most);
     match limit_mps2.map(|limit_mps2| (up_to(limit_mps2), up_to(f64::from(steps)))) {
-        Some((Some(leader_brake_mps2), Some(onset_steps))) => InitialRanges { leader_brake_mps2, onset_steps, ..ranges },
+        Some((Some(leader_brake_mps2), Some(onset_steps))) => {
+            InitialRanges { leader_brake_mps2, onset_steps, ..ranges }
+        }
         _ => ranges,
     }
 }

@@ -32,23 +32,23 @@
 //! simulator in double precision rounds within a kilometre of its origin, but for who stands or brakes at an instant that rounding decides.
 
 pub mod activation;
-pub mod controller;
 pub mod bounds;
 pub mod braking;
+pub mod command_profile;
+pub mod controller;
+pub mod ego_set;
 #[cfg(test)]
 mod fixtures;
-mod safetensors;
-pub mod command_profile;
-pub mod residual;
-pub mod propagate;
 pub mod follower;
 pub mod form;
 pub mod leader;
-pub mod ego_set;
 pub mod network_file;
 pub mod policy_file;
+pub mod propagate;
 mod ranges;
 pub mod relax;
+pub mod residual;
+mod safetensors;
 mod volume;
 pub mod window;
 
@@ -61,12 +61,15 @@ use crate::interval::Interval;
 use crate::work::OpBudget;
 use crate::{ProvedClaim, Rejection};
 pub use activation::Activation;
-pub use controller::{NeuralController, NetworkFileFormat, ControllerInput, LinearLayer, OBSERVATION_SIZE, NativePolicy, NetworkFileSource, NetworkLayer};
-pub use residual::ResidualPolicy;
+pub use controller::{
+    ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer, NeuralController,
+    OBSERVATION_SIZE,
+};
+pub use follower::{AccAebLaw, FollowerLaw, FollowerModel, IdmLaw};
 use propagate::reach_with_budget;
 pub use propagate::{ReachProblem, ReachTube, reach, reach_with_tube};
-pub use follower::{AccAebLaw, FollowerModel, IdmLaw, FollowerLaw};
 pub use ranges::{BoxDimension, InitialRanges};
+pub use residual::ResidualPolicy;
 
 /// Most bytes that all threads together take for what is between two layers.
 const MAX_BYTES: usize = 256 << 20;
@@ -175,7 +178,8 @@ pub struct ReachResult {
 }
 
 impl ReachResult {
-    const INITIAL: Self = Self { gaps_m: [f64::INFINITY; 2], undecided: None, surely_collides: false, sensitivity: [0.0; 8] };
+    const INITIAL: Self =
+        Self { gaps_m: [f64::INFINITY; 2], undecided: None, surely_collides: false, sensitivity: [0.0; 8] };
 }
 
 impl ReachClaim {
@@ -194,7 +198,8 @@ impl ReachClaim {
         if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
             return Err(Rejection::invalid("steps", "must be from one decision to 100 000"));
         }
-        if let Some(departure) = actor.residual_over.filter(|departure| !departure.is_complete_in_one_step(self.step_s)) {
+        if let Some(departure) = actor.residual_over.filter(|departure| !departure.is_complete_in_one_step(self.step_s))
+        {
             let (rate, step_s) = (departure.rate_per_s, self.step_s);
             let problem = format!(
                 "lets departures from its law come and go at {rate} 1/s: over a step of {step_s} s that is no more than a part of the way, and \
@@ -208,7 +213,10 @@ impl ReachClaim {
         }
         for dimension in BoxDimension::ALL {
             if self.ranges.get(dimension).low() < 0.0 {
-                return Err(Rejection::invalid(format!("ranges.{}", dimension.field_name()), "holds a negative number"));
+                return Err(Rejection::invalid(
+                    format!("ranges.{}", dimension.field_name()),
+                    "holds a negative number",
+                ));
             }
         }
         let of_follower = self.follower_ttc_s.iter().map(|ttc_s| ("follower_ttc_s", ttc_s));
@@ -276,7 +284,8 @@ impl ReachClaim {
                 if cuts == MAX_CUTS {
                     return Err(invalid("cuts too often"));
                 }
-                let share_of = |half: &InitialRanges| volume::part_share(share, half.get(dimension), ranges.get(dimension));
+                let share_of =
+                    |half: &InitialRanges| volume::part_share(share, half.get(dimension), ranges.get(dimension));
                 let shares = [&upper, &lower].map(share_of);
                 pending.extend([(upper, cuts + 1, shares[0]), (lower, cuts + 1, shares[1])]);
             } else {
@@ -290,7 +299,12 @@ impl ReachClaim {
 /// What version 1 states of shares may exceed their volume by this much: it counted cuts, and the middle of a range is rounded.
 const V1_SHARE_TOLERANCE: f64 = 1e-9;
 
-pub(crate) fn check(claim: &ReachClaim, policy: Option<&[u8]>, is_old: bool, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+pub(crate) fn check(
+    claim: &ReachClaim,
+    policy: Option<&[u8]>,
+    is_old: bool,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
     let actor = load_controller(policy, &claim.policy_sha256, claim.source.as_ref())?;
     let scene = claim.problem(&actor)?;
     let leaves = claim.leaves()?;
@@ -325,7 +339,11 @@ pub(crate) fn check(claim: &ReachClaim, policy: Option<&[u8]>, is_old: bool, wor
 }
 
 /// The actor of a file, if it is the one that is meant and was read from what it is said to be.
-pub(crate) fn load_controller(file: Option<&[u8]>, digest: &str, source: Option<&NetworkFileSource>) -> Result<NeuralController, Rejection> {
+pub(crate) fn load_controller(
+    file: Option<&[u8]>,
+    digest: &str,
+    source: Option<&NetworkFileSource>,
+) -> Result<NeuralController, Rejection> {
     let wrong = |problem: &str| Rejection::Policy { problem: problem.to_owned() };
     let file = file.ok_or_else(|| wrong("is not there"))?;
     let found = sha256(file);
@@ -344,7 +362,11 @@ pub fn controller_file_name(digest: &str, is_from_outside: bool) -> String {
 }
 
 /// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.
-fn check_leaves(scene: &ReachProblem<'_>, leaves: &[(PartitionCell, InitialRanges, f64)], work: &OpBudget) -> Vec<Result<f64, String>> {
+fn check_leaves(
+    scene: &ReachProblem<'_>,
+    leaves: &[(PartitionCell, InitialRanges, f64)],
+    work: &OpBudget,
+) -> Vec<Result<f64, String>> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cores.min(MAX_BYTES / scene.controller.max_decision_bytes().max(1)).max(1);
     let judge = |(cell, ranges, _): &(PartitionCell, InitialRanges, f64)| check_leaf(scene, cell, ranges, work);
@@ -356,7 +378,12 @@ fn check_leaves(scene: &ReachProblem<'_>, leaves: &[(PartitionCell, InitialRange
     })
 }
 
-fn check_leaf(scene: &ReachProblem<'_>, cell: &PartitionCell, ranges: &InitialRanges, work: &OpBudget) -> Result<f64, String> {
+fn check_leaf(
+    scene: &ReachProblem<'_>,
+    cell: &PartitionCell,
+    ranges: &InitialRanges,
+    work: &OpBudget,
+) -> Result<f64, String> {
     match cell {
         PartitionCell::Verified => {
             let reached = reach_with_budget(&ReachProblem { ranges: *ranges, ..scene.clone() }, work);

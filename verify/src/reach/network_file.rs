@@ -19,8 +19,10 @@
 use serde::Deserialize;
 
 use super::activation::Activation;
-use super::controller::{NeuralController, ControllerInput, LinearLayer, OBSERVATION_SIZE, NetworkFileSource, NetworkLayer};
-use super::safetensors::{SafetensorsFile, MAX_NUMBERS, MAX_LAYER_WIDTH};
+use super::controller::{
+    ControllerInput, LinearLayer, NetworkFileSource, NetworkLayer, NeuralController, OBSERVATION_SIZE,
+};
+use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::is_sha256;
 
 /// The only version of the text that describes a network.
@@ -141,7 +143,9 @@ impl NetworkFileInput {
         }
         let (of, constant, absent) = match (quantity, constant) {
             (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVATION_SIZE], constant, None),
-            (Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)), None) if absent.is_none() => {
+            (Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)), None)
+                if absent.is_none() =>
+            {
                 // There always is a vehicle ahead.
                 let absent = matches!(quantity, NetworkFileQuantity::IsBehind).then_some(0.0);
                 (quantity.coefficients(), 1.0, absent)
@@ -185,11 +189,9 @@ impl NetworkFileHeader {
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
     let header: NetworkFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
-    let inputs = header
-        .inputs
-        .iter()
-        .enumerate()
-        .map(|(index, seen)| seen.to_controller_input().map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}")));
+    let inputs = header.inputs.iter().enumerate().map(|(index, seen)| {
+        seen.to_controller_input().map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}"))
+    });
     let inputs = inputs.collect::<Result<Vec<_>, _>>()?;
     let mut steps = Vec::new();
     let (mut width, mut numbers) = (inputs.len(), inputs.len());

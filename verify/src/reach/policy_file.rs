@@ -2,10 +2,10 @@
 
 use serde::Deserialize;
 
-use super::controller::{NeuralController, LinearLayer, OBSERVATION_SIZE, NativePolicy};
-use super::safetensors::{SafetensorsFile, MAX_NUMBERS, MAX_LAYER_WIDTH};
-use super::residual::ResidualPolicy;
+use super::controller::{LinearLayer, NativePolicy, NeuralController, OBSERVATION_SIZE};
 use super::follower::IdmLaw;
+use super::residual::ResidualPolicy;
+use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::UniqueKeys;
 
 /// The only version of the text that describes a policy.
@@ -99,7 +99,8 @@ impl PolicyFileAction {
     /// What the actions depart from, if it is a law.
     fn residual_policy(&self) -> Option<ResidualPolicy> {
         let PolicyFileResidual { dead_zone, rate_per_s, ref idm } = *self.residual_over.as_ref()?;
-        let PolicyFileIdm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } = *idm;
+        let PolicyFileIdm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
+            *idm;
         let max_accel_mps2 = self.high_mps2;
         let idm = IdmLaw {
             desired_speed_mps,
@@ -166,7 +167,17 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
     let departs_from = header.action.residual_policy();
     let decision_interval_s = header.decision_interval_s;
-    Ok(NativePolicy { layers, offset, scale, limit, empty_gap_m, action_bounds_mps2: action_mps2, residual_over: departs_from, decision_interval_s }.into())
+    Ok(NativePolicy {
+        layers,
+        offset,
+        scale,
+        limit,
+        empty_gap_m,
+        action_bounds_mps2: action_mps2,
+        residual_over: departs_from,
+        decision_interval_s,
+    }
+    .into())
 }
 
 #[cfg(test)]

@@ -30,16 +30,16 @@
 //! # Standstill
 //! Once nobody moves and the actor wants nobody to, every later decision sees what this one saw, and nothing is left to do.
 
-use super::controller::{NeuralController, OBSERVATION_SIZE};
 use super::braking::{BrakingVehicle, VehicleState};
 use super::command_profile::CommandProfile;
-use super::residual::{Residual, ResidualPolicy, law_input_errors};
-use super::follower::{LawFollower, FollowerModel, FollowerLaw, LawInput};
+use super::controller::{NeuralController, OBSERVATION_SIZE};
+use super::ego_set::{ByMode, EgoSet, SHARED_SYMBOLS};
+use super::follower::{FollowerLaw, FollowerModel, LawFollower, LawInput};
 use super::form::AffineForm;
 use super::leader::LeaderModel;
-use super::ego_set::{ByMode, EgoSet, SHARED_SYMBOLS};
+use super::residual::{Residual, ResidualPolicy, law_input_errors};
 use super::window::{FiringWindow, merge_windows};
-use super::{BoxDimension, Undecided, InitialRanges, ReachResult};
+use super::{BoxDimension, InitialRanges, ReachResult, Undecided};
 use crate::interval::Interval;
 use crate::work::{OpBudget, WorkLimit};
 
@@ -96,7 +96,12 @@ impl StateSet {
     /// The same egos, once for each pair of accelerations ahead and behind that they may observe.
     fn split_cases(&self) -> Vec<Self> {
         let mut cases = vec![self.clone()];
-        for (accelerations, number) in self.acceleration_cases.iter().zip([ACCELERATION_AHEAD, ACCELERATION_BEHIND]).filter(|(all, _)| all.len() > 1) {
+        for (accelerations, number) in self
+            .acceleration_cases
+            .iter()
+            .zip([ACCELERATION_AHEAD, ACCELERATION_BEHIND])
+            .filter(|(all, _)| all.len() > 1)
+        {
             let seeing = |acceleration: &AffineForm, case: &Self| {
                 let mut case = case.clone();
                 case.observation[number].clone_from(acceleration);
@@ -194,8 +199,13 @@ impl ReachAnalysis<'_> {
         let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension));
         let window = Interval::new(first, last).unwrap_or(Interval::ENTIRE);
         let onset = AffineForm::symbol(SHARED_SYMBOLS - 1, window);
-        let mut follower =
-            BrakingVehicle::new(get(BoxDimension::FollowerSpeedMps), get(BoxDimension::FollowerBrakeMps2), onset, window, self.step);
+        let mut follower = BrakingVehicle::new(
+            get(BoxDimension::FollowerSpeedMps),
+            get(BoxDimension::FollowerBrakeMps2),
+            onset,
+            window,
+            self.step,
+        );
         // It fires at instants only.
         follower.onset_step_error_m = Interval::ZERO;
         follower
@@ -211,7 +221,8 @@ impl ReachAnalysis<'_> {
     ) -> Option<bool> {
         let every = self.scene.decision_steps;
         let (mut all_touch, mut windows) = (true, Vec::new());
-        let mut sets: ByMode<StateSet> = members.map(|members| members.map(|members| self.observe(k, members, follower)));
+        let mut sets: ByMode<StateSet> =
+            members.map(|members| members.map(|members| self.observe(k, members, follower)));
         while k < self.scene.steps && sets.iter().any(Option::is_some) {
             let mut next: ByMode<StateSet> = ByMode::default();
             let (mut window, mut stays) = (FiringWindow::new(k), true);
@@ -301,13 +312,21 @@ impl ReachAnalysis<'_> {
     }
 
     /// What a set does that departs from a law, as far as an action says.
-    fn residual_profile(&self, k: u32, members: &EgoSet, departure: &ResidualPolicy, action: &AffineForm) -> CommandProfile {
+    fn residual_profile(
+        &self,
+        k: u32,
+        members: &EgoSet,
+        departure: &ResidualPolicy,
+        action: &AffineForm,
+    ) -> CommandProfile {
         let ReachProblem { controller: actor, observation_error, step_s, decision_steps, .. } = self.scene;
         self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(*decision_steps));
         let [low, high] = actor.action_bounds_mps2;
         if !departure.is_complete_in_one_step(*step_s) {
             let any = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
-            return CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |_, _| AffineForm::constant(any));
+            return CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |_, _| {
+                AffineForm::constant(any)
+            });
         }
         let departs = Residual::new(departure, action, actor.action_bounds_mps2);
         let errors = law_input_errors(observation_error);
@@ -321,7 +340,8 @@ impl ReachAnalysis<'_> {
 
     fn are_others_at_rest(&self, k: u32, follower: Option<&BrakingVehicle>) -> bool {
         // Who follows by a law may creep for ever.
-        let has_stood = follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.follower_law().is_none();
+        let has_stood =
+            follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.follower_law().is_none();
         has_stood && self.leader.has_stood(k, self.step)
     }
 
@@ -357,12 +377,23 @@ impl ReachAnalysis<'_> {
         let (speeds, accelerations) =
             ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
         let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
-        StateSet { members, observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps, acceleration_cases: apart }
+        StateSet {
+            members,
+            observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
+            gaps,
+            acceleration_cases: apart,
+        }
     }
 
     /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and
     /// whether it surely does.
-    fn firing_instants(&self, k: u32, members: &EgoSet, course: &CommandProfile, follower: &BrakingVehicle) -> Option<([f64; 2], bool)> {
+    fn firing_instants(
+        &self,
+        k: u32,
+        members: &EgoSet,
+        course: &CommandProfile,
+        follower: &BrakingVehicle,
+    ) -> Option<([f64; 2], bool)> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {

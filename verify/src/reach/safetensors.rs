@@ -12,7 +12,7 @@ use std::fmt;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
-use super::controller::{NeuralController, NetworkLayer};
+use super::controller::{NetworkLayer, NeuralController};
 use super::{network_file, policy_file};
 
 /// Widest layer that is read, and most numbers between the layers of a network: bounds on rounding rely on them.
@@ -162,7 +162,10 @@ impl NeuralController {
                     layers += 1;
                 }
                 NetworkLayer::Activation(each) => {
-                    bounds.iter_mut().enumerate().for_each(|(number, bound)| *bound = each.max_magnitude(number, *bound));
+                    bounds
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(number, bound)| *bound = each.max_magnitude(number, *bound));
                 }
             }
             if !fits(&bounds) {
@@ -180,8 +183,15 @@ mod tests {
 
     /// A network of two numbers, of a size up to 2 and 3.
     fn two_input_controller(steps: Vec<NetworkLayer>, answer: usize) -> NeuralController {
-        let input =
-            |low, high| ControllerInput { coefficients: [0.0; OBSERVATION_SIZE], constant: 0.0, absent_value: None, offset: 0.0, scale: 1.0, low, high };
+        let input = |low, high| ControllerInput {
+            coefficients: [0.0; OBSERVATION_SIZE],
+            constant: 0.0,
+            absent_value: None,
+            offset: 0.0,
+            scale: 1.0,
+            low,
+            high,
+        };
         NeuralController {
             inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
             layers: steps,
@@ -206,9 +216,16 @@ mod tests {
         let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
         for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
             assert_eq!(two_input_controller(vec![plain.clone()], answer).max_output_magnitude(), Ok(expected));
-            assert_eq!(two_input_controller(vec![plain.clone(), NetworkLayer::Activation(Activation::Tanh)], answer).max_output_magnitude(), Ok(1.0));
+            assert_eq!(
+                two_input_controller(vec![plain.clone(), NetworkLayer::Activation(Activation::Tanh)], answer)
+                    .max_output_magnitude(),
+                Ok(1.0)
+            );
         }
-        assert_eq!([0, 1].map(|answer| two_input_controller(vec![], answer).max_output_magnitude()), [Ok(2.0), Ok(3.0)]);
+        assert_eq!(
+            [0, 1].map(|answer| two_input_controller(vec![], answer).max_output_magnitude()),
+            [Ok(2.0), Ok(3.0)]
+        );
         assert_eq!(two_input_controller(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
     }
 
@@ -222,9 +239,16 @@ mod tests {
         assert_eq!(two_input_controller(vec![wild(half.next_up())], 0).max_output_magnitude(), Err(0));
         assert_eq!(two_input_controller(vec![calm.clone(), wild(half)], 0).max_output_magnitude(), Ok(half));
         assert_eq!(two_input_controller(vec![calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(1));
-        assert_eq!(two_input_controller(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(2));
+        assert_eq!(
+            two_input_controller(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(),
+            Err(2)
+        );
         let multiplied = NetworkLayer::Activation(Activation::Multiply(vec![half, 0.0]));
-        assert_eq!(two_input_controller(vec![calm.clone(), calm, multiplied], 0).max_output_magnitude(), Err(1), "behind it");
+        assert_eq!(
+            two_input_controller(vec![calm.clone(), calm, multiplied], 0).max_output_magnitude(),
+            Err(1),
+            "behind it"
+        );
         let mut far = two_input_controller(vec![], 0);
         far.inputs[1].low = -half;
         assert_eq!(far.max_output_magnitude(), Ok(2.0));

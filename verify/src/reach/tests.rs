@@ -1,4 +1,4 @@
-use super::fixtures::{constant_controller, interval, default_problem, point_box};
+use super::fixtures::{constant_controller, default_problem, interval, point_box};
 use super::*;
 use crate::work::WorkLimit;
 
@@ -57,7 +57,8 @@ fn a_cell_is_cut_no_more_often_than_may_be() {
     let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
     for (cuts, expected) in [(MAX_CUTS, ""), (MAX_CUTS + 1, "cuts too often")] {
         let lower: Vec<PartitionCell> = [vec![cut; cuts], vec![PartitionCell::Undecided; cuts + 1]].concat();
-        let upper: Vec<PartitionCell> = [[cut, PartitionCell::Undecided].repeat(cuts), vec![PartitionCell::Undecided]].concat();
+        let upper: Vec<PartitionCell> =
+            [[cut, PartitionCell::Undecided].repeat(cuts), vec![PartitionCell::Undecided]].concat();
         for partition in [lower, upper] {
             let leaves = claim(partition).leaves();
             assert!(leaves.as_ref().map_or(true, |leaves| leaves.len() == cuts + 1));

@@ -1,7 +1,7 @@
 //! Which share of a box's volume its parts have: counting cuts would do if every cut were one in equal halves, and the middle of a range
 //! of a few floating-point numbers is far from that.
 
-use super::{PartitionCell, InitialRanges, ReachClaim};
+use super::{InitialRanges, PartitionCell, ReachClaim};
 use crate::Rejection;
 use crate::interval::Interval;
 

@@ -5,8 +5,8 @@
 //! one window. A run for it starts where the first of them began, and within it the follower's acceleration is any number from
 //! full braking to none.
 
+use super::ego_set::{ByMode, EgoSet, MotionMode};
 use super::propagate::ReachProblem;
-use super::ego_set::{ByMode, MotionMode, EgoSet};
 
 /// Windows become longer if they would be more than these...
 const TARGET_WINDOWS: usize = 10;
@@ -41,7 +41,8 @@ impl FiringWindow {
 
     /// Adds those who fire in a later window. Who moves then moved before; all others may have been of any kind.
     fn extend(&mut self, later: &Self) {
-        let before = if later.fires_by_mode == [true, false, false] { &[MotionMode::Moving][..] } else { &MotionMode::ALL };
+        let before =
+            if later.fires_by_mode == [true, false, false] { &[MotionMode::Moving][..] } else { &MotionMode::ALL };
         before.iter().for_each(|&kind| self.record_firing(kind, later.instants));
     }
 

@@ -9,9 +9,13 @@
 
 use crumple_verify::cruise::{CruiseBoundsError, compute_bounds};
 use crumple_verify::reach::controller::interleave_relu;
-use crumple_verify::reach::{NeuralController, Activation, NetworkFileFormat, ControllerInput, LinearLayer, NetworkFileSource, NetworkLayer};
+use crumple_verify::reach::{
+    Activation, ControllerInput, LinearLayer, NetworkFileFormat, NetworkFileSource, NetworkLayer, NeuralController,
+};
 
-use crumple_verify::{ProvedClaim, Certificate, CruiseClaim, CertificateProvenance, Rejection, Statement, WorkLimit, check_with};
+use crumple_verify::{
+    Certificate, CertificateProvenance, CruiseClaim, ProvedClaim, Rejection, Statement, WorkLimit, check_with,
+};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -53,7 +57,8 @@ fn fit_network() -> Vec<NetworkLayer> {
             }
         })
         .collect();
-    let hidden: Vec<NetworkLayer> = interleave_relu(layers.clone()).chain([NetworkLayer::Activation(Activation::Relu)]).collect();
+    let hidden: Vec<NetworkLayer> =
+        interleave_relu(layers.clone()).chain([NetworkLayer::Activation(Activation::Relu)]).collect();
     // Normal equations with a little damping, by Gauss and Jordan.
     let mut rows = vec![[0.0; 22]; 21];
     for _ in 0..4000 {
@@ -80,7 +85,15 @@ fn fit_network() -> Vec<NetworkLayer> {
 }
 
 fn controller(steps: Vec<NetworkLayer>) -> NeuralController {
-    let input = |of, constant| ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e6, high: 1e6 };
+    let input = |of, constant| ControllerInput {
+        coefficients: of,
+        constant,
+        absent_value: None,
+        offset: 0.0,
+        scale: 1.0,
+        low: -1e6,
+        high: 1e6,
+    };
     NeuralController {
         inputs: vec![
             input([0.0; 8], 30.0),
@@ -214,7 +227,12 @@ fn certificate_for(file: &[u8], change: impl FnOnce(&mut CruiseClaim)) -> Certif
     };
     change(&mut claim);
     let statement = Statement::AdaptiveCruise(claim);
-    Certificate { version: 2, provenance: CertificateProvenance::default(), assumptions: statement.assumptions(), statement }
+    Certificate {
+        version: 2,
+        provenance: CertificateProvenance::default(),
+        assumptions: statement.assumptions(),
+        statement,
+    }
 }
 
 #[test]
@@ -223,7 +241,8 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     let found = compute_bounds(&NeuralController::from_bytes(&file).unwrap(), 3).unwrap();
     let (margin_m, x_ego_width_m) = (found.margin_m, found.x_ego_width_m());
     let accepted = Ok(ProvedClaim::Cruise { margin_m, x_ego_width_m });
-    let checked = |change: fn(&mut CruiseClaim)| check_with(&certificate_for(&file, change), Some(&file), WorkLimit::default());
+    let checked =
+        |change: fn(&mut CruiseClaim)| check_with(&certificate_for(&file, change), Some(&file), WorkLimit::default());
     assert_eq!(checked(|_| ()), accepted);
     assert_eq!(checked(|claim| claim.margin_m_at_least = f64::NEG_INFINITY), accepted);
     assert_eq!(checked(|claim| claim.x_ego_width_m_at_most = 1e9), accepted);
@@ -254,7 +273,8 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
 
 #[test]
 fn the_program_takes_the_network_and_the_limit_it_is_told() {
-    let (file, folder) = (braking_network_file(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
+    let (file, folder) =
+        (braking_network_file(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
     std::fs::create_dir_all(&folder).unwrap();
     let certificate = certificate_for(&file, |_| ());
     let (path, network) = (folder.join("certificate.json"), folder.join("elsewhere"));

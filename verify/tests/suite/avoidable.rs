@@ -1,12 +1,16 @@
 //! What is accepted as avoidable was avoided, in every member.
 
 use crate::support;
-use crate::support::{SUBSTEPS, simulate_scene, pick_member, scenes};
+use crate::support::{SUBSTEPS, pick_member, scenes, simulate_scene};
 use crumple_verify::*;
 use proptest::prelude::*;
 
 fn certificate(scene: &Scene, witness: Vec<Vec<ConstantPiece<f64>>>) -> Certificate {
-    support::certificate(Statement::Avoidable(AvoidableClaim { scene: scene.clone(), witness, min_gap_m_at_least: None }))
+    support::certificate(Statement::Avoidable(AvoidableClaim {
+        scene: scene.clone(),
+        witness,
+        min_gap_m_at_least: None,
+    }))
 }
 
 /// Two cars of which the second is followed by a truck; everybody at 20 m/s and the leader brakes after 1 s.
@@ -26,7 +30,10 @@ fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
             position_m: point(100.0),
             length_m: 2.0,
             speed_mps: point(20.0),
-            acceleration_mps2: vec![ConstantPiece(10, point(0.0)), ConstantPiece(90, Interval::new(-4.1, -3.9).unwrap())],
+            acceleration_mps2: vec![
+                ConstantPiece(10, point(0.0)),
+                ConstantPiece(90, Interval::new(-4.1, -3.9).unwrap()),
+            ],
         },
         egos: vec![ego(60.0), ego(40.0)],
         follower: Some(SceneFollower {
@@ -37,13 +44,20 @@ fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
             reaction_steps: 2,
         }),
     };
-    (scene, vec![vec![ConstantPiece(15, 0.0), ConstantPiece(85, -4.0)], vec![ConstantPiece(10, 0.0), ConstantPiece(20, -2.0), ConstantPiece(70, -4.0)]])
+    (
+        scene,
+        vec![
+            vec![ConstantPiece(15, 0.0), ConstantPiece(85, -4.0)],
+            vec![ConstantPiece(10, 0.0), ConstantPiece(20, -2.0), ConstantPiece(70, -4.0)],
+        ],
+    )
 }
 
 #[test]
 fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     let (scene, witness) = calm_scene();
-    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) = check(&certificate(&scene, witness.clone()))
+    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) =
+        check(&certificate(&scene, witness.clone()))
     else {
         panic!("{:?}", check(&certificate(&scene, witness)));
     };
@@ -98,7 +112,9 @@ fn a_near_miss_inside_a_step_is_seen() {
     };
     // The gap is gap - 2 t + 2 t², at least gap - 0.5.
     let witness = vec![vec![ConstantPiece(1, -4.0)]];
-    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) = check(&certificate(&scene(0.51), witness.clone())) else {
+    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) =
+        check(&certificate(&scene(0.51), witness.clone()))
+    else {
         panic!("not accepted");
     };
     assert!((smallest_gap_m - 0.01).abs() < 1e-12);
@@ -156,19 +172,28 @@ fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Cons
 }
 
 fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
-    let of =
-        |profile: &Vec<ConstantPiece<f64>>| profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect();
+    let of = |profile: &Vec<ConstantPiece<f64>>| {
+        profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
+    };
     witness.iter().map(of).collect()
 }
 
 /// The smallest gap of a member if the scene goes on: the leader stops at once or holds its speed, and the others brake to a stop or to
 /// the slowest of all.
-fn min_gap_after_horizon_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: SafetyAfterHorizon, picks: &mut dyn FnMut() -> f64) -> f64 {
+fn min_gap_after_horizon_m(
+    scene: &Scene,
+    profiles: &[Vec<f64>],
+    afterwards: SafetyAfterHorizon,
+    picks: &mut dyn FnMut() -> f64,
+) -> f64 {
     const EXTRA_STEPS: u32 = 200;
     let stops = afterwards == SafetyAfterHorizon::ForAnyLeader;
     let mut longer = scene.clone();
     longer.steps += EXTRA_STEPS;
-    longer.leader.acceleration_mps2.push(ConstantPiece(EXTRA_STEPS, Interval::point(if stops { -1000.0 } else { 0.0 })));
+    longer
+        .leader
+        .acceleration_mps2
+        .push(ConstantPiece(EXTRA_STEPS, Interval::point(if stops { -1000.0 } else { 0.0 })));
     let member = pick_member(&longer, picks);
     let ends = simulate_scene(scene, &member, profiles);
     let leader_mps = member.leader_mps2.iter().take(scene.steps as usize);
@@ -253,7 +278,9 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
         }),
     };
     match check(&certificate(&scene, vec![vec![ConstantPiece(8, 0.0)]])) {
-        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => (smallest_gap_m, afterwards),
+        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => {
+            (smallest_gap_m, afterwards)
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -261,8 +288,9 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
 /// A brake that has fired and whose reaction is over will stop it; any other brake may not come.
 #[test]
 fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
-    use SafetyAfterHorizon::{UnlessLeaderBrakes, Unproved, ForAnyLeader};
-    let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| check_with_follower(gap_m, mps, ttc_s, reaction_steps).1;
+    use SafetyAfterHorizon::{ForAnyLeader, UnlessLeaderBrakes, Unproved};
+    let followed_afterwards =
+        |gap_m, mps, ttc_s, reaction_steps| check_with_follower(gap_m, mps, ttc_s, reaction_steps).1;
     // It never fires: slower than all it stays behind as long as nobody brakes, and faster, or as fast but for rounding, it may not.
     for (mps, expected) in [(9.0, UnlessLeaderBrakes), (10.0, Unproved), (11.0, Unproved)] {
         for reaction_steps in [0, 3, u32::MAX] {

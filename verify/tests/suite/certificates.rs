@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::support;
 use crate::support::mutants::mutants;
-use crate::support::{SUBSTEPS, certificate, simulate_scene, pick_member, proofs, has_escape};
+use crate::support::{SUBSTEPS, certificate, has_escape, pick_member, proofs, simulate_scene};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -285,7 +285,8 @@ fn a_long_certificate_is_quick_to_check() {
         ..Branch::default()
     };
     let branches = (0..30).map(branch).collect();
-    let text = serde_json::to_string(&certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }))).unwrap();
+    let text =
+        serde_json::to_string(&certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }))).unwrap();
     let certificate = Certificate::from_json(&text).unwrap();
     let timed = |_| {
         let begin = std::time::Instant::now();
@@ -311,7 +312,7 @@ fn what_is_taken_for_granted_is_said_in_words() {
     use Assumption::*;
     for (assumption, said) in [
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
-        (SceneLeader, "the leader moves as scripted and reacts to nobody"),
+        (ScriptedLeader, "the leader moves as scripted and reacts to nobody"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
         (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
         (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
@@ -357,7 +358,8 @@ fn results_are_said_in_words() {
         "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at up to 7.5 m/s², \
          with nobody behind; 0.19 % of it is in cells with a start that ends in contact"
     );
-    let avoidable = |afterwards| ProvedClaim::Avoidable { min_gap_m: 0.25, horizon_s: 2.0, after_horizon: afterwards }.to_string();
+    let avoidable =
+        |afterwards| ProvedClaim::Avoidable { min_gap_m: 0.25, horizon_s: 2.0, after_horizon: afterwards }.to_string();
     for (afterwards, name, said) in [
         (
             SafetyAfterHorizon::ForAnyLeader,

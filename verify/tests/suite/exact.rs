@@ -1,14 +1,14 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{NeuralController, PartitionCell, FollowerModel, ReachProblem, ReachTube, reach_with_tube};
+use crumple_verify::reach::{FollowerModel, NeuralController, PartitionCell, ReachProblem, ReachTube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
-use crate::residual::any_departure;
 use crate::law_follower::any_law;
 use crate::leader::unscripted;
-use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, reference_policy_bytes, paper_problem};
-use crate::support::closed_loop::{XorShiftRng, InitialState, simulate};
+use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, paper_problem, reference_policy_bytes};
+use crate::residual::any_departure;
+use crate::support::closed_loop::{InitialState, XorShiftRng, simulate};
 use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
 use crate::support::networks::{any_network, residual_network};
 
@@ -31,7 +31,11 @@ fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
 }
 
 /// A member of a scene, driven to the end.
-fn simulate_member(scene: &ReachProblem<'_>, start: InitialState, seed: u64) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
+fn simulate_member(
+    scene: &ReachProblem<'_>,
+    start: InitialState,
+    seed: u64,
+) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
     let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| random_braking(limit_mps2, seed));
     simulate_exactly(scene, start, random_errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
 }
@@ -111,7 +115,8 @@ fn committed_claims_are_true_of_their_members() {
         let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
         let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
         let Statement::Reach(claim) = certificate.statement else { panic!("{name}") };
-        let leaves: Vec<_> = claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == PartitionCell::Verified).collect();
+        let leaves: Vec<_> =
+            claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == PartitionCell::Verified).collect();
         for _ in 0..12 {
             let (_, ranges, _) = leaves[(numbers.next_unit() * leaves.len() as f64) as usize];
             let scene = ReachProblem { ranges, ..claim.problem(&actor).unwrap() };

@@ -207,8 +207,11 @@ fn claim_without_blocks(certificate: &mut Certificate) {
 fn version_1_is_read_and_said_to_be_old() {
     let mut old = unavoidable();
     old.version = 1;
-    old.provenance =
-        CertificateProvenance { crumple: "0.1.0".to_owned(), scenario: "paper-1".to_owned(), ..CertificateProvenance::default() };
+    old.provenance = CertificateProvenance {
+        crumple: "0.1.0".to_owned(),
+        scenario: "paper-1".to_owned(),
+        ..CertificateProvenance::default()
+    };
     let mut file = serde_json::to_value(&old).unwrap();
     file["provenance"]["scenario_sha256"] = json!("");
     let read = Certificate::from_json(&file.to_string()).unwrap();
@@ -474,8 +477,14 @@ fn a_policy_is_looked_for_beside_its_certificate() {
     let name = format!("network-{}.safetensors", &digest[..12]);
     assert_eq!(network.policy_reference(), Some((name.as_str(), digest.as_str())));
     let digest = sha256("policy");
-    assert_eq!(reach().policy_reference(), Some((format!("policy-{}.safetensors", &digest[..12]).as_str(), digest.as_str())));
-    assert_eq!((kernel().policy_reference(), unavoidable().policy_reference(), rate().policy_reference()), (None, None, None));
+    assert_eq!(
+        reach().policy_reference(),
+        Some((format!("policy-{}.safetensors", &digest[..12]).as_str(), digest.as_str()))
+    );
+    assert_eq!(
+        (kernel().policy_reference(), unavoidable().policy_reference(), rate().policy_reference()),
+        (None, None, None)
+    );
     let folder = std::env::temp_dir().join(format!("crumple-verify-beside-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let (path, other) = (folder.join("certificate.json"), folder.join("other"));

@@ -1,7 +1,9 @@
 //! A kernel is accepted exactly where its closed form is right.
 
 use crumple_verify::polynomial::Polynomial;
-use crumple_verify::{ProvedClaim, Assumption, Certificate, KernelClaim, CertificateProvenance, Rejection, Statement, check};
+use crumple_verify::{
+    Assumption, Certificate, CertificateProvenance, KernelClaim, ProvedClaim, Rejection, Statement, check,
+};
 use num_rational::BigRational;
 
 fn check_kernel(kernel: &KernelClaim) -> Result<ProvedClaim, Rejection> {
@@ -44,7 +46,8 @@ fn demanded_gap_m(kernel: &KernelClaim, v: &BigRational, w: &BigRational) -> Big
             parse_rational(r) * &closing * &closing
         }
         _ => {
-            let [p, q] = [&kernel.stopping_own_squared, &kernel.stopping_ahead_squared].map(|text| parse_rational(text));
+            let [p, q] =
+                [&kernel.stopping_own_squared, &kernel.stopping_ahead_squared].map(|text| parse_rational(text));
             (p * v * v + q * w * w).max(zero)
         }
     }

@@ -1,9 +1,15 @@
 //! What is claimed of a follower that drives by a law is true of each member.
 
-use crumple_verify::reach::{AccAebLaw, NeuralController, FollowerModel, IdmLaw, FollowerLaw, InitialRanges, ReachProblem, reach, reach_with_tube};
+use crumple_verify::reach::{
+    AccAebLaw, FollowerLaw, FollowerModel, IdmLaw, InitialRanges, NeuralController, ReachProblem, reach,
+    reach_with_tube,
+};
 use proptest::prelude::*;
 
-use crate::reach::{any_ranges, any_unit, min_gap_under_attack, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem};
+use crate::reach::{
+    any_ranges, any_unit, box_member, is_bounded, min_gap_under_attack, paper_box, paper_problem,
+    reference_policy_bytes,
+};
 use crate::support::closed_loop::simulate;
 use crate::support::networks::{any_network, native_network};
 

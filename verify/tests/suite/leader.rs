@@ -1,10 +1,15 @@
 //! What is claimed of a leader that brakes as it likes is true however it brakes.
 
-use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, InitialRanges, ReachClaim, ReachProblem, reach, reach_with_tube};
-use crumple_verify::{ProvedClaim, Assumption, Certificate, Interval, Rejection, WorkLimit, check_with};
+use crumple_verify::reach::{
+    BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, reach, reach_with_tube,
+};
+use crumple_verify::{Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit, check_with};
 use proptest::prelude::*;
 
-use crate::reach::{LATCHED, any_ranges, any_unit, certificate, claim, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem};
+use crate::reach::{
+    LATCHED, any_ranges, any_unit, box_member, certificate, claim, is_bounded, paper_box, paper_problem,
+    reference_policy_bytes,
+};
 use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
 use crate::support::networks::{any_network, native_network};
 
@@ -130,7 +135,8 @@ fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f
     };
     let mut best_m = f64::INFINITY;
     for begin in 0..4 {
-        let pieces = std::array::from_fn(|piece| [1.0, 0.0, f64::from(u8::from(piece < 15)), numbers.next_unit()][begin]);
+        let pieces =
+            std::array::from_fn(|piece| [1.0, 0.0, f64::from(u8::from(piece < 15)), numbers.next_unit()][begin]);
         let mut best = ([0.5; 8], pieces, gap([0.5; 8], &pieces));
         for round in 0..rounds {
             let size = 0.99_f64.powi(round as i32 % 300);
@@ -240,7 +246,11 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     }
     // The assumption left out, doubled, or that of a script in its place; and it in the place of that of a script.
     let with = |claim: &ReachClaim, assumptions: Vec<Assumption>| {
-        check_with(&Certificate { assumptions, ..certificate(claim.clone()) }, Some(&reference_policy_bytes()), WorkLimit::default())
+        check_with(
+            &Certificate { assumptions, ..certificate(claim.clone()) },
+            Some(&reference_policy_bytes()),
+            WorkLimit::default(),
+        )
     };
     let needed = certificate(genuine.clone()).assumptions;
     assert!(needed.contains(&Assumption::LeaderWithinLimit) && !needed.contains(&Assumption::ScriptedLeader));
@@ -274,7 +284,9 @@ fn a_start_with_a_leader_within_the_limit_falsifies() {
     };
     assert!(matches!(check_claim(falsified(29.0, 28.0, 100.0)), Ok(ProvedClaim::Reach { falsified_share: 1.0, .. })));
     for outside in [falsified(27.0, 28.0, 100.0), falsified(29.0, 28.0, -1.0), falsified(29.0, 28.0, 301.0)] {
-        assert!(matches!(check_claim(outside), Err(Rejection::Leaf { problem, .. }) if problem == "the point is not in it"));
+        assert!(
+            matches!(check_claim(outside), Err(Rejection::Leaf { problem, .. }) if problem == "the point is not in it")
+        );
     }
     assert!(matches!(check_claim(falsified(29.0, 0.0, 0.0)), Err(Rejection::Leaf { .. })), "that one does not touch");
 }

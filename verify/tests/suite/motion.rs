@@ -1,6 +1,6 @@
 //! Boxes of motion hold every member, and are no larger than they need be.
 
-use crate::support::{simulate_scene, pick_member, advance, profiles, scenes};
+use crate::support::{advance, pick_member, profiles, scenes, simulate_scene};
 use crumple_verify::{Interval, motion};
 use num_rational::BigRational;
 use num_traits::{FromPrimitive, Signed, Zero};
@@ -76,7 +76,8 @@ proptest! {
 
 #[test]
 fn a_vehicle_at_rest_stays_whatever_it_brakes() {
-    let (covered, speed) = motion::distance_and_speed_after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
+    let (covered, speed) =
+        motion::distance_and_speed_after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
     assert!(covered.contains(0.0) && covered.high() < 1e-300 && covered.low() > -1e-300);
     assert!(speed.contains(0.0) && speed.high() < 1e-300);
 }

@@ -1,7 +1,7 @@
 //! What a network may answer, against the formulas of `reach::actor` written out number by number.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::controller::{network_output, interleave_relu};
+use crumple_verify::reach::controller::{interleave_relu, network_output};
 use crumple_verify::reach::form::AffineForm;
 use crumple_verify::reach::{LinearLayer, OBSERVATION_SIZE};
 use proptest::prelude::*;
@@ -23,7 +23,11 @@ fn abs_sum(values: &[f64]) -> f64 {
 }
 
 /// Σ |Λᵢ| times something of each observation.
-fn weighted_sum(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE], of: impl Fn(&AffineForm) -> f64) -> f64 {
+fn weighted_sum(
+    slopes: &[f64; OBSERVATION_SIZE],
+    seen: &[AffineForm; OBSERVATION_SIZE],
+    of: impl Fn(&AffineForm) -> f64,
+) -> f64 {
     slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
 }
 
@@ -34,7 +38,11 @@ fn terms(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE]
 }
 
 /// h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
-fn apply_linear(numbers: &[NumberBounds], layer: &LinearLayer, seen: &[AffineForm; OBSERVATION_SIZE]) -> Vec<NumberBounds> {
+fn apply_linear(
+    numbers: &[NumberBounds],
+    layer: &LinearLayer,
+    seen: &[AffineForm; OBSERVATION_SIZE],
+) -> Vec<NumberBounds> {
     let nu = (layer.inputs as f64 + 2.0) * 2.0_f64.powi(-24);
     let gamma = nu / (1.0 - nu);
     let of_output = |output: usize| {
@@ -42,8 +50,10 @@ fn apply_linear(numbers: &[NumberBounds], layer: &LinearLayer, seen: &[AffineFor
         let mut sum = NumberBounds { centre: bias, rho: gamma * bias.abs(), ..NumberBounds::default() };
         for (input, number) in numbers.iter().enumerate() {
             let weight = layer.weights[input * layer.outputs + output];
-            let most =
-                number.centre.abs() + weighted_sum(&number.slopes, seen, AffineForm::radius) + abs_sum(&number.excess) + number.rho;
+            let most = number.centre.abs()
+                + weighted_sum(&number.slopes, seen, AffineForm::radius)
+                + abs_sum(&number.excess)
+                + number.rho;
             sum.centre += weight * number.centre;
             sum.rho += weight.abs() * (number.rho + gamma * most);
             sum.slopes.iter_mut().zip(number.slopes).for_each(|(sum, slope)| *sum += weight * slope);

@@ -1,8 +1,11 @@
 //! The files of networks from outside: what is read back, what is refused, and what a statement about one has to say.
 
-use crumple_verify::reach::{NeuralController, PartitionCell, NetworkFileFormat, InitialRanges, ReachClaim, NetworkFileSource, controller_file_name};
+use crumple_verify::reach::{
+    InitialRanges, NetworkFileFormat, NetworkFileSource, NeuralController, PartitionCell, ReachClaim,
+    controller_file_name,
+};
 use crumple_verify::{
-    ProvedClaim, Assumption, Certificate, Interval, CertificateProvenance, Rejection, Statement, WorkLimit, check_with,
+    Assumption, Certificate, CertificateProvenance, Interval, ProvedClaim, Rejection, Statement, WorkLimit, check_with,
 };
 use sha2::{Digest, Sha256};
 
@@ -98,7 +101,12 @@ fn claim(file: &[u8]) -> ReachClaim {
 
 fn certificate(claim: ReachClaim) -> Certificate {
     let statement = Statement::Reach(claim);
-    Certificate { version: 1, provenance: CertificateProvenance::default(), assumptions: statement.assumptions(), statement }
+    Certificate {
+        version: 1,
+        provenance: CertificateProvenance::default(),
+        assumptions: statement.assumptions(),
+        statement,
+    }
 }
 
 #[test]
@@ -113,7 +121,8 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
     silent.assumptions.retain(|assumption| *assumption != Assumption::NetworkAsRead);
     assert!(matches!(check_with(&silent, Some(&file), WorkLimit::default()), Err(Rejection::Assumptions { .. })));
     // As one of crumple's own, or of another file.
-    let mut sources = [None, Some(NetworkFileSource { format: NetworkFileFormat::StableBaselines, sha256: "0".repeat(64) })].to_vec();
+    let mut sources =
+        [None, Some(NetworkFileSource { format: NetworkFileFormat::StableBaselines, sha256: "0".repeat(64) })].to_vec();
     sources.push(Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "1".repeat(64) }));
     for source in sources {
         let other = certificate(ReachClaim { source, ..claim(&file) });
@@ -129,7 +138,11 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
 }
 
 /// A network that sees so many constants, with steps and tensors of its own.
-fn constant_network(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<NeuralController, String> {
+fn constant_network(
+    constants: usize,
+    steps: Value,
+    tensors: &[(String, Vec<usize>, &[f64])],
+) -> Result<NeuralController, String> {
     let input = json!({ "constant": 1.0, "offset": 0.0, "scale": 1.0, "low": -1.0, "high": 1.0 });
     let text = with_inputs(vec![input; constants], steps);
     NeuralController::from_bytes(&encode_file(&text, tensors))
@@ -228,7 +241,8 @@ fn what_stands_in_is_for_who_may_be_absent() {
 fn an_input_has_a_scale_and_limits_in_order() {
     let read = |scale: f64, [low, high]: [f64; 2]| {
         let input = json!({ "quantity": "speed_mps", "offset": 0.5, "scale": scale, "low": low, "high": high });
-        NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[])).map(|actor| actor.inputs[0].low)
+        NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))
+            .map(|actor| actor.inputs[0].low)
     };
     for (scale, limits) in [(2.0, [1.0, 1.0]), (-2.0, [-1.0, 1.0]), (f64::MIN_POSITIVE, [0.0, 0.0])] {
         assert_eq!(read(scale, limits), Ok(limits[0]), "{scale} {limits:?}");

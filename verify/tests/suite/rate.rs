@@ -3,7 +3,10 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::rate::binomial_tail_upper_bound;
-use crumple_verify::{ProvedClaim, Certificate, ComparisonClaim, CertificateProvenance, RateClaim, Registration, Rejection, Statement, check};
+use crumple_verify::{
+    Certificate, CertificateProvenance, ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement,
+    check,
+};
 
 fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
     let nobody = CertificateProvenance::default();
@@ -67,7 +70,8 @@ fn no_term_vanishes_or_overflows_for_large_counts() {
 #[test]
 fn a_change_of_any_number_that_matters_is_rejected() {
     let sound = serde_json::to_value(rate(3, 1000, 0.0201, 0.999)).unwrap();
-    let judge = |value: &serde_json::Value| check_statement(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
+    let judge =
+        |value: &serde_json::Value| check_statement(Statement::Rate(serde_json::from_value(value.clone()).unwrap()));
     assert_eq!(judge(&sound), Ok(ProvedClaim::Rate { max_rate: 0.0201, confidence: 0.999 }));
     for (path, worse) in [
         ("/failures", 9.into()),
@@ -170,7 +174,11 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
             blocks,
         })
     };
-    assert_eq!(check_statement(comparison(0, 10)), Ok(ProvedClaim::FailsLessOften { confidence: 0.99 }), "2^-10 is below 1 %");
+    assert_eq!(
+        check_statement(comparison(0, 10)),
+        Ok(ProvedClaim::FailsLessOften { confidence: 0.99 }),
+        "2^-10 is below 1 %"
+    );
     for only_second_failed in [11, 12, u64::MAX] {
         let refused = rejection_text(comparison(0, only_second_failed));
         assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");

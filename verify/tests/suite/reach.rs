@@ -5,12 +5,17 @@ use crumple_verify::reach::form::AffineForm;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    NeuralController, PartitionCell, BoxDimension, Undecided, FollowerModel, LinearLayer, InitialRanges, ReachClaim, ReachResult, ReachProblem, NetworkLayer, ReachTube, reach, reach_with_tube,
+    BoxDimension, FollowerModel, InitialRanges, LinearLayer, NetworkLayer, NeuralController, PartitionCell, ReachClaim,
+    ReachProblem, ReachResult, ReachTube, Undecided, reach, reach_with_tube,
 };
-use crumple_verify::{ProvedClaim, Certificate, Interval, CertificateProvenance, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::{
+    Certificate, CertificateProvenance, Interval, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with,
+};
 use proptest::prelude::*;
 
-use crate::support::closed_loop::{XorShiftRng, InitialState, network_outputs, scripted_braking, simulate, simulate_with_errors};
+use crate::support::closed_loop::{
+    InitialState, XorShiftRng, network_outputs, scripted_braking, simulate, simulate_with_errors,
+};
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, native_network};
 
@@ -195,7 +200,8 @@ fn who_stands_is_not_forgotten() {
     for (dimension, value) in BoxDimension::ALL.into_iter().zip([0.004, 21.59, 18.6, 0.0, 5.397, 0.0, 0.0, 0.0]) {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
-    let scene = ReachProblem { steps: 400, decision_steps: 1, stop_when_undecided: false, ..paper_problem(&actor, ranges) };
+    let scene =
+        ReachProblem { steps: 400, decision_steps: 1, stop_when_undecided: false, ..paper_problem(&actor, ranges) };
     let (_, least) = simulate(&scene, box_member(&ranges, [0.0; 8]));
     assert!(least[1] > 0.0 && least[1] < 0.01, "{least:?}");
     assert!(!reach(&scene).surely_collides);
@@ -260,7 +266,14 @@ pub fn claim() -> ReachClaim {
     (ranges.gap_behind_m, ranges.leader_brake_mps2) = (between(16.0, 16.0), between(2.95, 29.95));
     let cuts = [PartitionCell::Cut(BoxDimension::LeaderBrakeMps2); 6];
     let point = [16.0, 16.0, 25.0, 25.0, 25.0, 28.0, 6.0, 100.0];
-    let rest = [PartitionCell::Verified, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided, PartitionCell::Undecided];
+    let rest = [
+        PartitionCell::Verified,
+        PartitionCell::Undecided,
+        PartitionCell::Undecided,
+        PartitionCell::Undecided,
+        PartitionCell::Undecided,
+        PartitionCell::Undecided,
+    ];
     let bytes = reference_policy_bytes();
     ReachClaim {
         policy_file: "reference.safetensors".to_owned(),
@@ -365,7 +378,10 @@ fn one_changed_weight_is_another_policy() {
     assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
     // With its own digest the statement is derived for the changed network: no longer true if the change is large.
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
-    let Some(NetworkLayer::Linear(last)) = actor.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_))) else { panic!() };
+    let Some(NetworkLayer::Linear(last)) = actor.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_)))
+    else {
+        panic!()
+    };
     let bias = (last.biases[0] as f32).to_le_bytes();
     let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
     bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
@@ -406,7 +422,10 @@ fn what_survives_a_change_is_true() {
                 PartitionCell::Falsified(point) => {
                     falsified += share;
                     let least = simulate(&scene, point).1;
-                    assert!(ranges.at_point(&point).is_some() && (least[0] < 0.0 || least[1] < 0.0), "{change}: {least:?}");
+                    assert!(
+                        ranges.at_point(&point).is_some() && (least[0] < 0.0 || least[1] < 0.0),
+                        "{change}: {least:?}"
+                    );
                 }
                 _ => {}
             }
@@ -446,7 +465,8 @@ fn a_decision_at_every_step_is_bounded_as_well() {
         assert_eq!(tube.len(), 1501);
         let mut found_m = [f64::INFINITY; 2];
         for start in 0..40 {
-            let place = std::array::from_fn(|_| if start % 2 == 0 { numbers.next_unit() } else { numbers.next_unit().round() });
+            let place =
+                std::array::from_fn(|_| if start % 2 == 0 { numbers.next_unit() } else { numbers.next_unit().round() });
             let (trace, least) = simulate(&scene, box_member(&ranges, place));
             found_m = std::array::from_fn(|pair| found_m[pair].min(least[pair]));
             for (bounds, seen) in tube.iter().zip(&trace) {

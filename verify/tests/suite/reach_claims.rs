@@ -1,6 +1,9 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 
-use crumple_verify::reach::{AccAebLaw, NeuralController, PartitionCell, ResidualPolicy, BoxDimension, IdmLaw, FollowerLaw, LinearLayer, NativePolicy, InitialRanges, ReachClaim};
+use crumple_verify::reach::{
+    AccAebLaw, BoxDimension, FollowerLaw, IdmLaw, InitialRanges, LinearLayer, NativePolicy, NeuralController,
+    PartitionCell, ReachClaim, ResidualPolicy,
+};
 use crumple_verify::{Interval, Rejection};
 
 use crate::law_follower::{ACC_AEB, IDM};
@@ -52,7 +55,10 @@ fn what_makes_no_sense_is_named() {
     let scene = claim().problem(&zero_controller()).map(|scene| (scene.steps, scene.decision_steps));
     assert_eq!(scene, Ok((300, 10)));
     assert!(ReachClaim { steps: 10, ..claim() }.problem(&zero_controller()).is_ok(), "one decision");
-    assert!(ReachClaim { follower_ttc_s: Some(0.0), ..claim() }.problem(&zero_controller()).is_ok(), "a brake for contact alone");
+    assert!(
+        ReachClaim { follower_ttc_s: Some(0.0), ..claim() }.problem(&zero_controller()).is_ok(),
+        "a brake for contact alone"
+    );
     let (FollowerLaw::Idm(idm), FollowerLaw::AccAeb(acc_aeb)) = (IDM, ACC_AEB) else { panic!() };
     let followed = |law| ReachClaim { follower_ttc_s: None, follower_law: Some(Box::new(law)), ..claim() };
     assert!(followed(ACC_AEB).problem(&zero_controller()).is_ok());
@@ -68,7 +74,10 @@ fn what_makes_no_sense_is_named() {
         ("steps", ReachClaim { steps: 9, ..claim() }),
         ("steps", ReachClaim { steps: 305, ..claim() }),
         ("steps", ReachClaim { steps: 100_010, ..claim() }),
-        ("ranges.ego_speed_mps", ReachClaim { ranges: InitialRanges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
+        (
+            "ranges.ego_speed_mps",
+            ReachClaim { ranges: InitialRanges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() },
+        ),
         ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(-0.1), ..claim() }),
         ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(f64::NAN), ..claim() }),
         ("follower_law", ReachClaim { follower_law: Some(Box::new(IDM)), ..claim() }),
@@ -115,14 +124,18 @@ fn shares_are_volumes_and_not_counts_of_cuts() {
         claim.leaves().unwrap().into_iter().map(|(_, _, share)| share).collect()
     };
     // Three numbers apart: the middle is one or two of them away from the lower end.
-    let thirds = shares(Interval::new(16.0, ulps(3)).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
+    let thirds =
+        shares(Interval::new(16.0, ulps(3)).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
     let mut sorted = thirds.clone();
     sorted.sort_by(f64::total_cmp);
     assert!(sorted[0] <= 1.0 / 3.0 && sorted[0] > 0.333 && sorted[1] <= 2.0 / 3.0 && sorted[1] > 0.666, "{thirds:?}");
-    let halves =
-        shares(Interval::new(2.0, 18.0).unwrap(), vec![cut, cut, PartitionCell::Verified, PartitionCell::Undecided, PartitionCell::Verified]);
+    let halves = shares(
+        Interval::new(2.0, 18.0).unwrap(),
+        vec![cut, cut, PartitionCell::Verified, PartitionCell::Undecided, PartitionCell::Verified],
+    );
     assert_eq!(halves, [0.25, 0.25, 0.5], "equal halves are exact");
-    let rounded = shares(Interval::new(15.3, 16.7).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
+    let rounded =
+        shares(Interval::new(15.3, 16.7).unwrap(), vec![cut, PartitionCell::Verified, PartitionCell::Undecided]);
     assert!(
         rounded.iter().all(|share| (share - 0.5).abs() < 1e-12) && rounded.iter().sum::<f64>() <= 1.0,
         "{rounded:?}"

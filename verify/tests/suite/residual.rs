@@ -1,15 +1,17 @@
 //! What is claimed of an ego that departs from a law is true of each member.
 
 use crumple_verify::reach::{
-    NeuralController, PartitionCell, ResidualPolicy, BoxDimension, FollowerModel, IdmLaw, FollowerLaw, ReachClaim, ReachProblem, NetworkLayer, reach, reach_with_tube,
+    BoxDimension, FollowerLaw, FollowerModel, IdmLaw, NetworkLayer, NeuralController, PartitionCell, ReachClaim,
+    ReachProblem, ResidualPolicy, reach, reach_with_tube,
 };
-use crumple_verify::{ProvedClaim, Interval, WorkLimit, check_with};
+use crumple_verify::{Interval, ProvedClaim, WorkLimit, check_with};
 use proptest::prelude::*;
 
 use crate::law_follower::{IDM, any_law};
 use crate::leader::unscripted;
 use crate::reach::{
-    LATCHED, any_ranges, any_unit, min_gap_under_attack, certificate, claim, is_bounded, box_member, paper_box, reference_policy_bytes, paper_problem, sha256,
+    LATCHED, any_ranges, any_unit, box_member, certificate, claim, is_bounded, min_gap_under_attack, paper_box,
+    paper_problem, reference_policy_bytes, sha256,
 };
 use crate::support::closed_loop::{XorShiftRng, scripted_braking, simulate, simulate_with_errors};
 use crate::support::networks::residual_network;
@@ -158,7 +160,14 @@ fn who_starts_within_an_interval_is_followed_on() {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
     let whole = paper_problem(&actor, ranges);
-    let scene = ReachProblem { follower: None, stop_when_undecided: false, step_s: 0.5, steps: 100, decision_steps: 2, ..whole };
+    let scene = ReachProblem {
+        follower: None,
+        stop_when_undecided: false,
+        step_s: 0.5,
+        steps: 100,
+        decision_steps: 2,
+        ..whole
+    };
     let run = simulate(&scene, start);
     let starts_and_brakes = run.0.windows(2).any(|pair| pair[0][3] == 0.0 && pair[1][3] > 1.0 && pair[1][6] > 0.0);
     assert!(starts_and_brakes, "the case is still one");

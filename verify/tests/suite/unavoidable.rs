@@ -1,7 +1,9 @@
 //! What is accepted as unavoidable cannot be avoided.
 
 use crate::support;
-use crate::support::{branches, certificate, simulate_scene, pick_member, profiles, proofs, row_values, scenes, has_escape};
+use crate::support::{
+    branches, certificate, has_escape, pick_member, profiles, proofs, row_values, scenes, simulate_scene,
+};
 use crumple_verify::unavoidable::check_branch;
 use crumple_verify::*;
 use proptest::prelude::*;

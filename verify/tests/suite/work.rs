@@ -1,6 +1,6 @@
 //! A file keeps the checker busy no longer than is allowed, however much it announces.
 
-use crumple_verify::{ProvedClaim, Certificate, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 

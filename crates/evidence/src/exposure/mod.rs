@@ -18,9 +18,9 @@ mod tests;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use counting::{EpisodeClusters, expected_count_interval};
-pub(super) use resample_shards::{ResampleCountMismatch, ResampleShard, MergedResamples, resample_range};
+pub(super) use resample_shards::{MergedResamples, ResampleCountMismatch, ResampleShard, resample_range};
 pub(crate) use resampling::estimate_on_resamples;
-pub use resampling::{MIN_RESAMPLES, ResamplingError, Resamples, count_on_resamples};
+pub use resampling::{MIN_RESAMPLES, Resamples, ResamplingError, count_on_resamples};
 
 use super::RateInterval;
 use super::rare::RareEstimate;
@@ -160,7 +160,11 @@ impl RatePerExposure {
     /// What a probability comes to on the road; none where the space does not say in how much driving it was seen, or nothing is
     /// known of the probability.
     #[must_use]
-    pub fn new(space: &ScenarioSpace, known: FailureProbability<'_>, resamples: Result<&Resamples, &ResamplingError>) -> Option<Self> {
+    pub fn new(
+        space: &ScenarioSpace,
+        known: FailureProbability<'_>,
+        resamples: Result<&Resamples, &ResamplingError>,
+    ) -> Option<Self> {
         let exposure = space.spec().exposure.as_ref()?;
         let seen = episode_clusters(space);
         let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);

@@ -85,7 +85,11 @@ impl Resamples {
 }
 
 /// The spaces fitted to resamples, and how many resamples there were to which none could be.
-fn refit_to_resamples(space: &ScenarioSpace, seed: u64, resamples: u32) -> Result<(Vec<(u64, ScenarioSpace)>, u32), ResamplingError> {
+fn refit_to_resamples(
+    space: &ScenarioSpace,
+    seed: u64,
+    resamples: u32,
+) -> Result<(Vec<(u64, ScenarioSpace)>, u32), ResamplingError> {
     match resamples {
         0 => return Err(ResamplingError::NotRequested),
         1..MIN_RESAMPLES => return Err(ResamplingError::TooFew { requested: resamples }),
@@ -107,7 +111,11 @@ fn refit_to_resamples(space: &ScenarioSpace, seed: u64, resamples: u32) -> Resul
         tried += 1;
     }
     let fitted = spaces.len() as u32;
-    if fitted < MIN_RESAMPLES { Err(ResamplingError::TooFewFits { fitted, tried }) } else { Ok((spaces, tried - fitted)) }
+    if fitted < MIN_RESAMPLES {
+        Err(ResamplingError::TooFewFits { fitted, tried })
+    } else {
+        Ok((spaces, tried - fitted))
+    }
 }
 
 /// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Or says why the data's

@@ -79,7 +79,8 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
         let known = FailureProbability::Counted { failures: failures(&space, trial, runs).unwrap(), unknown: 0, runs };
         let resamples = count_on_resamples(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
         let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
-        let holds = |figure: IntervalEstimate| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
+        let holds =
+            |figure: IntervalEstimate| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
         held[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
         held[1] += holds(rate.fitted.per_hour);
     }
@@ -225,7 +226,9 @@ fn estimates_in_resamples_agree_with_new_runs() {
         largest_weight: None,
     };
     let share = |space: &ScenarioSpace, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
-    let climbed = estimate_on_resamples(&space, 9, 80, &mut |space: &ScenarioSpace, seed| Ok(estimate(Some(share(space, seed)?))));
+    let climbed = estimate_on_resamples(&space, 9, 80, &mut |space: &ScenarioSpace, seed| {
+        Ok(estimate(Some(share(space, seed)?)))
+    });
     let climbed: Result<_, std::convert::Infallible> = climbed;
     let (climbed, counted) =
         (climbed.unwrap().unwrap(), count_on_resamples(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
@@ -234,6 +237,8 @@ fn estimates_in_resamples_agree_with_new_runs() {
     }
     let ratio = climbed.data_variance / counted.data_variance;
     assert!((0.7..1.4).contains(&ratio), "{ratio}");
-    let none = estimate_on_resamples(&space, 9, 80, &mut |_: &ScenarioSpace, _| Ok::<_, std::convert::Infallible>(estimate(None)));
+    let none = estimate_on_resamples(&space, 9, 80, &mut |_: &ScenarioSpace, _| {
+        Ok::<_, std::convert::Infallible>(estimate(None))
+    });
     assert_eq!(none.unwrap().unwrap().percentile_interval(0.95), Some([0.0, 1e-3]));
 }

@@ -77,9 +77,11 @@ impl LatentColumn {
         };
         // A copula has the values of a choice in the order in which they are listed.
         let place = |value: f64| match distribution {
-            DistributionSpec::Choice(choice) => {
-                choice.values.iter().position(|known| *known == ParameterValue::Number(value)).map_or(f64::NAN, |at| at as f64)
-            }
+            DistributionSpec::Choice(choice) => choice
+                .values
+                .iter()
+                .position(|known| *known == ParameterValue::Number(value))
+                .map_or(f64::NAN, |at| at as f64),
             _ => value,
         };
         let values: Vec<f64> = values.iter().map(|&value| place(value)).collect();
@@ -101,8 +103,11 @@ impl LatentColumn {
                 rank => score(rank as f64 + 0.5) / spread,
             };
             let is_point = equal.first().is_some_and(|&index| is_point(column.values[index]));
-            let latent =
-                if is_point { LatentNormal::Interval(end(before), end(until)) } else { LatentNormal::Exact(middle / spread) };
+            let latent = if is_point {
+                LatentNormal::Interval(end(before), end(until))
+            } else {
+                LatentNormal::Exact(middle / spread)
+            };
             equal.iter().for_each(|&index| (scores[index], known[index]) = (middle, latent));
             before = until;
         }
@@ -141,7 +146,8 @@ impl LatentPairs {
                     let [count, squares, products] = &mut pairs.exact_sums;
                     (*count, *squares, *products) = (*count + 1.0, *squares + x * x + y * y, *products + x * y);
                 }
-                (LatentNormal::Exact(x), LatentNormal::Interval(low, high)) | (LatentNormal::Interval(low, high), LatentNormal::Exact(x)) => {
+                (LatentNormal::Exact(x), LatentNormal::Interval(low, high))
+                | (LatentNormal::Interval(low, high), LatentNormal::Exact(x)) => {
                     pairs.half_exact.push((*x, [*low, *high]));
                 }
                 (LatentNormal::Interval(low_x, high_x), LatentNormal::Interval(low_y, high_y)) => {
@@ -169,7 +175,10 @@ impl LatentPairs {
             let inside = below(*right, *high) - below(*left, *high) - below(*right, *low) + below(*left, *low);
             count * inside.max(1e-300).ln()
         };
-        exact + self.half_exact.iter().map(half).sum::<f64>() + self.rectangles.iter().map(rectangle).sum::<f64>() + rest.ln()
+        exact
+            + self.half_exact.iter().map(half).sum::<f64>()
+            + self.rectangles.iter().map(rectangle).sum::<f64>()
+            + rest.ln()
     }
 }
 

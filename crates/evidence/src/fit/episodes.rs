@@ -5,8 +5,8 @@ use serde::Serialize;
 use super::FitError;
 use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    DroppedItem, BrakingEpisode, MAX_PLAUSIBLE_ACCEL_MPS2, HardestBrakingResult, LeaderSelection, MinBrake, EpisodeProblem, Omission, Recording, find_episodes,
-    following_exposure, hardest_braking, braking_clusters,
+    BrakingEpisode, DroppedItem, EpisodeProblem, HardestBrakingResult, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2,
+    MinBrake, Omission, Recording, braking_clusters, find_episodes, following_exposure, hardest_braking,
 };
 use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
@@ -132,7 +132,10 @@ impl ExclusionCounts {
 
     fn add(&mut self, dropped: &DroppedItem) {
         match dropped.omission {
-            Omission::Episode { reason: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. }, .. } => {
+            Omission::Episode {
+                reason: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. },
+                ..
+            } => {
                 self.no_follower += 1;
             }
             Omission::Episode { .. } => self.impossible_speeds += 1,
@@ -143,7 +146,12 @@ impl ExclusionCounts {
     /// What was left out, a sentence each, of episodes of so many vehicles.
     #[must_use]
     pub fn sentences(&self, vehicles: usize) -> Vec<String> {
-        let Self { no_follower: nobody_behind, too_few_vehicles: shorter, impossible_speeds: impossible, out_of_range: outside } = self;
+        let Self {
+            no_follower: nobody_behind,
+            too_few_vehicles: shorter,
+            impossible_speeds: impossible,
+            out_of_range: outside,
+        } = self;
         let mut words = Vec::new();
         if nobody_behind + shorter > 0 {
             words.push(format!(
@@ -198,7 +206,16 @@ impl EpisodeSample {
         }
         let mut collected = EpisodeCollector::new(taken);
         recordings.iter().try_for_each(|recording| collected.add(recording))?;
-        let EpisodeCollector { features: mut numbers, clusters: waves, mut columns, lengths, sources, exclusions: left_out, out_of_range: outside, .. } = collected;
+        let EpisodeCollector {
+            features: mut numbers,
+            clusters: waves,
+            mut columns,
+            lengths,
+            sources,
+            exclusions: left_out,
+            out_of_range: outside,
+            ..
+        } = collected;
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
         let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::new(lengths)).collect();
@@ -217,11 +234,20 @@ impl EpisodeSample {
             }
             // A recording in which no braking can be seen looks like one in which nobody brakes.
             let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
-            if let Some((recording, why)) = judged.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_))) {
+            if let Some((recording, why)) =
+                judged.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
+            {
                 most += &format!("; {}: {why}", source_name(recording));
             }
             let (shorter, outside) = (left_out.too_few_vehicles, left_out.out_of_range);
-            return Err(FitError::TooFew { found, needed, vehicles, too_few_vehicles: shorter, out_of_range: outside, details: most });
+            return Err(FitError::TooFew {
+                found,
+                needed,
+                vehicles,
+                too_few_vehicles: shorter,
+                out_of_range: outside,
+                details: most,
+            });
         }
         if found > MAX_EPISODES {
             return Err(FitError::TooMany { found, max: MAX_EPISODES, what: "episodes" });
@@ -240,9 +266,19 @@ impl EpisodeSample {
             left_out: left_out.count_in_exposure() as u64,
             sources,
         };
-        let observed =
-            ObservedData { braking_clusters: renumber_clusters(&waves), parameters: numbers.iter().zip(columns).map(parameter).collect() };
-        Ok(Self { extraction: taken, features: numbers, observed, exposure, sizes, exclusions: left_out, most_out_of_range: outside_by })
+        let observed = ObservedData {
+            braking_clusters: renumber_clusters(&waves),
+            parameters: numbers.iter().zip(columns).map(parameter).collect(),
+        };
+        Ok(Self {
+            extraction: taken,
+            features: numbers,
+            observed,
+            exposure,
+            sizes,
+            exclusions: left_out,
+            most_out_of_range: outside_by,
+        })
     }
 }
 
@@ -291,7 +327,8 @@ impl EpisodeCollector {
                 self.exclusions.too_few_vehicles += 1;
                 continue;
             };
-            let is_outside = |(number, value): (&EpisodeFeature, &f64)| !(number.range[0]..=number.range[1]).contains(value);
+            let is_outside =
+                |(number, value): (&EpisodeFeature, &f64)| !(number.range[0]..=number.range[1]).contains(value);
             if let Some(which) = self.features.iter().zip(&values).position(is_outside) {
                 self.exclusions.out_of_range += 1;
                 self.out_of_range[which] += 1;

@@ -158,7 +158,9 @@ impl DistributionFamily {
         match self {
             Self::Uniform => DistributionSpec::Uniform(UniformSpec { low: first, high: second }),
             Self::Normal => DistributionSpec::Normal(NormalSpec { mean: first, deviation: second, low, high }),
-            Self::LogNormal => DistributionSpec::LogNormal(LogNormalSpec { ln_mean: first, ln_deviation: second, low, high }),
+            Self::LogNormal => {
+                DistributionSpec::LogNormal(LogNormalSpec { ln_mean: first, ln_deviation: second, low, high })
+            }
             Self::Gamma => DistributionSpec::Gamma(ShapeScaleSpec { shape: first, scale: second, low, high }),
             Self::Weibull => DistributionSpec::Weibull(ShapeScaleSpec { shape: first, scale: second, low, high }),
         }
@@ -192,7 +194,12 @@ impl DistributionFamily {
     }
 
     /// By the curvature of the likelihood, which is the inverse of the covariance (Wald, 1943).
-    fn intervals(self, sums: &SampleStatistics<'_>, objective: &dyn Fn([f64; 2]) -> f64, at: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+    fn intervals(
+        self,
+        sums: &SampleStatistics<'_>,
+        objective: &dyn Fn([f64; 2]) -> f64,
+        at: [f64; 2],
+    ) -> Option<[[f64; 2]; 2]> {
         let [[aa, ab], [_, bb]] = hessian(objective, at)?;
         let determinant = aa * bb - ab * ab;
         if !(aa > 0.0 && determinant > 0.0) {

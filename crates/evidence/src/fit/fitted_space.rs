@@ -3,15 +3,15 @@
 use serde::Serialize;
 
 use super::FitError;
-use super::base::{describe_space, base_scenario};
+use super::base::{base_scenario, describe_space};
 use super::episodes::{EpisodeFeature, EpisodeSample};
 use super::family::{DistributionFamily, FamilyFit};
 use super::goodness::{GoodnessOfFit, Tails};
 use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
-use super::space::{fit_marginals, median, build_space};
+use super::space::{build_space, fit_marginals, median};
 use crumple_world::scenario::space::{
-    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec, UniformSpec,
-    ParameterValue,
+    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec, ParameterValue, SPACE_VERSION,
+    ScenarioSpace, SpaceSpec, UniformSpec,
 };
 
 /// A number as it was fitted.
@@ -99,7 +99,9 @@ pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Resul
             FittedMarginal::Discrete(values) => {
                 sizes.push(FittedSize { name: number.name.clone(), unit: number.unit, values });
             }
-            FittedMarginal::Continuous(dense) => numbers.push(assess_fit(number, values, *dense, (samples, seed, place as u64))?),
+            FittedMarginal::Continuous(dense) => {
+                numbers.push(assess_fit(number, values, *dense, (samples, seed, place as u64))?)
+            }
         }
     }
     let (depending, correlation) = match &space.spec().dependence {
@@ -113,13 +115,20 @@ pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Resul
 fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
     let [low, high] = number.range;
     match number.choices {
-        Some(values) => DistributionSpec::Choice(ChoiceSpec { values: values.map(ParameterValue::Number).to_vec(), weights: None }),
+        Some(values) => {
+            DistributionSpec::Choice(ChoiceSpec { values: values.map(ParameterValue::Number).to_vec(), weights: None })
+        }
         None => DistributionSpec::Uniform(UniformSpec { low, high }),
     }
 }
 
 /// How well a number with a density is fitted.
-fn assess_fit(number: &EpisodeFeature, values: &[f64], dense: ContinuousMarginal, effort: (u32, u64, u64)) -> Result<FittedFeature, FitError> {
+fn assess_fit(
+    number: &EpisodeFeature,
+    values: &[f64],
+    dense: ContinuousMarginal,
+    effort: (u32, u64, u64),
+) -> Result<FittedFeature, FitError> {
     let distribution = dense.distribution();
     let ContinuousMarginal { families, point } = dense;
     let mut sorted = values.to_vec();

@@ -3,7 +3,7 @@
 use super::FitError;
 use super::family::{DistributionFamily, FamilyFit, FamilyFitError};
 use crate::RateInterval;
-use crumple_world::scenario::space::{ChoiceSpec, DistributionSpec, ObservedParameter, PointMassSpec, ParameterValue};
+use crumple_world::scenario::space::{ChoiceSpec, DistributionSpec, ObservedParameter, ParameterValue, PointMassSpec};
 use serde::Serialize;
 
 /// A value with a probability of its own, as it was fitted.
@@ -59,8 +59,11 @@ impl FittedMarginal {
     pub(super) fn fit(parameter: &ObservedParameter, stated: &DistributionSpec) -> Result<Self, FitError> {
         let values = &parameter.values;
         if let DistributionSpec::Choice(choice) = stated {
-            let number = |value: &ParameterValue| if let ParameterValue::Number(number) = value { Some(*number) } else { None };
-            return Ok(Self::Discrete(choice.values.iter().filter_map(number).map(|at| PointFit::new(at, values)).collect()));
+            let number =
+                |value: &ParameterValue| if let ParameterValue::Number(number) = value { Some(*number) } else { None };
+            return Ok(Self::Discrete(
+                choice.values.iter().filter_map(number).map(|at| PointFit::new(at, values)).collect(),
+            ));
         }
         let point = parameter.point_mass.map(|at| PointFit::new(at, values)).filter(|point| point.count > 0);
         let others = match point {

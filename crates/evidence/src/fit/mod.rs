@@ -33,10 +33,10 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{ExclusionCounts, MAX_VEHICLES, EpisodeFeature, EpisodeSample, ExtractionConfig};
+pub use episodes::{EpisodeFeature, EpisodeSample, ExclusionCounts, ExtractionConfig, MAX_VEHICLES};
 pub use error::FitError;
 pub use family::{DistributionFamily, FamilyFit, FamilyFitError};
-pub use fitted_space::{FittedSpace, FittedFeature, FittedSize, fit};
+pub use fitted_space::{FittedFeature, FittedSize, FittedSpace, fit};
 pub use goodness::{GoodnessOfFit, Tails, format_p_value};
 pub use marginal::PointFit;
 pub(crate) use resample::resample;

@@ -8,7 +8,8 @@ use super::FitError;
 use super::dependence::{self, CopulaColumn};
 use super::marginal::FittedMarginal;
 use crumple_world::scenario::space::{
-    Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter, ScenarioSpace, SpaceSpec, ParameterValue,
+    Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter, ParameterValue,
+    ScenarioSpace, SpaceSpec,
 };
 
 /// How far a distribution may be from the one that is fitted again, relative to what was observed, and a correlation: another machine
@@ -39,7 +40,11 @@ fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distri
 }
 
 /// A space with the distributions that were fitted to values of its parameters, and with their dependence.
-pub(super) fn build_space(spec: &SpaceSpec, observed: &ObservedData, marginals: &[FittedMarginal]) -> Result<ScenarioSpace, FitError> {
+pub(super) fn build_space(
+    spec: &SpaceSpec,
+    observed: &ObservedData,
+    marginals: &[FittedMarginal],
+) -> Result<ScenarioSpace, FitError> {
     let mut spec = spec.clone();
     let distributions: Vec<DistributionSpec> = marginals.iter().map(FittedMarginal::distribution).collect();
     for (distribution, values) in distributions.iter().zip(&observed.parameters) {

@@ -11,7 +11,8 @@ use crumple_world::random::{Purpose, stream};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{LeaderSelection, MinBrake, Recording, read};
 use crumple_world::scenario::space::{
-    Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter, ShapeScaleSpec, ScenarioSpace, UniformSpec, file,
+    Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter, ScenarioSpace,
+    ShapeScaleSpec, UniformSpec, file,
 };
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
@@ -20,16 +21,36 @@ fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2],
     let range = [0.2, 12.0];
     let [low, high] = range;
     vec![
-        (DistributionSpec::Uniform(UniformSpec { low: 1.0, high: 4.0 }), DistributionFamily::Uniform, [1.0, 4.0], range),
-        (DistributionSpec::Normal(NormalSpec { mean: 2.0, deviation: 1.2, low, high }), DistributionFamily::Normal, [2.0, 1.2], range),
+        (
+            DistributionSpec::Uniform(UniformSpec { low: 1.0, high: 4.0 }),
+            DistributionFamily::Uniform,
+            [1.0, 4.0],
+            range,
+        ),
+        (
+            DistributionSpec::Normal(NormalSpec { mean: 2.0, deviation: 1.2, low, high }),
+            DistributionFamily::Normal,
+            [2.0, 1.2],
+            range,
+        ),
         (
             DistributionSpec::LogNormal(LogNormalSpec { ln_mean: 0.3, ln_deviation: 0.5, low, high }),
             DistributionFamily::LogNormal,
             [0.3, 0.5],
             range,
         ),
-        (DistributionSpec::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }), DistributionFamily::Gamma, [4.0, 0.5], range),
-        (DistributionSpec::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }), DistributionFamily::Weibull, [2.0, 2.2], range),
+        (
+            DistributionSpec::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }),
+            DistributionFamily::Gamma,
+            [4.0, 0.5],
+            range,
+        ),
+        (
+            DistributionSpec::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }),
+            DistributionFamily::Weibull,
+            [2.0, 2.2],
+            range,
+        ),
     ]
 }
 
@@ -60,7 +81,10 @@ fn intervals_hold_the_parameters_of_known_distributions() {
 fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
     for (distribution, family, _, range) in known_distributions() {
         let chosen = |trial: u64| {
-            FamilyRanking::fit(family.name(), &draw_values(&distribution, 1000, 1000 + trial), range).unwrap().chosen.family
+            FamilyRanking::fit(family.name(), &draw_values(&distribution, 1000, 1000 + trial), range)
+                .unwrap()
+                .chosen
+                .family
         };
         let right = (0..40).filter(|&trial| chosen(trial) == family).count();
         println!("{}: chosen in {right} of 40", family.name());
@@ -127,7 +151,8 @@ fn the_correlation_of_2000_draws_is_recovered() {
         let column = |which: usize| draws.iter().map(|draw| draw[which]).collect::<Vec<f64>>();
         let columns = [column(2), column(0), column(1)];
         let distribution = &space.spec().parameters[0].distribution;
-        let found = dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn { values, distribution }));
+        let found =
+            dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn { values, distribution }));
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = found[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
@@ -151,7 +176,10 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
         },
         values: draws.iter().map(|draw| draw[which]).collect(),
     };
-    ObservedData { braking_clusters: (0..count).collect(), parameters: space.parameters().iter().enumerate().map(seen).collect() }
+    ObservedData {
+        braking_clusters: (0..count).collect(),
+        parameters: space.parameters().iter().enumerate().map(seen).collect(),
+    }
 }
 
 /// Leaders of which three in ten come to a standstill, and followers of which a quarter are lorries; both depend on the rest.
@@ -251,7 +279,9 @@ fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
     };
     for kept in [1, 2] {
         let parameters = observed.parameters[..kept].to_vec();
-        let again = refit(space.spec(), &ObservedData { parameters, braking_clusters: observed.braking_clusters.clone() }).unwrap();
+        let again =
+            refit(space.spec(), &ObservedData { parameters, braking_clusters: observed.braking_clusters.clone() })
+                .unwrap();
         let (before, after) = (stated(&space), stated(&again));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {
@@ -322,7 +352,8 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
     assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
     assert_eq!((followers.light, followers.heavy, followers.heavy_m), (28, 10, 12.5));
-    let FittedSpace { space, features: numbers, sizes, copula_parameters: depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
+    let FittedSpace { space, features: numbers, sizes, copula_parameters: depending, .. } =
+        fit(&sample, "mine", 19, 0).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
     assert_eq!((point.at, point.count, numbers[2].chosen.distribution.build().unwrap().cdf(0.0)), (0.0, 8, 0.0));
     assert_eq!((sizes[0].values[1].at, sizes[0].values[1].count), (12.5, 10));
@@ -355,7 +386,8 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
 /// The threshold is the range's end, whatever it is, and what leaves no range is refused; a recording in which nothing can be seen says so.
 #[test]
 fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
-    let taken = |mps2| ExtractionConfig { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: LeaderSelection::Any };
+    let taken =
+        |mps2| ExtractionConfig { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: LeaderSelection::Any };
     assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
     assert!(matches!(EpisodeSample::from_recordings(&[], taken(12.0)), Err(FitError::MinBrake { .. })));
     let header = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps

@@ -48,7 +48,11 @@ impl Sub for Rational {
 impl Mul for Rational {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
-        Self::new(self.numerator.checked_mul(other.numerator).unwrap(), self.denominator.checked_mul(other.denominator).unwrap()).unwrap()
+        Self::new(
+            self.numerator.checked_mul(other.numerator).unwrap(),
+            self.denominator.checked_mul(other.denominator).unwrap(),
+        )
+        .unwrap()
     }
 }
 

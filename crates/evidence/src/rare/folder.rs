@@ -7,8 +7,8 @@ use serde_json::json;
 use super::plan::RareRecord;
 use super::progress::RareProgress;
 use super::{Pilot, RareError, RarePlan, RareReport};
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress as RunProgress};
-use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
+use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
 const ESTIMATE_FILE: &str = "rare-estimate.json";
 
@@ -145,8 +145,9 @@ impl RareFolder {
         counter: &ProgressCounter<'_>,
     ) -> Result<RareReport, RareError> {
         let mut again = self.progress.resample_estimator(resamples);
-        let exposed =
-            plan.rate_per_exposure(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), counter))?;
+        let exposed = plan.rate_per_exposure(&report.estimate, resamples, &mut |space, seed| {
+            again.next(plan, (space, seed), counter)
+        })?;
         Ok(RareReport { exposure: exposed, ..report })
     }
 

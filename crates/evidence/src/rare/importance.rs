@@ -11,10 +11,10 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::mixture::{OriginMoments, Mixture, WeightedPoint};
-use super::splitting::{ParticlePopulation, Particle, new_noise_seed};
+use super::mixture::{Mixture, OriginMoments, WeightedPoint};
 use super::splitting::{LimitState, RandomInputs};
-use super::{SplittingConfig, RareEstimate, Level, SplittingLevels};
+use super::splitting::{Particle, ParticlePopulation, new_noise_seed};
+use super::{Level, RareEstimate, SplittingConfig, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
 use crumple_world::random::{Purpose, Stream, stream};
 
@@ -147,7 +147,11 @@ impl ImportanceProposal {
             let (sum, largest) =
                 failed.iter().fold((0.0, 0.0_f64), |(sum, most), one| (sum + one.weight, most.max(one.weight)));
             let largest = if sum > 0.0 { largest / sum } else { 0.0 };
-            Ok(WeightedRepetition { probability: sum / effort.samples as f64, largest_weight_share: largest, evaluations: climber.evaluations })
+            Ok(WeightedRepetition {
+                probability: sum / effort.samples as f64,
+                largest_weight_share: largest,
+                evaluations: climber.evaluations,
+            })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
@@ -156,9 +160,9 @@ impl ImportanceProposal {
     pub(super) fn is_consistent_with(&self, repetitions: &[WeightedRepetition]) -> bool {
         let effort = self.splitting.effort();
         let is_mean = |one: &WeightedRepetition| one.probability.is_finite() && one.probability >= 0.0;
-        repetitions
-            .iter()
-            .all(|one| is_mean(one) && (0.0..=1.0).contains(&one.largest_weight_share) && one.evaluations == effort.samples as u64)
+        repetitions.iter().all(|one| {
+            is_mean(one) && (0.0..=1.0).contains(&one.largest_weight_share) && one.evaluations == effort.samples as u64
+        })
     }
 
     /// What all repetitions come to, in their order.
@@ -210,7 +214,8 @@ impl MixtureFitting {
 impl PopulationTrace {
     /// Of who is below each of so many `levels`, the last of which are failures; a population that died out reached fewer.
     fn from_levels(there: &[Vec<Particle>], levels: usize) -> Self {
-        let places = |level: &Vec<Particle>| OriginMoments::from_points(level.iter().map(|(state, _)| state.normal.as_slice()));
+        let places =
+            |level: &Vec<Particle>| OriginMoments::from_points(level.iter().map(|(state, _)| state.normal.as_slice()));
         let failures = there.get(levels.saturating_sub(1)).into_iter().flatten();
         Self {
             levels: there.iter().map(places).collect(),
@@ -226,15 +231,23 @@ impl PopulationTrace {
             levels.iter_mut().zip(&population.levels).for_each(|(level, more)| level.merge(more));
         }
         let failures = arrived.iter().flat_map(|population| &population.failures);
-        let failures: Vec<WeightedPoint> = failures.map(|at| WeightedPoint { point: at.clone(), weight: 1.0 }).collect();
+        let failures: Vec<WeightedPoint> =
+            failures.map(|at| WeightedPoint { point: at.clone(), weight: 1.0 }).collect();
         Mixture::fit(&levels, &failures, random)
     }
 }
 
 /// A population of draws, of which those that fail are returned, with their weights.
-fn draw_weighted_failures<P: LimitState>(climber: &mut ParticlePopulation<'_, P>, mixture: &Mixture) -> Result<Vec<WeightedPoint>, P::Error> {
-    let drawn = climber
-        .sample_with(|dimension, random| RandomInputs { normal: mixture.draw(dimension, random), noise_seed: new_noise_seed(random) })?;
+fn draw_weighted_failures<P: LimitState>(
+    climber: &mut ParticlePopulation<'_, P>,
+    mixture: &Mixture,
+) -> Result<Vec<WeightedPoint>, P::Error> {
+    let drawn = climber.sample_with(|dimension, random| RandomInputs {
+        normal: mixture.draw(dimension, random),
+        noise_seed: new_noise_seed(random),
+    })?;
     let failed = drawn.into_iter().filter(|(_, margin)| *margin < 0.0);
-    Ok(failed.map(|(state, _)| WeightedPoint { weight: mixture.importance_weight(&state.normal), point: state.normal }).collect())
+    Ok(failed
+        .map(|(state, _)| WeightedPoint { weight: mixture.importance_weight(&state.normal), point: state.normal })
+        .collect())
 }

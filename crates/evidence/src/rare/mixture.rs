@@ -83,7 +83,8 @@ impl Mixture {
         let share = 1.0 / centres.len() as f64;
         let standard = DMatrix::identity(dimension, dimension);
         let begin = |centre: &&[f64]| GaussianComponent::new(share, centre.to_vec(), standard.clone());
-        let mut all_round: Vec<GaussianComponent> = levels.iter().filter_map(|level| level.component(dimension)).collect();
+        let mut all_round: Vec<GaussianComponent> =
+            levels.iter().filter_map(|level| level.component(dimension)).collect();
         let equal = 1.0 / all_round.len() as f64;
         all_round.iter_mut().for_each(|part| part.share = equal);
         let mut mixture = Self { origin_centered: all_round, components: centres.iter().filter_map(begin).collect() };
@@ -115,7 +116,8 @@ impl Mixture {
         let mut parts: Vec<GaussianComponent> = (0..self.components.len()).filter_map(part).collect();
         let kept: f64 = parts.iter().map(|part| part.share).sum();
         parts.iter_mut().for_each(|part| part.share /= kept);
-        (!parts.is_empty() && kept > 0.0).then_some(Self { origin_centered: self.origin_centered.clone(), components: parts })
+        (!parts.is_empty() && kept > 0.0)
+            .then_some(Self { origin_centered: self.origin_centered.clone(), components: parts })
     }
 
     /// How far each part is responsible for a place.
@@ -153,7 +155,9 @@ impl Mixture {
     /// All laws but the standard one, each with its share of all draws.
     fn weighted_components(&self) -> impl Iterator<Item = (f64, &GaussianComponent)> {
         let around = self.origin_centered.iter().map(|part| (ORIGIN_CENTERED_SHARE * part.share, part));
-        around.chain(self.components.iter().map(|part| ((1.0 - DEFENSIVE_SHARE - ORIGIN_CENTERED_SHARE) * part.share, part)))
+        around.chain(
+            self.components.iter().map(|part| ((1.0 - DEFENSIVE_SHARE - ORIGIN_CENTERED_SHARE) * part.share, part)),
+        )
     }
 }
 
@@ -268,7 +272,11 @@ fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// One of them, by lot; none where nothing has a chance.
-fn pick_weighted<'a>(all: &'a [WeightedPoint], chance: impl Fn(&WeightedPoint) -> f64, random: &mut Stream) -> Option<&'a WeightedPoint> {
+fn pick_weighted<'a>(
+    all: &'a [WeightedPoint],
+    chance: impl Fn(&WeightedPoint) -> f64,
+    random: &mut Stream,
+) -> Option<&'a WeightedPoint> {
     let sum: f64 = all.iter().map(&chance).sum();
     let mut lot = random.random::<f64>() * sum;
     let of = |seen: &&WeightedPoint| {
@@ -294,7 +302,11 @@ mod tests {
     }
 
     fn fitted(failures: Vec<WeightedPoint>, random: &mut Stream) -> Option<Mixture> {
-        Mixture::fit(&[OriginMoments::from_points(failures.iter().map(|seen| seen.point.as_slice()))], &failures, random)
+        Mixture::fit(
+            &[OriginMoments::from_points(failures.iter().map(|seen| seen.point.as_slice()))],
+            &failures,
+            random,
+        )
     }
 
     /// Whatever they are divided into, places lie as far out.
@@ -317,7 +329,8 @@ mod tests {
     fn weights_have_a_mean_of_one_and_a_bound() {
         let mut random = Stream::seed_from_u64(1);
         let mixture = fitted(failures(5, 300, &mut random), &mut random).unwrap();
-        let weights: Vec<f64> = (0..200_000).map(|_| mixture.importance_weight(&mixture.draw(5, &mut random))).collect();
+        let weights: Vec<f64> =
+            (0..200_000).map(|_| mixture.importance_weight(&mixture.draw(5, &mut random))).collect();
         let mean = weights.iter().sum::<f64>() / weights.len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "{mean}");
         assert!(weights.iter().all(|weight| (0.0..=1.0 / DEFENSIVE_SHARE + 1e-9).contains(weight)));

@@ -30,11 +30,11 @@
 //! often than the interval says. Sampling noise of the sensors is redrawn from time to time, not climbed: a failure that
 //! noise alone decides is found no sooner than by counting.
 
-mod plan;
 mod folder;
 mod importance;
 mod mixture;
 mod pilot;
+mod plan;
 mod progress;
 #[cfg(test)]
 mod progress_tests;
@@ -47,11 +47,11 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub use plan::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
 pub use importance::ImportanceProposal;
 pub use pilot::{Pilot, Repetitions};
-pub use shard::{MergedEstimate, RareShard, ESTIMATE_SHARD_KIND};
+pub use plan::{RareError, RarePlan, RareReport};
+pub use shard::{ESTIMATE_SHARD_KIND, MergedEstimate, RareShard};
 pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
 
 /// How much work goes into an estimate.

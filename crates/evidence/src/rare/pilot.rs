@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::importance::{MixtureFitting, ImportanceProposal, WeightedRepetition};
+use super::importance::{ImportanceProposal, MixtureFitting, WeightedRepetition};
 use super::splitting::{LimitState, Repetition};
-use super::{SplittingConfig, RareEstimate, RareMethod, SplittingLevels};
+use super::{RareEstimate, RareMethod, SplittingConfig, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
 
 /// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
@@ -92,7 +92,11 @@ impl Pilot {
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn estimate<P: LimitState>(&self, problem: &P, counter: &ProgressCounter<'_>) -> Result<RareEstimate, P::Error> {
+    pub(super) fn estimate<P: LimitState>(
+        &self,
+        problem: &P,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<RareEstimate, P::Error> {
         Ok(self.summary([&self.run_repetitions(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
     }
 

@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::splitting::{LimitState, RandomInputs};
-use super::{SplittingConfig, RareEstimate, Pilot, RareMethod};
-use crate::exposure::{RatePerExposure, ResampleShard, FailureProbability, estimate_on_resamples};
+use super::{Pilot, RareEstimate, RareMethod, SplittingConfig};
+use crate::exposure::{FailureProbability, RatePerExposure, ResampleShard, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
-use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_store::run_folder::RunFolderError;
+use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -200,7 +200,12 @@ impl RarePlan {
     }
 
     /// An estimate in another space, with less effort.
-    pub(super) fn estimate_in_space(&self, space: &ScenarioSpace, seed: u64, counter: &ProgressCounter<'_>) -> Result<RareEstimate, RareError> {
+    pub(super) fn estimate_in_space(
+        &self,
+        space: &ScenarioSpace,
+        seed: u64,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<RareEstimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
         let other = Self { controller, space: space.clone(), specification, seed, effort: RESAMPLE_EFFORT, ..*self };
         Pilot::run(&other, other.method, other.effort, seed, counter)?.estimate(&other, counter)

@@ -7,9 +7,9 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::plan::RareRecord;
 use super::importance::MixtureFitting;
-use super::{RareEstimate, Pilot, RareError, RarePlan, Repetitions};
+use super::plan::RareRecord;
+use super::{Pilot, RareError, RareEstimate, RarePlan, Repetitions};
 use crumple_core::observer::ProgressCounter;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::scenario::space::ScenarioSpace;
@@ -52,7 +52,9 @@ impl RareProgress {
     /// What is in the folder of so many repetitions of an estimate.
     pub(super) fn load(work: RunFolder, record: &RareRecord, repetitions: u64) -> Result<Self, RunFolderError> {
         let damaged = |problem: String| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem);
-        let Some(bytes) = work.read(PROGRESS_FILE)? else { return Ok(Self { run_folder: work, state: RareProgressFile::default() }) };
+        let Some(bytes) = work.read(PROGRESS_FILE)? else {
+            return Ok(Self { run_folder: work, state: RareProgressFile::default() });
+        };
         let found: RareProgressFile = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
         match found.is_consistent_with(record, repetitions) {
             true => Ok(Self { run_folder: work, state: found }),
@@ -69,7 +71,9 @@ impl RareProgress {
     pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &ProgressCounter<'_>) -> Result<Pilot, RareError> {
         let dimension = plan.space.dimension();
         let may_be = |fitting: &MixtureFitting| fitting.is_consistent_with(plan.effort, plan.seed, dimension);
-        if !self.state.pilot.iter().all(|pilot| pilot.has_dimension(dimension)) || !self.state.fitting.iter().all(may_be) {
+        if !self.state.pilot.iter().all(|pilot| pilot.has_dimension(dimension))
+            || !self.state.fitting.iter().all(may_be)
+        {
             return Err(RunFolderError::damaged(&self.run_folder.path(PROGRESS_FILE), "not of this space").into());
         }
         if let Some(pilot) = &self.state.pilot {

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::progress::PROGRESS_FILE;
 use super::*;
-use crumple_core::observer::{Listener, RunProgress as RunProgress};
+use crumple_core::observer::{Listener, RunProgress};
 use crumple_store::shard::ShardId;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;

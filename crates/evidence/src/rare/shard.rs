@@ -9,12 +9,14 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::RareRecord;
 use super::progress::RareProgress;
-use super::{RareEstimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
-use crate::exposure::{RatePerExposure, ResampleCountMismatch, FailureProbability, MergedResamples, estimate_on_resamples, resample_range};
+use super::{Pilot, RareError, RareEstimate, RarePlan, RareReport, Repetitions};
+use crate::exposure::{
+    FailureProbability, MergedResamples, RatePerExposure, ResampleCountMismatch, estimate_on_resamples, resample_range,
+};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress as RunProgress};
-use crumple_store::shard::{MergeError, Mergeable, MergedShards, SHARD_FILE, ShardId, Sharded, open_shard};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_store::shard::{MergeError, Mergeable, MergedShards, SHARD_FILE, ShardId, Sharded, open_shard};
 use crumple_world::scenario::space::{ScenarioSpace, file};
 
 /// What a folder of one is called in its `work.json`.
@@ -216,11 +218,15 @@ impl MergedEstimate {
         let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
         let space = file::from_toml(space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let mut kept = MergedResamples::new(self.results().flat_map(|repeated| &repeated.resample_estimates).cloned().collect());
-        let resamples = estimate_on_resamples(&space, self.work().estimate.seed, *resamples, &mut |_: &ScenarioSpace, _| kept.next());
-        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
+        let mut kept =
+            MergedResamples::new(self.results().flat_map(|repeated| &repeated.resample_estimates).cloned().collect());
         let resamples =
-            resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+            estimate_on_resamples(&space, self.work().estimate.seed, *resamples, &mut |_: &ScenarioSpace, _| {
+                kept.next()
+            });
+        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
+        let resamples = resamples
+            .map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
         Ok(RatePerExposure::new(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 

@@ -6,8 +6,8 @@ use rand::seq::SliceRandom;
 
 use super::*;
 use crumple_core::observer::Quiet;
-use crumple_store::shard::{MergeError, ShardId};
 use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::shard::{MergeError, ShardId};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{SplittingConfig, RareEstimate, Level};
+use super::{Level, RareEstimate, SplittingConfig};
 use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
@@ -152,7 +152,12 @@ impl SplittingLevels {
                 true => first,
                 false => (pilot.pilot_draws + next.pilot_draws, pilot.pilot_failures + next.pilot_failures),
             };
-            pilot = Self { pilot_runs: pilot.pilot_runs + next.pilot_runs, pilot_draws: draws, pilot_failures: failures, ..next };
+            pilot = Self {
+                pilot_runs: pilot.pilot_runs + next.pilot_runs,
+                pilot_draws: draws,
+                pilot_failures: failures,
+                ..next
+            };
         }
         Ok(pilot)
     }
@@ -172,8 +177,16 @@ impl SplittingLevels {
         let mut population = climber.sample_initial()?;
         let (pilot_draws, pilot_failures) = (samples as u64, count_failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
-        let mut pilot =
-            Self { effort, seed, stages, pilot_runs: 0, pilot_draws, pilot_failures, reaches_failure: false, pilot_levels };
+        let mut pilot = Self {
+            effort,
+            seed,
+            stages,
+            pilot_runs: 0,
+            pilot_draws,
+            pilot_failures,
+            reaches_failure: false,
+            pilot_levels,
+        };
         let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
         let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
         loop {
@@ -206,7 +219,8 @@ impl SplittingLevels {
             for _ in 0..MOVES_PER_LEVEL {
                 let (taken, tried) = climber.mcmc_move(&mut population, &stage)?;
                 let acceptance = taken as f64 / tried.max(1) as f64;
-                stage.step = (stage.step * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp()).clamp(MIN_STEP, 1.0);
+                stage.step =
+                    (stage.step * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp()).clamp(MIN_STEP, 1.0);
                 (accepted, proposed) = (accepted + taken, proposed + tried);
             }
             (step, before) = (stage.step, threshold);
@@ -294,8 +308,9 @@ impl SplittingLevels {
     pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
         let samples = self.effort.samples as u64;
         let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
-        let is_share =
-            |seen: &LevelStats| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves;
+        let is_share = |seen: &LevelStats| {
+            (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves
+        };
         let may_be = |one: &Repetition| {
             let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
             let is_short = one.levels.len() <= self.stages.len() && one.initial_failures <= samples;
@@ -334,7 +349,8 @@ impl SplittingLevels {
         });
         let levels: Vec<Level> = levels.collect();
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
-        let begun = RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::empty() };
+        let begun =
+            RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::empty() };
         begun.with_repetitions(repetitions)
     }
 }
@@ -397,7 +413,8 @@ impl RareEstimate {
     #[must_use]
     pub fn independent_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (failures, runs) = (self.independent_failures, self.independent_runs);
-        let RateInterval { lower, upper } = (runs > 0).then(|| RateInterval::clopper_pearson(failures, runs, confidence))?;
+        let RateInterval { lower, upper } =
+            (runs > 0).then(|| RateInterval::clopper_pearson(failures, runs, confidence))?;
         Some([lower, upper])
     }
 }
@@ -431,7 +448,8 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
             if let Some(step) = step.filter(|_| !population.is_empty()) {
                 for _ in 0..MOVES_PER_LEVEL {
                     let (accepted, proposed) = self.mcmc_move(&mut population, &SplittingStage { step, ..*stage })?;
-                    here = LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
+                    here =
+                        LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
             told(here, &population);
@@ -460,7 +478,10 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     }
 
     /// A population by any law.
-    pub(super) fn sample_with(&mut self, draw: impl Fn(usize, &mut Stream) -> RandomInputs) -> Result<Vec<Particle>, P::Error> {
+    pub(super) fn sample_with(
+        &mut self,
+        draw: impl Fn(usize, &mut Stream) -> RandomInputs,
+    ) -> Result<Vec<Particle>, P::Error> {
         let dimension = self.problem.dimension();
         let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
         let margins = self.evaluate_margins(&states)?;
@@ -488,7 +509,8 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         // An autoregressive step keeps normal numbers normal (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
-            let noise = if random.random::<f64>() < NEW_NOISE_SHARE { new_noise_seed(random) } else { state.noise_seed };
+            let noise =
+                if random.random::<f64>() < NEW_NOISE_SHARE { new_noise_seed(random) } else { state.noise_seed };
             let mut normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn

@@ -85,7 +85,11 @@ fn frequent(state: &RandomInputs) -> f64 {
 }
 
 /// What comes of a problem with so many seeds: mean over the truth, how many intervals hold it, and most runs.
-fn evaluate_method(method: RareMethod, (name, problem, truth): &(&str, ClosedFormLimitState, f64), seeds: u64) -> (Vec<f64>, usize, u64) {
+fn evaluate_method(
+    method: RareMethod,
+    (name, problem, truth): &(&str, ClosedFormLimitState, f64),
+    seeds: u64,
+) -> (Vec<f64>, usize, u64) {
     let found: Vec<RareEstimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
     let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
     let held = found.iter().filter(|one| {
@@ -104,7 +108,11 @@ fn evaluate_method(method: RareMethod, (name, problem, truth): &(&str, ClosedFor
 fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
     [
         ("linear", ClosedFormLimitState { dimension: 10, margin: linear }, upper_tail(5.0)),
-        ("sphere", ClosedFormLimitState { dimension: 6, margin: sphere }, 1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0)),
+        (
+            "sphere",
+            ClosedFormLimitState { dimension: 6, margin: sphere },
+            1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0),
+        ),
         ("either side", ClosedFormLimitState { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
         ("noisy", ClosedFormLimitState { dimension: 2, margin: noisy }, upper_tail(4.9)),
     ]
@@ -181,14 +189,24 @@ mod tier_2 {
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     let problems = [
-        (ClosedFormLimitState { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) }, 0.5),
-        (ClosedFormLimitState { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) }, 1.3),
-        (ClosedFormLimitState { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) }, 1.8),
+        (
+            ClosedFormLimitState { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) },
+            0.5,
+        ),
+        (
+            ClosedFormLimitState { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) },
+            1.3,
+        ),
+        (
+            ClosedFormLimitState { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) },
+            1.8,
+        ),
     ];
     for (problem, at) in problems {
         let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
         let spread = weighed.coefficient_of_variation.unwrap();
-        let of_spread = splitting::lognormal_interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
+        let of_spread =
+            splitting::lognormal_interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
         assert_eq!((weighed.interval_95, weighed.interval(0.95)), (of_spread, of_spread), "{at}");
         for found in [weighed, split] {
             let [low, high] = found.interval_95.unwrap();
@@ -203,7 +221,8 @@ fn no_probability_is_above_one() {
     let nearly_always = |state: &RandomInputs| -3.0 - state.normal.first().copied().unwrap_or(0.0);
     let mut above = 0;
     for seed in 0..12 {
-        let found = estimate_by(RareMethod::Importance, &ClosedFormLimitState { dimension: 3, margin: nearly_always }, seed);
+        let found =
+            estimate_by(RareMethod::Importance, &ClosedFormLimitState { dimension: 3, margin: nearly_always }, seed);
         let raw = found.repetitions.iter().sum::<f64>() / found.repetitions.len() as f64;
         above += usize::from(raw > 1.0);
         assert_eq!(found.probability, Some(raw.min(1.0)));
@@ -261,15 +280,25 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     let mean = found.iter().sum::<f64>() / found.len() as f64;
     println!("{again} went on, mean {mean:.3}");
     assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
-    let never =
-        Pilot::run(&ClosedFormLimitState { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &counter()).unwrap();
+    let never = Pilot::run(
+        &ClosedFormLimitState { dimension: 2, margin: |_| 1.0 },
+        RareMethod::Splitting,
+        effort,
+        0,
+        &counter(),
+    )
+    .unwrap();
     let nothing = never.estimate(&problem, &counter()).unwrap();
     assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
 }
 
 #[test]
 fn what_cannot_fail_is_not_given_a_probability() {
-    let never = [|state: &RandomInputs| 1.0 + state.normal.iter().sum::<f64>().exp(), |_: &RandomInputs| 1.0, |_: &RandomInputs| f64::NAN];
+    let never = [
+        |state: &RandomInputs| 1.0 + state.normal.iter().sum::<f64>().exp(),
+        |_: &RandomInputs| 1.0,
+        |_: &RandomInputs| f64::NAN,
+    ];
     for margin in never {
         let found = estimate(&ClosedFormLimitState { dimension: 2, margin }, 0);
         assert_eq!((found.probability, found.interval_95), (None, None));

@@ -10,12 +10,14 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::exposure::{RatePerExposure, ResampleCountMismatch, FailureProbability, MergedResamples, count_on_resamples};
+use super::exposure::{
+    FailureProbability, MergedResamples, RatePerExposure, ResampleCountMismatch, count_on_resamples,
+};
 use super::rate_folder::RateFolderError;
 use super::rate_shard::ShardedCount;
 use super::record::{CountRecord, CountTally, range_len};
-use crumple_store::shard::{MergeError, MergedShards, MissingShards, SHARD_FILE};
 use crumple_store::run_folder::CompletedRun;
+use crumple_store::shard::{MergeError, MergedShards, MissingShards, SHARD_FILE};
 use crumple_world::scenario::space::{ScenarioSpace, file};
 
 /// Shards of one count.
@@ -92,7 +94,8 @@ impl MergedCount {
     #[must_use]
     pub fn partial_count(&self) -> PartialCount {
         let sum = |of: fn(&CountTally) -> u64| self.parts().contents().map(of).sum::<u64>();
-        let missing: Vec<Range<u64>> = self.missing_ranges().into_iter().map(|blocks| self.record().run_range(blocks)).collect();
+        let missing: Vec<Range<u64>> =
+            self.missing_ranges().into_iter().map(|blocks| self.record().run_range(blocks)).collect();
         let MissingShards { shard_count: of_shards, missing_shards } = self.parts().missing_shards();
         let open: u64 = missing.iter().map(range_len).sum();
         let failures = sum(|tally| tally.failures);
@@ -142,11 +145,13 @@ impl MergedCount {
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
-        let mut kept = MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());
-        let resamples = count_on_resamples(&space, seed, resampling.0, resampling.1, &mut |_: &ScenarioSpace, _, _| kept.next());
-        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
+        let mut kept =
+            MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());
         let resamples =
-            resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+            count_on_resamples(&space, seed, resampling.0, resampling.1, &mut |_: &ScenarioSpace, _, _| kept.next());
+        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
+        let resamples = resamples
+            .map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(RatePerExposure::new(&space, known, resamples.as_ref()))
     }

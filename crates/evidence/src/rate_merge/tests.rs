@@ -5,10 +5,10 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::{RateConfig, RatePlan, COUNT_SHARD_KIND};
+use crate::{COUNT_SHARD_KIND, RateConfig, RatePlan};
 use crumple_core::observer::Quiet;
-use crumple_store::shard::ShardId;
 use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::shard::ShardId;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -91,7 +91,8 @@ fn shard(index: u32, of: u32) -> ShardId {
 fn random_shards(random: &mut impl Rng) -> Vec<ShardId> {
     let of = random.random_range(1..=24);
     let keep = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.3..1.0) };
-    let mut shards: Vec<ShardId> = (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
+    let mut shards: Vec<ShardId> =
+        (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
     let again: Vec<ShardId> = shards.iter().copied().filter(|_| random.random_bool(0.2)).collect();
     shards.extend(again);
     if random.random_bool(0.3) || shards.is_empty() {

@@ -3,14 +3,15 @@
 use std::collections::HashMap;
 
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, draw_cells,
-    extent, draw_legend, draw_marker, pad_interval, format_number, text_width, draw_text,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, LegendEntry, Marker, Panel, PixelRect,
+    SMALL_TEXT_SIZE, Stroke, Svg, draw_cells, draw_legend, draw_marker, draw_text, extent, format_number, pad_interval,
+    text_width,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
 
 use super::CampaignView;
-use super::grid::{GridCell, FailureGrid, GridAxis};
+use super::grid::{FailureGrid, GridAxis, GridCell};
 
 /// Width of a figure where there is room, and where there is not.
 const WIDTHS: [f64; 2] = [720.0, 380.0];
@@ -40,7 +41,12 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
     let x = Axis::with_ticks("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
     let y = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
-    let frame = PixelRect { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
+    let frame = PixelRect {
+        left: LEFT_MARGIN + 12.0,
+        top: HEADING_HEIGHT,
+        width: width(narrow) - LEFT_MARGIN - 24.0,
+        height: HEIGHT,
+    };
     let title = "Best robustness (below 0 a failure)";
     let mut panel = Panel::new(frame, title, x, y);
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
@@ -91,7 +97,12 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
     }
     let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
     let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
-    let frame = PixelRect { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
+    let frame = PixelRect {
+        left: LEFT_MARGIN + 12.0,
+        top: HEADING_HEIGHT,
+        width: width(narrow) - LEFT_MARGIN - 24.0,
+        height: HEIGHT,
+    };
     let title = "Robustness of failures that no other beats in severity and likelihood";
     let mut panel = Panel::new(frame, if narrow { "The front: robustness" } else { title }, x, y);
     let markers = [Marker::Disc, Marker::Square];
@@ -106,8 +117,11 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
         panel.add_line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
         for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
-            let drawn =
-                draw_marker(panel.to_pixels((point.ln_likelihood, point.robustness)), markers[series % 2], Ink::Series(series));
+            let drawn = draw_marker(
+                panel.to_pixels((point.ln_likelihood, point.robustness)),
+                markers[series % 2],
+                Ink::Series(series),
+            );
             let said = format!(
                 "{}: robustness {}, ln likelihood {}",
                 point.kind,
@@ -143,7 +157,8 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
     let (columns, rows) = (map.x_axis.cell_bounds.len(), map.y_axis.cell_bounds.len());
     let left = widest + 16.0;
     let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL_HEIGHT);
-    let frame = PixelRect { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
+    let frame =
+        PixelRect { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
     let cell_frame = |index: usize| {
         let (row, column) = (index / columns, index % columns);
         // The smallest value below.

@@ -38,7 +38,11 @@ pub(crate) struct GridCell {
 
 impl FailureGrid {
     /// That of two coordinates by their names; none if the campaign has not both.
-    pub(crate) fn from_campaign(look: &CampaignReader, names: [&str; 2], chosen: &EvaluationFilter<'_>) -> Option<Self> {
+    pub(crate) fn from_campaign(
+        look: &CampaignReader,
+        names: [&str; 2],
+        chosen: &EvaluationFilter<'_>,
+    ) -> Option<Self> {
         let known = look.space().coordinate_names();
         let parameters: Vec<&SpaceParameter> = look.space().coordinate_parameters().collect();
         let side = |name: &str| {

@@ -1,7 +1,7 @@
 //! Campaigns as the page shows them, while they run and afterwards.
 
-mod grid;
 mod figures;
+mod grid;
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{CampaignError, EvaluatedPoint, CampaignReader, MAX_READ_EVALUATIONS};
+use crumple_search::falsify::campaign::{CampaignError, CampaignReader, EvaluatedPoint, MAX_READ_EVALUATIONS};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
@@ -110,9 +110,14 @@ pub(crate) fn campaign_error(error: CampaignError) -> RequestError {
 }
 
 /// Looks at one campaign, or at two beside each other.
-pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampaign]) -> Result<CampaignResponse, RequestError> {
+pub(crate) fn show_campaigns(
+    request: &CampaignRequest,
+    offered: &[CatalogCampaign],
+) -> Result<CampaignResponse, RequestError> {
     let of = |field: &str, index: usize| {
-        offered.get(index).ok_or_else(|| RequestError::invalid(field, format!("{} campaigns were offered", offered.len())))
+        offered
+            .get(index)
+            .ok_or_else(|| RequestError::invalid(field, format!("{} campaigns were offered", offered.len())))
     };
     let one = of("campaign", request.campaign)?;
     // One beside itself would wait for itself.
@@ -167,7 +172,9 @@ pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampai
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
         front: escape_markup(figures::pareto_front_figure(&shown, request.narrow)),
         maps: escape_markup(maps),
-        distinct: escape_markup(shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) })),
+        distinct: escape_markup(
+            shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) }),
+        ),
         failures: escape_markup(failures_table(&shown, &chosen)),
         coordinates,
         kinds,
@@ -193,7 +200,9 @@ impl EvaluationFilter<'_> {
         }
         let fails = evaluated.verdict.is_violation();
         match self.kind {
-            Some(wanted) if fails => look.describe_failure(evaluated).is_some_and(|kind| kind == wanted).then_some(true),
+            Some(wanted) if fails => {
+                look.describe_failure(evaluated).is_some_and(|kind| kind == wanted).then_some(true)
+            }
             _ => Some(fails),
         }
     }
@@ -265,8 +274,9 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
 fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> Markup {
     let list = |one: &CampaignView<'_>| {
         let rows = one.reader.evaluations().iter().enumerate();
-        let mut failing: Vec<_> =
-            rows.filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true)).collect();
+        let mut failing: Vec<_> = rows
+            .filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true))
+            .collect();
         match one.reader.summary() {
             None => failing.reverse(),
             Some(_) => {

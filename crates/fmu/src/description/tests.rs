@@ -76,7 +76,8 @@ fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
 
 #[test]
 fn what_is_wrong_with_units_is_refused_with_its_line() {
-    let with = |unit: &str| fmi2_description(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
+    let with =
+        |unit: &str| fmi2_description(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
     let cases = [
         (with("<Unit name=\"u\"><BaseUnit m=\"1.5\"/></Unit>"), "line 5: `BaseUnit`: m: \"1.5\" is not a whole number"),
         (with("<Unit name=\"u\"><BaseUnit factor=\"0\"/></Unit>"), "line 5: `BaseUnit`: factor: must not be 0"),

@@ -132,8 +132,12 @@ impl FmiFunctions for Fmi2 {
         let (call, status) = unsafe {
             match wire.kind {
                 VariableType::Real => ("fmi2SetReal", (self.set_real)(self.component, reference, 1, &raw const value)),
-                VariableType::Integer => ("fmi2SetInteger", (self.set_integer)(self.component, reference, 1, &raw const whole)),
-                VariableType::Boolean => ("fmi2SetBoolean", (self.set_boolean)(self.component, reference, 1, &raw const whole)),
+                VariableType::Integer => {
+                    ("fmi2SetInteger", (self.set_integer)(self.component, reference, 1, &raw const whole))
+                }
+                VariableType::Boolean => {
+                    ("fmi2SetBoolean", (self.set_boolean)(self.component, reference, 1, &raw const whole))
+                }
             }
         };
         check_status(call, status)

@@ -36,7 +36,8 @@ type Fmi3Instantiate = unsafe extern "C" fn(
 type Fmi3InstanceCall = unsafe extern "C" fn(Fmi3Instance) -> Fmi3Status;
 type Fmi3FreeInstance = unsafe extern "C" fn(Fmi3Instance);
 type Fmi3EnterInitializationMode = unsafe extern "C" fn(Fmi3Instance, bool, f64, f64, bool, f64) -> Fmi3Status;
-type Fmi3DoStep = unsafe extern "C" fn(Fmi3Instance, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> Fmi3Status;
+type Fmi3DoStep =
+    unsafe extern "C" fn(Fmi3Instance, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> Fmi3Status;
 type Fmi3SetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const f64, usize) -> Fmi3Status;
 type Fmi3SetInt32 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const i32, usize) -> Fmi3Status;
 type Fmi3SetBoolean = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const bool, usize) -> Fmi3Status;
@@ -125,8 +126,12 @@ impl FmiFunctions for Fmi3 {
         // SAFETY: one reference, and one value, which are read before the call returns.
         let (call, status) = unsafe {
             match wire.kind {
-                VariableType::Real => ("fmi3SetFloat64", (self.set_float64)(self.instance, reference, 1, &raw const value, 1)),
-                VariableType::Integer => ("fmi3SetInt32", (self.set_int32)(self.instance, reference, 1, &raw const whole, 1)),
+                VariableType::Real => {
+                    ("fmi3SetFloat64", (self.set_float64)(self.instance, reference, 1, &raw const value, 1))
+                }
+                VariableType::Integer => {
+                    ("fmi3SetInt32", (self.set_int32)(self.instance, reference, 1, &raw const whole, 1))
+                }
                 VariableType::Boolean => {
                     ("fmi3SetBoolean", (self.set_boolean)(self.instance, reference, 1, &raw const truth, 1))
                 }
@@ -137,7 +142,9 @@ impl FmiFunctions for Fmi3 {
 
     fn enter_initialization(&mut self) -> Result<(), String> {
         // SAFETY: an instance of this library.
-        check_status("fmi3EnterInitializationMode", unsafe { (self.enter_initialization_mode)(self.instance, false, 0.0, 0.0, false, 0.0) })
+        check_status("fmi3EnterInitializationMode", unsafe {
+            (self.enter_initialization_mode)(self.instance, false, 0.0, 0.0, false, 0.0)
+        })
     }
 
     fn exit_initialization(&mut self) -> Result<(), String> {
@@ -167,7 +174,8 @@ impl FmiFunctions for Fmi3 {
     fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
-        let status = unsafe { (self.get_float64)(self.instance, &raw const wire.value_reference, 1, &raw mut value, 1) };
+        let status =
+            unsafe { (self.get_float64)(self.instance, &raw const wire.value_reference, 1, &raw mut value, 1) };
         check_status("fmi3GetFloat64", status)?;
         Ok(value)
     }

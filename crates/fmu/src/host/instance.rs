@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::fmi2::Fmi2;
 use super::fmi3::Fmi3;
 use super::unpacked_folder::UnpackedFolder;
-use crate::{Causality, ModelDescription, FmiVersion, Fmu, VariableType, Variable};
+use crate::{Causality, FmiVersion, Fmu, ModelDescription, Variable, VariableType};
 
 /// What is set, and what is read.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,7 +98,11 @@ impl Instance {
         let output = wire(&wiring.output, Causality::Output)?;
         let parameters = wiring.parameters.iter().map(|(name, value)| {
             let wire = wire(name, Causality::Parameter)?;
-            if wire.kind.accepts(*value) { Ok((wire, *value)) } else { Err(invalid_value_message(name, wire.kind, *value)) }
+            if wire.kind.accepts(*value) {
+                Ok((wire, *value))
+            } else {
+                Err(invalid_value_message(name, wire.kind, *value))
+            }
         });
         let parameters = parameters.collect::<Result<_, _>>()?;
         let folder = UnpackedFolder::new().map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
@@ -112,7 +116,15 @@ impl Instance {
         let is_needed = cfg!(windows) || fmu.has_resources() || has_sibling_libraries(&library);
         let is_instantiated_once = fmu.description().is_once_per_process;
         let _folder = is_needed.then_some(folder);
-        Ok(Self { functions: calls, inputs, output, parameters, is_once_per_process: is_instantiated_once, state: InstanceState::None, _folder })
+        Ok(Self {
+            functions: calls,
+            inputs,
+            output,
+            parameters,
+            is_once_per_process: is_instantiated_once,
+            state: InstanceState::None,
+            _folder,
+        })
     }
 
     /// Begins a run.
@@ -123,7 +135,9 @@ impl Instance {
         match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::None => self.functions.instantiate()?,
             InstanceState::Failed => return Err("cannot begin again".to_owned()),
-            InstanceState::Instantiated | InstanceState::Initialized if self.is_once_per_process => self.functions.reset()?,
+            InstanceState::Instantiated | InstanceState::Initialized if self.is_once_per_process => {
+                self.functions.reset()?
+            }
             InstanceState::Instantiated | InstanceState::Initialized => {
                 self.functions.free();
                 self.functions.instantiate()?;

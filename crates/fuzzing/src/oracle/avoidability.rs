@@ -1,6 +1,6 @@
 //! What convex programs say no driver can do, no driver does.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_search::worst_case::AvoidanceVerdict;
 use crumple_world::sim::Outcome;
@@ -20,7 +20,9 @@ pub fn avoidability_bound_holds(question: &OracleContext<'_>) -> OracleResult {
     if is_long || question.result.outcome != Outcome::NoCollision {
         return Ok(OracleOutcome::NotApplicable);
     }
-    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else { return Ok(OracleOutcome::NotApplicable) };
+    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else {
+        return Ok(OracleOutcome::NotApplicable);
+    };
     let unavoidable = matches!(avoidance.verdict, AvoidanceVerdict::Unavoidable(_));
     ensure(!unavoidable, Invariant::Avoidability, || "it ends without contact and is `unavoidable`".to_owned())?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);

@@ -1,6 +1,6 @@
 //! The two engines are one.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Track};
@@ -31,7 +31,9 @@ pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
         let is_the_trial = std::ptr::eq(run.scenario().spec(), scenario.spec());
         let mut alone =
             if is_the_trial { question.result.clone() } else { question.system.simulate(run, RecordingLevel::Trace) };
-        ensure(result_bits(&alone) == result_bits(traced), Invariant::Engines, || format!("run {index}: {}", first_difference(&alone, traced)))?;
+        ensure(result_bits(&alone) == result_bits(traced), Invariant::Engines, || {
+            format!("run {index}: {}", first_difference(&alone, traced))
+        })?;
         alone.trace = None;
         ensure(result_bits(&alone) == result_bits(summed), Invariant::Engines, || {
             format!("run {index} without trace: {}", first_difference(&alone, summed))

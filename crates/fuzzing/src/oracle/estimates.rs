@@ -1,6 +1,6 @@
 //! What vehicles see is near the truth.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
@@ -40,7 +40,9 @@ pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
         let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
         let problem = match vehicles.get(sight.vehicle) {
             Some(vehicle) if estimates(vehicle) => bounds.find_problem(&sight.observation, &truth),
-            _ => (sight.observation != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.observation)),
+            _ => {
+                (sight.observation != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.observation))
+            }
         };
         finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
         finding.is_none()
@@ -50,7 +52,12 @@ pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
 }
 
 /// What is true for a vehicle, among those that are in the lane.
-fn true_observation(motion: &[Motion], vehicles: &[VehicleSpec], index: usize, is_there: impl Fn(usize) -> bool) -> Observation {
+fn true_observation(
+    motion: &[Motion],
+    vehicles: &[VehicleSpec],
+    index: usize,
+    is_there: impl Fn(usize) -> bool,
+) -> Observation {
     let gap_m = |front: usize, rear: usize| {
         Some(motion.get(front)?.position_m - vehicles.get(front)?.length_m() - motion.get(rear)?.position_m)
     };

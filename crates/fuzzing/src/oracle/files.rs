@@ -1,7 +1,7 @@
 //! Scenario files keep scenarios.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
-use crate::{ScenarioFormat, Invariant};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
+use crate::{Invariant, ScenarioFormat};
 
 /// A scenario survives both file formats, to the last bit of every number.
 ///

@@ -1,6 +1,6 @@
 //! What impacts do: vehicles stick together with common momentum.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::sim::{AfterContact, Impact, Trace};
 
@@ -18,7 +18,9 @@ pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
         check_impact(trace, impact)?;
     }
     if question.run.options().after_contact == AfterContact::Stop {
-        ensure(impacts.len() <= 1, Invariant::Sticking, || format!("{} impacts in a run that ends at one", impacts.len()))?;
+        ensure(impacts.len() <= 1, Invariant::Sticking, || {
+            format!("{} impacts in a run that ends at one", impacts.len())
+        })?;
         return Ok(OracleOutcome::Holds);
     }
     for (index, impact) in impacts.iter().enumerate() {
@@ -62,7 +64,9 @@ fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Invariant, String
     ensure(left <= energy * (1.0 + 1e-12), Invariant::Energy, || at("energy is gained"))?;
     let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
     ensure(apart_mps <= 1e-9, Invariant::Momentum, || at("the impact speed is another"))?;
-    ensure(contact.impact_speed_mps >= -1e-9, Invariant::Continuity, || at("nobody drives into a faster vehicle ahead"))?;
+    ensure(contact.impact_speed_mps >= -1e-9, Invariant::Continuity, || {
+        at("nobody drives into a faster vehicle ahead")
+    })?;
     let gained = impact.delta_v_mps(contact.front_vehicle) - (common_mps - front_mps);
     let lost = impact.delta_v_mps(contact.rear_vehicle) - (rear_mps - common_mps);
     ensure(gained.abs() < 1e-12 && lost.abs() < 1e-12, Invariant::Momentum, || at("a change of speed is told wrong"))

@@ -1,7 +1,7 @@
 //! Who is in the lane: told once, and nobody else counts.
 
 use super::engines::result_bits;
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::measure::LeadMeasures;
 use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
@@ -21,8 +21,12 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
         let [from_s, to_s] = track.in_lane_s;
         let at = |what: &str| format!("vehicle {vehicle} {what}: in the lane from {from_s} to {to_s} s");
         ensure(from_s <= to_s, Invariant::Lanes, || at("leaves before it enters"))?;
-        ensure(!spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S, Invariant::Lanes, || at("keeps the lane"))?;
-        ensure(spec.enters.is_some() == (from_s >= 0.0), Invariant::Lanes, || at("enters, or was there from the start"))?;
+        ensure(!spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S, Invariant::Lanes, || {
+            at("keeps the lane")
+        })?;
+        ensure(spec.enters.is_some() == (from_s >= 0.0), Invariant::Lanes, || {
+            at("enters, or was there from the start")
+        })?;
     }
     for impact in &result.impacts {
         let time_s = impact.contact.time_s;
@@ -103,7 +107,9 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
     let Some(stays) = simulate_variant(question, &keeps) else { return Ok(OracleOutcome::NotApplicable) };
     let until_s = [&question.result, &stays].into_iter().filter_map(|result| result.impacts.first());
     let until_s = until_s.map(|impact| impact.contact.time_s).fold(f64::INFINITY, f64::min);
-    let (Some(with), Some(without)) = (&question.result.trace, &stays.trace) else { return Ok(OracleOutcome::NotApplicable) };
+    let (Some(with), Some(without)) = (&question.result.trace, &stays.trace) else {
+        return Ok(OracleOutcome::NotApplicable);
+    };
     let samples = with.time_s.iter().take_while(|&&time_s| time_s < until_s).count().saturating_sub(1);
     let others = with.vehicles.len().saturating_sub(1);
     for (vehicle, (left, stayed)) in with.vehicles.iter().zip(&without.vehicles).take(others).enumerate() {

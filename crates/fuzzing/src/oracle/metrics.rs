@@ -1,6 +1,6 @@
 //! Verdict, summary, trace and report tell one story.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, is_grazing, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
 use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;

@@ -6,26 +6,28 @@ mod estimates;
 mod files;
 mod impacts;
 mod lanes;
+mod metrics;
 mod monitor;
 mod motion;
 mod shield;
 mod step_size;
-mod metrics;
 
 use super::{Invariant, System, TestCase, Violation};
 use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Trace};
 
 pub use avoidability::avoidability_bound_holds;
-pub use engines::{result_bits, engines_agree};
+pub use engines::{engines_agree, result_bits};
 pub use estimates::estimates_within_bounds;
 pub use files::files_round_trip;
 pub use impacts::impacts_are_inelastic;
-pub use lanes::{entering_at_start_changes_nothing, lane_times_are_consistent, leaving_last_vehicle_changes_nothing_ahead};
+pub use lanes::{
+    entering_at_start_changes_nothing, lane_times_are_consistent, leaving_last_vehicle_changes_nothing_ahead,
+};
+pub use metrics::metrics_agree;
 pub use monitor::monitor_agrees;
 pub use motion::motion_is_physical;
 pub use shield::shield_prevents_front_collisions;
 pub use step_size::{check_same_impacts, step_size_changes_nothing};
-pub use metrics::metrics_agree;
 
 /// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
 pub(crate) const ROUNDING_M: f64 = 1e-9;

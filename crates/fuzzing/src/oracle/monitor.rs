@@ -1,11 +1,11 @@
 //! Formulas of signal temporal logic are judged as they are defined, and "never touch" as the run was.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, is_grazing, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
 use crate::formula::formula_from_bytes;
 use crumple_world::measure::stl::naive_robustness;
 use crumple_world::measure::stl::{
-    LinearPredicate, Formula, FormulaError, TimeWindow, MonitorError, ComparisonOp, SampledSignals, SignalsError,
+    ComparisonOp, Formula, FormulaError, LinearPredicate, MonitorError, SampledSignals, SignalsError, TimeWindow,
 };
 use crumple_world::sim::Trace;
 
@@ -35,7 +35,8 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     ensure(robustness >= least_m - ROUNDING_M, Invariant::Monitor, || {
         format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
     })?;
-    let few = trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES)).map_err(|error| wrong(error.to_string()))?;
+    let few =
+        trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES)).map_err(|error| wrong(error.to_string()))?;
     let names: Vec<&str> = few.names().collect();
     // What is chosen here follows from the scenario alone, so that a test case stays one.
     let mut bytes = Vec::new();
@@ -50,12 +51,18 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
 }
 
 /// Robustness over time is that of the definition, and truth its sign.
-fn check_definition(question: &OracleContext<'_>, formula: &Formula, signals: &SampledSignals<'_>) -> Result<(), (Invariant, String)> {
+fn check_definition(
+    question: &OracleContext<'_>,
+    formula: &Formula,
+    signals: &SampledSignals<'_>,
+) -> Result<(), (Invariant, String)> {
     let wrong = |error: MonitorError| (Invariant::Monitor, format!("{formula}: {error}"));
     let over_time = question.system.robustness_over_time(formula, signals).map_err(wrong)?;
     for (k, &value) in over_time.iter().enumerate() {
         let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
-        ensure(value == defined, Invariant::Monitor, || format!("{formula} at sample {k}: {value}, defined as {defined}"))?;
+        ensure(value == defined, Invariant::Monitor, || {
+            format!("{formula} at sample {k}: {value}, defined as {defined}")
+        })?;
     }
     let satisfied = question.system.is_satisfied(formula, signals).map_err(wrong)?;
     let sign = over_time.first().is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
@@ -64,7 +71,11 @@ fn check_definition(question: &OracleContext<'_>, formula: &Formula, signals: &S
     })
 }
 
-fn first_robustness(question: &OracleContext<'_>, formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, (Invariant, String)> {
+fn first_robustness(
+    question: &OracleContext<'_>,
+    formula: &Formula,
+    signals: &SampledSignals<'_>,
+) -> Result<f64, (Invariant, String)> {
     let over_time = question.system.robustness_over_time(formula, signals);
     let over_time = over_time.map_err(|error| (Invariant::Monitor, error.to_string()))?;
     over_time.first().copied().ok_or_else(|| (Invariant::Monitor, "no robustness at the first sample".to_owned()))

@@ -1,6 +1,6 @@
 //! How vehicles move: forwards, continuously, and never faster for braking.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure};
 use crate::Invariant;
 use crumple_world::sim::SimulationResult;
 
@@ -27,7 +27,9 @@ pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
             let [slower, faster] = [v.min(v_next), v.max(v_next)].map(|mps| mps * (t_next - t));
             let stopped = v_next == 0.0;
             ensure(x_next - x <= faster + ROUNDING_M, Invariant::Continuity, || at("leaps"))?;
-            ensure(stopped || x_next - x >= slower - ROUNDING_M, Invariant::Continuity, || at("lags behind its speed"))?;
+            ensure(stopped || x_next - x >= slower - ROUNDING_M, Invariant::Continuity, || {
+                at("lags behind its speed")
+            })?;
             ensure(a > 0.0 || v_next <= v, Invariant::Energy, || at("gains energy from its brakes"))?;
             let gained_mps = a * (t_next - t);
             ensure(stopped || (v_next - v - gained_mps).abs() <= 1e-9, Invariant::Continuity, || at("jumps in speed"))?;

@@ -1,6 +1,6 @@
 //! What a shield promises, whatever it is wrapped around.
 
-use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::control::{BuiltIn, FullThrottle};
 use crumple_world::observation::EstimatorKind;
@@ -14,7 +14,8 @@ use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, R
 /// [`Law::Shield`].
 pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
-    let options = RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.shielded_full_throttle()) };
+    let options =
+        RunOptions { dt_s: question.run.options().dt_s, ..RunOptions::new(question.system.shielded_full_throttle()) };
     let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
     let run = match Run::new(scenario, options) {
         Ok(run) => run,

@@ -1,6 +1,6 @@
 //! How finely motion is integrated decides nothing.
 
-use super::{OracleOutcome, OracleResult, OracleContext, is_grazing, ensure};
+use super::{OracleContext, OracleOutcome, OracleResult, ensure, is_grazing};
 use crate::Invariant;
 use crumple_world::scenario::ScenarioSpec;
 use crumple_world::sim::{Impact, RecordingLevel, Run, SimulationResult, Trace};
@@ -29,7 +29,8 @@ pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let fine_run = Run::new(run.scenario(), options).map_err(|error| (Invariant::StepSize, error.to_string()))?;
     let fine = question.system.simulate(&fine_run, RecordingLevel::Trace);
     let Some(fine_trace) = &fine.trace else { return Err((Invariant::StepSize, "no trace was kept".to_owned())) };
-    check_held_accelerations(fine_trace, &fine, fine_run.substeps()).map_err(|finding| (Invariant::StepSize, finding))?;
+    check_held_accelerations(fine_trace, &fine, fine_run.substeps())
+        .map_err(|finding| (Invariant::StepSize, finding))?;
     if is_grazing(coarse) || is_grazing(&fine) {
         return Ok(OracleOutcome::Undecided);
     }
@@ -37,8 +38,11 @@ pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     if apart_m < TOLERANCE_M {
         return Ok(OracleOutcome::Holds);
     }
-    let explained = is_started_by_noise(question, fine_trace) || disturbance_effect_m(question) >= EXPLAINED_SHARE * apart_m;
-    ensure(explained, Invariant::StepSize, || format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome))?;
+    let explained =
+        is_started_by_noise(question, fine_trace) || disturbance_effect_m(question) >= EXPLAINED_SHARE * apart_m;
+    ensure(explained, Invariant::StepSize, || {
+        format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome)
+    })?;
     Ok(OracleOutcome::Undecided)
 }
 
@@ -133,7 +137,12 @@ fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
 ///
 /// # Errors
 /// The first difference.
-pub fn check_same_impacts(before: &SimulationResult, after: &SimulationResult, shift: usize, shift_s: f64) -> Result<(), String> {
+pub fn check_same_impacts(
+    before: &SimulationResult,
+    after: &SimulationResult,
+    shift: usize,
+    shift_s: f64,
+) -> Result<(), String> {
     if before.impacts.len() != after.impacts.len() {
         return Err(format!("{:?} became {:?}", before.outcome, after.outcome));
     }

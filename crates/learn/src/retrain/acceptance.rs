@@ -135,19 +135,26 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
 }
 
 /// What is worse in one space.
-fn space_rejections(before: &RegressionSpaceResult, after: &RegressionSpaceResult) -> impl Iterator<Item = RejectionReason> {
+fn space_rejections(
+    before: &RegressionSpaceResult,
+    after: &RegressionSpaceResult,
+) -> impl Iterator<Item = RejectionReason> {
     let contacts = discordant_pairs(&before.contacts, &after.contacts);
     let drives = before.not_useful.as_ref().zip(after.not_useful.as_ref()).map(|(was, is)| discordant_pairs(was, is));
     let is_worse = |of: &DiscordantPairs| of.is_worse(SIGNIFICANCE);
     let space = || after.space.clone();
-    let worse = Some(contacts).filter(is_worse).map(|contacts| RejectionReason::MoreCollisions { space: space(), contacts });
+    let worse =
+        Some(contacts).filter(is_worse).map(|contacts| RejectionReason::MoreCollisions { space: space(), contacts });
     let less = drives.filter(is_worse).map(|drives| RejectionReason::LessUseful { space: space(), drives });
     worse.into_iter().chain(less)
 }
 
 /// Of two lists of failed draws, those that are in one alone.
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
-    DiscordantPairs { only_second_fails: only_in_first(after, before).count() as u64, only_first_fails: only_in_first(before, after).count() as u64 }
+    DiscordantPairs {
+        only_second_fails: only_in_first(after, before).count() as u64,
+        only_first_fails: only_in_first(before, after).count() as u64,
+    }
 }
 
 impl Acceptance {
@@ -226,7 +233,10 @@ mod tests {
         assert_eq!(objections(results(&["paper-1 (kalman)"], &[4], &[])), [paper]);
         // One draw for another is a regression although the count stays.
         assert_eq!(objections(results(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
-        assert_eq!(objections(results(&[], &[], &[1, 2, 3, 4])), [RejectionReason::ValidationSet { before: 3, after: 4 }]);
+        assert_eq!(
+            objections(results(&[], &[], &[1, 2, 3, 4])),
+            [RejectionReason::ValidationSet { before: 3, after: 4 }]
+        );
         assert_eq!(objections(results(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
     }
 
@@ -240,19 +250,27 @@ mod tests {
                 not_useful: of_no_use,
             };
             let traffic = space("traffic", &[], Some(of_no_use.to_vec()));
-            RegressionResults { regression: vec![space("high-risk", high_risk, None), traffic], ..results(&[], &[], &[1, 2]) }
+            RegressionResults {
+                regression: vec![space("high-risk", high_risk, None), traffic],
+                ..results(&[], &[], &[1, 2])
+            }
         };
         let before = in_spaces(&[1, 2, 3], &[5]);
         let ruled = |after: &RegressionResults| match decide_acceptance(&before, after) {
             Acceptance::Accepted => Vec::new(),
             Acceptance::Rejected { objections } => objections,
         };
-        let better =
-            |high_risk: &[u64], of_no_use: &[u64]| RegressionResults { validation_set: vec![], ..in_spaces(high_risk, of_no_use) };
+        let better = |high_risk: &[u64], of_no_use: &[u64]| RegressionResults {
+            validation_set: vec![],
+            ..in_spaces(high_risk, of_no_use)
+        };
         assert!(ruled(&better(&[4, 5, 6, 7], &[5, 6])).is_empty(), "within chance");
         let many: Vec<u64> = (10..30).collect();
         let contacts = DiscordantPairs { only_second_fails: 20, only_first_fails: 3 };
-        assert_eq!(ruled(&better(&many, &[])), [RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts }]);
+        assert_eq!(
+            ruled(&better(&many, &[])),
+            [RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts }]
+        );
         let drives = DiscordantPairs { only_second_fails: 20, only_first_fails: 1 };
         assert_eq!(ruled(&better(&[], &many)), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::files::{hash_scenario, read_json, write_json};
-use super::progress::{RetrainingProgress, RetrainingObserver};
+use super::progress::{RetrainingObserver, RetrainingProgress};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::run_folder::{RunFolder, RunFolderError};

@@ -6,12 +6,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, PLAN, POLICY, REPORT_JSON, TRAINING_CASES, SELECTION_SET, REPORT_MARKDOWN};
+use super::files::{
+    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
+};
 use super::report::RetrainingReport;
 use crumple_store::difference;
-use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
+use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
-use crate::rl::{TrainingConfigError, TrainingConfig, action_bounds};
+use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
@@ -169,7 +171,8 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
-        let hash = |space: &ScenarioSpace| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
+        let hash =
+            |space: &ScenarioSpace| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
         let named = |space| Ok(SpaceHash { space: ScenarioSpace::name(space), sha256: hash(space)? });
         let file = PlanFile {
             version: RETRAIN_VERSION,
@@ -207,7 +210,11 @@ impl RetrainingPlan {
         } else {
             return Ok(());
         };
-        Err(RetrainError::PolicyMismatch { policy: self.initial_policy_name.clone(), preset: self.training.name.clone(), what })
+        Err(RetrainError::PolicyMismatch {
+            policy: self.initial_policy_name.clone(),
+            preset: self.training.name.clone(),
+            what,
+        })
     }
 
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
@@ -218,7 +225,18 @@ impl RetrainingPlan {
             configuration: &configuration,
             configuration_file: PLAN,
             resume,
-            outputs: &[PLAN, POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, "rounds/"],
+            outputs: &[
+                PLAN,
+                POLICY,
+                TRAINING_CASES,
+                SELECTION_SET,
+                VALIDATION_SET,
+                TEST_SET,
+                REPORT_JSON,
+                REPORT_MARKDOWN,
+                REPORT_SVG,
+                "rounds/",
+            ],
         };
         match RunFolder::open(folder, asked) {
             Err(RunFolderError::OtherConfiguration { path, found, .. }) => {

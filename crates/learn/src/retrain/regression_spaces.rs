@@ -54,8 +54,11 @@ impl RegressionSpaces {
         let idm = ControllerKind::from(ControllerSpec::Idm(Default::default()));
         for space in &plan.regression_spaces {
             let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
-            let mut drawn =
-                RegressionSpace { name: space.name().to_owned(), draws: draws.collect::<Result<_, _>>()?, checks_usefulness: true };
+            let mut drawn = RegressionSpace {
+                name: space.name().to_owned(),
+                draws: draws.collect::<Result<_, _>>()?,
+                checks_usefulness: true,
+            };
             let found = drawn.evaluate(&idm, plan.estimator())?;
             drawn.checks_usefulness = found.not_useful.is_some_and(|of_no_use| of_no_use.is_empty());
             spaces.push(drawn);
@@ -69,7 +72,11 @@ impl RegressionSpaces {
 }
 
 impl RegressionSpace {
-    fn evaluate(&self, controller: &ControllerKind, estimator: EstimatorKind) -> Result<RegressionSpaceResult, RetrainError> {
+    fn evaluate(
+        &self,
+        controller: &ControllerKind,
+        estimator: EstimatorKind,
+    ) -> Result<RegressionSpaceResult, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(estimator);
         let level = if self.checks_usefulness { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
@@ -86,7 +93,12 @@ impl RegressionSpace {
             }
         }
         let of_no_use = self.checks_usefulness.then_some(of_no_use);
-        Ok(RegressionSpaceResult { space: self.name.clone(), draws: self.draws.len() as u64, contacts, not_useful: of_no_use })
+        Ok(RegressionSpaceResult {
+            space: self.name.clone(),
+            draws: self.draws.len() as u64,
+            contacts,
+            not_useful: of_no_use,
+        })
     }
 }
 
@@ -100,9 +112,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::super::corpus::Corpus;
-    use super::super::test_set::witnesses;
     use super::super::plan::{VALIDATION_SET_SEED, training_preset};
-    use super::super::{Acceptance, RejectionReason, RetrainingSettings, RegressionResults, decide_acceptance};
+    use super::super::test_set::witnesses;
+    use super::super::{Acceptance, RegressionResults, RejectionReason, RetrainingSettings, decide_acceptance};
     use super::*;
     use crumple_search::falsify::Method;
     use crumple_world::policy::Policy;
@@ -150,8 +162,7 @@ mod tests {
             "seen from standing vehicles alone"
         );
         let Acceptance::Rejected { objections } = decide_acceptance(&before, &after) else { panic!("accepted") };
-        let is_of_high_risk =
-            |reason: &RejectionReason| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
+        let is_of_high_risk = |reason: &RejectionReason| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
         let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
         assert!(traffic.not_useful.as_ref().unwrap().len() > 30, "it is of no use in traffic");

@@ -5,12 +5,14 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::acceptance::{FailureChange, discordant_pairs};
-use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, POLICY, REPORT_JSON, TRAINING_CASES, SELECTION_SET, REPORT_MARKDOWN, to_json};
-use super::test_set::{CONFIDENCE, TestSetResults, PairedOutcomes, ControllerTally};
+use super::files::{
+    POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
+};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::regression_spaces::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
-use super::{RetrainError, RegressionResults};
+use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
+use super::{RegressionResults, RetrainError};
 use crumple_core::digest::sha256;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
@@ -135,7 +137,10 @@ impl RetrainingReport {
     /// Writes it into its folder, with its picture.
     pub(super) fn write_files(&self, work: &RunFolder, picture: String) -> Result<(), RetrainError> {
         let mut changes = work.transaction();
-        changes.write(REPORT_MARKDOWN, self.to_markdown()).write(REPORT_SVG, picture).write(REPORT_JSON, self.to_json()?);
+        changes
+            .write(REPORT_MARKDOWN, self.to_markdown())
+            .write(REPORT_SVG, picture)
+            .write(REPORT_JSON, self.to_json()?);
         Ok(changes.commit()?)
     }
 
@@ -165,8 +170,17 @@ impl RetrainingReport {
     }
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
-        let RetrainingSettings { rounds, episodes, budget, draws, validation_draws: kept_aside, nominal, nominal_share, case_share, .. } =
-            self.settings;
+        let RetrainingSettings {
+            rounds,
+            episodes,
+            budget,
+            draws,
+            validation_draws: kept_aside,
+            nominal,
+            nominal_share,
+            case_share,
+            ..
+        } = self.settings;
         writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
             out,
@@ -286,7 +300,14 @@ impl RetrainingReport {
              aside | paper-1..3 | paper's draws | acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
-            let RoundFindings { avoidable, unavoidable, undecided, colliding_draws: draws_touched, avoidable_draws: draws_avoidable, .. } = &round.findings;
+            let RoundFindings {
+                avoidable,
+                unavoidable,
+                undecided,
+                colliding_draws: draws_touched,
+                avoidable_draws: draws_avoidable,
+                ..
+            } = &round.findings;
             writeln!(
                 out,
                 "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} | {} | {} |",

@@ -8,11 +8,11 @@ use super::acceptance::{Acceptance, FailureChange, RejectionReason, decide_accep
 use super::cases::{Cases, CollidingDraws};
 use super::corpus::{Corpus, classify_scenarios, first_contacts};
 use super::files::{LEARNER, ROUND_RECORD, SELECTION_SET, read_json, write_json};
-use super::test_set::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
-use super::progress::{RetrainingProgress, RetrainingObserver};
+use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::regression_spaces::RegressionSpaces;
-use super::{RetrainError, RegressionResults};
+use super::test_set::witnesses;
+use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
@@ -235,21 +235,29 @@ impl RoundContext<'_> {
     }
 
     /// Trains on, judges and decides; leaves the record of the round behind.
-    pub(super) fn finish(&self, found: RoundFindings, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<Round, RetrainError> {
+    pub(super) fn finish(
+        &self,
+        found: RoundFindings,
+        cases: &Cases,
+        watch: &RetrainingObserver<'_>,
+    ) -> Result<Round, RetrainError> {
         let scenarios = cases.scenarios(&self.plan.space)?;
         let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
                 self.run_folder.transaction().remove(&self.path(LEARNER)).commit()?;
                 let (seed, from_episode) = self.learner_start();
-                let trained = RoundTraining { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
+                let trained =
+                    RoundTraining { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
                 (trained, None, Some(diverged.to_string()))
             }
             Err(other) => return Err(other),
         };
         watch.notify(&RetrainingProgress::Evaluating { round: self.round_number() })?;
         let after = match &candidate {
-            Some(candidate) => RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression_spaces)?,
+            Some(candidate) => {
+                RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression_spaces)?
+            }
             None => self.results.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
@@ -259,7 +267,8 @@ impl RoundContext<'_> {
             None => decide_acceptance(&self.results, &after),
         };
         let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
-            let contacts = first_contacts(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
+            let contacts =
+                first_contacts(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
             Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
         };
         let round = Round {
@@ -269,7 +278,10 @@ impl RoundContext<'_> {
             cases: scenarios.len(),
             training: trained,
             candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
-            in_cases: FailureChange::between(&touched(&self.policy)?, &touched(candidate.as_ref().unwrap_or(&self.policy))?),
+            in_cases: FailureChange::between(
+                &touched(&self.policy)?,
+                &touched(candidate.as_ref().unwrap_or(&self.policy))?,
+            ),
             in_validation_set: FailureChange::between(&self.results.validation_set, &after.validation_set),
             in_paper: FailureChange::between(&self.results.paper, &after.paper),
             in_nominal: FailureChange::between(&self.results.nominal, &after.nominal),
@@ -285,7 +297,11 @@ impl RoundContext<'_> {
 }
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn load_selection_set(plan: &RetrainingPlan, work: &RunFolder, watch: &RetrainingObserver<'_>) -> Result<Corpus, RetrainError> {
+pub(super) fn load_selection_set(
+    plan: &RetrainingPlan,
+    work: &RunFolder,
+    watch: &RetrainingObserver<'_>,
+) -> Result<Corpus, RetrainError> {
     load_corpus(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
 }
 
@@ -296,8 +312,10 @@ pub(super) fn load_corpus(
     (name, seed, wanted): (&'static str, u64, u64),
     watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
-    let first =
-        NamedController { name: plan.initial_policy_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.initial_policy)) };
+    let first = NamedController {
+        name: plan.initial_policy_name.clone(),
+        kind: ControllerKind::Policy(Arc::clone(&plan.initial_policy)),
+    };
     let witnesses = witnesses(&[first]);
     Corpus::load_or_build((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
 }

@@ -5,15 +5,16 @@ use std::sync::Arc;
 
 use super::cases::Cases;
 use super::files::{
-    CHECKPOINTS, TEST_SET, VALIDATION_SET, LEARNER, PLAN, POLICY, ROUND_RECORD, REPORT_JSON, TRAINING_CASES, read_json, write_json,
+    CHECKPOINTS, LEARNER, PLAN, POLICY, REPORT_JSON, ROUND_RECORD, TEST_SET, TRAINING_CASES, VALIDATION_SET, read_json,
+    write_json,
 };
-use super::test_set::{TestSetResults, witnesses};
-use super::plan::{VALIDATION_SET_SEED, RetrainingPlan};
+use super::plan::{RetrainingPlan, VALIDATION_SET_SEED};
 use super::progress::RetrainingProgress;
 use super::regression_spaces::RegressionSpaces;
 use super::report::{RetrainingEnding, RetrainingReport};
-use super::round::{Round, RoundContext, RoundFindings, load_corpus, round_path, load_selection_set};
-use super::{RetrainError, RegressionResults};
+use super::round::{Round, RoundContext, RoundFindings, load_corpus, load_selection_set, round_path};
+use super::test_set::{TestSetResults, witnesses};
+use super::{RegressionResults, RetrainError};
 use crumple_core::observer::Observer;
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
@@ -75,7 +76,10 @@ impl RetrainingPlan {
                 Some(round) => round,
                 None => before.finish(found, &cases, watch)?,
             };
-            work.transaction().remove(&round_path(number, CHECKPOINTS)).remove(&round_path(number - 1, LEARNER)).commit()?;
+            work.transaction()
+                .remove(&round_path(number, CHECKPOINTS))
+                .remove(&round_path(number - 1, LEARNER))
+                .commit()?;
             if round.acceptance.is_accepted() {
                 policy = Arc::new(round.candidate(&work)?);
                 standing = round.after.clone();
@@ -89,7 +93,10 @@ impl RetrainingPlan {
             name: name.to_owned(),
             kind: ControllerKind::Policy(Arc::clone(policy)),
         };
-        let contenders = witnesses(&[contender(&self.initial_policy_name, &self.initial_policy), contender(RETRAINED_NAME, &policy)]);
+        let contenders = witnesses(&[
+            contender(&self.initial_policy_name, &self.initial_policy),
+            contender(RETRAINED_NAME, &policy),
+        ]);
         let judged = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
         let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, judged)?;
         report.write_files(&work, (self.render_svg)(&report))?;

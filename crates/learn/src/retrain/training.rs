@@ -5,10 +5,11 @@ use std::sync::Arc;
 use super::RetrainError;
 use super::cases::Cases;
 use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
-use super::progress::{RetrainingProgress, RetrainingObserver};
+use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
 use crate::rl::{
-    SourceMixture, TrainingEvent, EvaluationSet, CaseMixture, PaperSource, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_with_recorder,
+    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingError, TrainingEvent,
+    TrainingRecorder, train_with_recorder,
 };
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
@@ -57,7 +58,11 @@ impl RoundContext<'_> {
         Ok((trainer, from_episode))
     }
 
-    pub(super) fn train(&self, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<(RoundTraining, Policy), RetrainError> {
+    pub(super) fn train(
+        &self,
+        cases: &Cases,
+        watch: &RetrainingObserver<'_>,
+    ) -> Result<(RoundTraining, Policy), RetrainError> {
         let (mut trainer, from_episode) = self.load_learner(cases)?;
         let environment = &self.plan.training.environment;
         let selection = self.selection_set.scenarios(&self.plan.space)?;
@@ -106,6 +111,11 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
         let before = self.context;
         let (lists, learner) = (before.path(CHECKPOINTS), before.path(LEARNER));
         let checkpoints = to_json(&self.checkpoints)?;
-        Ok(before.run_folder.transaction().write(&lists, checkpoints).write(&learner, trainer.to_checkpoint()?).commit()?)
+        Ok(before
+            .run_folder
+            .transaction()
+            .write(&lists, checkpoints)
+            .write(&learner, trainer.to_checkpoint()?)
+            .commit()?)
     }
 }

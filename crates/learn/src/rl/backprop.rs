@@ -5,7 +5,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::{SimdClosure, Lhs, Network, PackedPanels, Rhs, multiply_vector};
+use crumple_world::policy::{Lhs, Network, PackedPanels, Rhs, SimdClosure, multiply_vector};
 
 /// What a forward pass leaves for the backward pass, and working space for both.
 #[derive(Debug, Clone, Default)]

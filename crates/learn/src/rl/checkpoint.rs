@@ -196,8 +196,9 @@ impl Trainer {
             part.adam.steps = adam_steps.next().ok_or_else(|| checkpoint_error("an optimiser is missing"))?;
         }
         let replay = read_tensor(&arrays, "replay")?;
-        trainer.replay = ReplayBuffer::from_raw_parts(config.replay.capacity, config.transition_layout(), header.stored, replay)
-            .ok_or_else(|| checkpoint_error("the replay memory has another size than the header says"))?;
+        trainer.replay =
+            ReplayBuffer::from_raw_parts(config.replay.capacity, config.transition_layout(), header.stored, replay)
+                .ok_or_else(|| checkpoint_error("the replay memory has another size than the header says"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {
             let mut network = Network::zeros(&sizes);

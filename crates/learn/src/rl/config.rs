@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::space_mixture::{self, TrainingSpace};
 use super::config_error::TrainingConfigError;
 use super::costs::CostConfig;
+use super::f32_serde::deserialize_f32_no_underflow;
 use super::observation::ObservationConfig;
 use super::replay::TransitionLayout;
-use super::f32_serde::deserialize_f32_no_underflow;
 use super::source::ScenarioSource;
+use super::space_mixture::{self, TrainingSpace};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::ResidualControl;
 use crumple_world::scenario::file;
@@ -328,14 +328,18 @@ impl TrainingConfig {
     /// # Errors
     /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
-        let config: Self = file::parse_toml(text, path).map_err(|error| TrainingConfigError::Located(error.to_string()))?;
+        let config: Self =
+            file::parse_toml(text, path).map_err(|error| TrainingConfigError::Located(error.to_string()))?;
         config.check().map_err(|error| error.with_location(text, path))?;
         Ok(config)
     }
 
     /// What is remembered of a decision.
     pub(super) fn transition_layout(&self) -> TransitionLayout {
-        TransitionLayout { state_width: self.environment.observation.width(), privileged_width: self.learning.privileged_width() }
+        TransitionLayout {
+            state_width: self.environment.observation.width(),
+            privileged_width: self.learning.privileged_width(),
+        }
     }
 
     /// What its episodes are drawn from.

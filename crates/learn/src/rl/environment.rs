@@ -10,7 +10,7 @@ use super::source::{EGO, ScenarioSource};
 use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, HeldAction, ObservationScaling, STATE_LEN};
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::sim::{StepView, Motion, Run, Stepper};
+use crumple_world::sim::{Motion, Run, StepView, Stepper};
 
 /// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
 /// then chosen to stay where it is more than once.
@@ -58,7 +58,12 @@ impl EpisodeConfig {
     /// The terms of a configuration. `discount` is that of one decision.
     #[must_use]
     pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
-        Arc::new(Self { discount, scaling: config.observation.scaling(), action_bounds: action_bounds(&config), environment: config })
+        Arc::new(Self {
+            discount,
+            scaling: config.observation.scaling(),
+            action_bounds: action_bounds(&config),
+            environment: config,
+        })
     }
 
     /// The terms of episode `index` of a source, where costs may count more or less than elsewhere.
@@ -117,7 +122,14 @@ impl TrainingEpisode {
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn step(&mut self, action: f32) -> StepOutcome {
         self.held_action.set(action);
-        let Self { stepper, config: terms, reward_tracker: earnings, held_action: held, steps_at_rest: standing_steps, .. } = self;
+        let Self {
+            stepper,
+            config: terms,
+            reward_tracker: earnings,
+            held_action: held,
+            steps_at_rest: standing_steps,
+            ..
+        } = self;
         let EpisodeConfig { environment: config, action_bounds: bounds, .. } = &**terms;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let departure = Cell::new(0.0);

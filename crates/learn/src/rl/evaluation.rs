@@ -113,7 +113,8 @@ impl EvaluationSet {
             held_out.ranking = draws.collect::<Result<_, _>>()?;
         }
         if evaluation.usefulness_draws > 0 {
-            held_out.traffic = Some(TrafficBenchmark::new(TRAFFIC_SEED, evaluation.usefulness_draws, environment.estimator)?);
+            held_out.traffic =
+                Some(TrafficBenchmark::new(TRAFFIC_SEED, evaluation.usefulness_draws, environment.estimator)?);
         }
         Ok(held_out)
     }
@@ -206,7 +207,11 @@ fn min_gap_m(runs: &[EvaluationRun]) -> f64 {
     runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
 }
 
-fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<EvaluationRun>, RunError> {
+fn drive(
+    scenarios: &[Scenario],
+    policy: &Arc<Policy>,
+    estimator: EstimatorKind,
+) -> Result<Vec<EvaluationRun>, RunError> {
     let options = RunOptions::new(Arc::clone(policy)).with_estimator(estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, result| {

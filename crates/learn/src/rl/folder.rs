@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
 use super::curve::{parse_episode, parse_evaluation_episode};
-use super::evaluation::{PolicyEvaluation, EvaluationSet, count_unseen_contacts};
+use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
 use super::runner::{TrainingEvent, TrainingRecorder, train_with_recorder};
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
-use crumple_store::run_folder::{RunFolderOptions, MANIFEST_FILE, RunFolder, RunFolderError};
+use crumple_store::run_folder::{MANIFEST_FILE, RunFolder, RunFolderError, RunFolderOptions};
 
 /// How it was trained: a file as `--preset` takes it.
 pub(super) const CONFIGURATION: &str = "training.toml";
@@ -106,7 +106,11 @@ impl<'a> TrainingFolder<'a> {
     ///
     /// # Errors
     /// [`TrainingError`] if the training diverges, a file cannot be written, or `observer` stops the training.
-    pub fn train(mut self, held_out: &EvaluationSet, observer: &dyn Observer<TrainingEvent>) -> Result<SeedResult, TrainingError> {
+    pub fn train(
+        mut self,
+        held_out: &EvaluationSet,
+        observer: &dyn Observer<TrainingEvent>,
+    ) -> Result<SeedResult, TrainingError> {
         let configuration = config_toml(self.config)?;
         let known = if self.run_folder.is_complete() { self.run_folder.read(CONFIGURATION)? } else { None };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
@@ -171,7 +175,10 @@ impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
 ///
 /// # Errors
 /// [`TrainingError`] if a training was configured otherwise, or a file of one is damaged.
-pub fn read_finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(SeedResult, String)>, TrainingError> {
+pub fn read_finished_trainings(
+    out: &Path,
+    config: &TrainingConfig,
+) -> Result<Vec<(SeedResult, String)>, TrainingError> {
     let mut seeds = Vec::new();
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
@@ -234,6 +241,7 @@ pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingErr
 
 fn read_result(work: &RunFolder) -> Result<SeedResult, TrainingError> {
     let bytes = work.read_required(RESULT)?;
-    let damaged = |error: serde_json::Error| RunFolderError::Damaged { path: work.path(RESULT), problem: error.to_string() };
+    let damaged =
+        |error: serde_json::Error| RunFolderError::Damaged { path: work.path(RESULT), problem: error.to_string() };
     Ok(serde_json::from_slice(&bytes).map_err(damaged)?)
 }

@@ -153,7 +153,8 @@ impl Learner {
             }
         }
         for (index, critic) in self.critics.iter().enumerate() {
-            let fill = |input: &mut Vec<f32>| fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input);
+            let fill =
+                |input: &mut Vec<f32>| fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input);
             let values = target.forward(&critic.target, batch.len(), fill);
             if index == 0 {
                 td_targets.clear();
@@ -195,7 +196,8 @@ impl Learner {
         // Rows of the next states follow those of the states where they count.
         let smoothness = 2.0 * self.learning.smoothness_penalty / n;
         let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
-        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.workspace;
+        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } =
+            &mut self.workspace;
         let rows = (batch.states.len() + next_states.len()) / self.state_width;
         let raw = actor.forward(&self.actor.network, rows, |input| {
             input.extend_from_slice(&batch.states);
@@ -204,7 +206,9 @@ impl Learner {
         squash_actions(raw, actions);
         let (actions, next_actions) = actions.split_at(batch.len());
         let critic = &self.critics[0].network;
-        tape.forward(critic, batch.len(), |input| fill_critic_input([&batch.states, &batch.privileged], actions, input));
+        tape.forward(critic, batch.len(), |input| {
+            fill_critic_input([&batch.states, &batch.privileged], actions, input)
+        });
         value_gradients.clear();
         value_gradients.resize(batch.len(), -1.0 / n);
         let mut by_action = vec![0.0; batch.len()];

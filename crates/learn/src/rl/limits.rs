@@ -1,8 +1,8 @@
 //! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
 
-use super::space_mixture;
 use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
 use super::config_error::{TrainingConfigError, check_range};
+use super::space_mixture;
 use crumple_world::policy::ResidualControl;
 
 /// Most hidden layers.
@@ -38,7 +38,10 @@ impl TrainingConfig {
             return Err(TrainingConfigError::Field { field: "version".to_owned(), problem });
         }
         if self.name.trim().is_empty() {
-            return Err(TrainingConfigError::Field { field: "name".to_owned(), problem: "must say something".to_owned() });
+            return Err(TrainingConfigError::Field {
+                field: "name".to_owned(),
+                problem: "must say something".to_owned(),
+            });
         }
         check_range("episodes", self.episodes as f64, [1.0, 1e7])?;
         check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
@@ -50,8 +53,9 @@ impl TrainingConfig {
         terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.environment.observation.check()?;
         let mut departure = self.environment.residual_over.iter().flat_map(ResidualControl::parameters);
-        departure
-            .try_for_each(|(name, value, range)| check_range(&format!("environment.departs_from.{name}"), value, range))?;
+        departure.try_for_each(|(name, value, range)| {
+            check_range(&format!("environment.departs_from.{name}"), value, range)
+        })?;
         let layers = self.network.hidden.len();
         if !(1..=MAX_LAYERS).contains(&layers) {
             let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
@@ -112,8 +116,11 @@ impl TrainingConfig {
         match largest.filter(|_| found > MAX_MEMORY_BYTES) {
             None => Ok(()),
             Some((field, _)) => {
-                let problem =
-                    format!("training takes about {} MiB of memory, at most {} MiB", found >> 20, MAX_MEMORY_BYTES >> 20);
+                let problem = format!(
+                    "training takes about {} MiB of memory, at most {} MiB",
+                    found >> 20,
+                    MAX_MEMORY_BYTES >> 20
+                );
                 Err(TrainingConfigError::Field { field: (*field).to_owned(), problem })
             }
         }

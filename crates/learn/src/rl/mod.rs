@@ -9,7 +9,6 @@
 
 mod adam;
 mod backprop;
-mod space_mixture;
 mod checkpoint;
 mod config;
 mod config_error;
@@ -17,6 +16,7 @@ mod costs;
 mod curve;
 mod environment;
 mod evaluation;
+mod f32_serde;
 mod folder;
 mod learner;
 mod limits;
@@ -26,32 +26,32 @@ mod replay;
 mod reward;
 mod runner;
 mod shard;
-mod f32_serde;
 mod source;
+mod space_mixture;
 mod trainer;
 mod usefulness;
 
 pub use adam::Adam;
-pub use space_mixture::{TrainingSpace, SpaceMixture};
 #[cfg(feature = "schema")]
 pub use config::json_schema;
 pub use config::{
-    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS, LrDecay,
+    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, LrDecay, NetworkConfig, PRESETS,
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
 pub use config_error::TrainingConfigError;
 pub use costs::CostConfig;
-pub use curve::{parse_episode, learning_curve};
-pub use environment::{StepOutcome, EpisodeEnding, TrainingEpisode, EpisodeConfig, action_bounds};
-pub use evaluation::{PolicyEvaluation, EvaluationSet, UNSEEN_DRAWS, count_unseen_contacts};
+pub use curve::{learning_curve, parse_episode};
+pub use environment::{EpisodeConfig, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds};
+pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, TrainableNetwork};
-pub use observation::{ObservationInputs, ObservationConfig, InputScaling};
-pub use replay::{Batch, TransitionLayout, ReplayBuffer, Transition};
+pub use observation::{InputScaling, ObservationConfig, ObservationInputs};
+pub use replay::{Batch, ReplayBuffer, Transition, TransitionLayout};
 pub use runner::{TrainingEvent, parallel_map, train};
 pub(crate) use runner::{TrainingRecorder, train_with_recorder};
 pub use shard::{MergeTrainingsError, MergedTrainings, TrainingShard, is_trainings_folder};
-pub use source::{SourceMixture, CaseMixture, PaperSource, ScenarioSource, unsuitability};
+pub use source::{CaseMixture, PaperSource, ScenarioSource, SourceMixture, unsuitability};
+pub use space_mixture::{SpaceMixture, TrainingSpace};
 pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};
 pub use usefulness::TrafficUsefulness;
 pub(crate) use usefulness::measure_usefulness;

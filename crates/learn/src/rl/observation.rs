@@ -176,7 +176,8 @@ impl ObservationConfig {
 
     /// Every number, its name and its range.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let inputs = INPUT_FIELDS.into_iter().zip(self.inputs.to_array()).filter_map(|(name, input)| Some((name, input?)));
+        let inputs =
+            INPUT_FIELDS.into_iter().zip(self.inputs.to_array()).filter_map(|(name, input)| Some((name, input?)));
         let inputs = inputs.flat_map(|(name, input)| {
             let of = |field| format!("{name}.{field}");
             [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]

@@ -49,12 +49,13 @@ impl<'s> PrivilegedInfo<'s> {
     pub(super) fn observe(&self, episode: &TrainingEpisode) -> [f32; PRIVILEGED_WIDTH] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
-        let [soon, later] = LOOKAHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
-            Some((Driver::Profile(script), speed_mps)) => {
-                (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps) / FULL_BRAKE_MPS2) as f32
-            }
-            _ => 0.0,
-        });
+        let [soon, later] =
+            LOOKAHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
+                Some((Driver::Profile(script), speed_mps)) => {
+                    (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps) / FULL_BRAKE_MPS2) as f32
+                }
+                _ => 0.0,
+            });
         let [costs, friction, ahead, own, behind, delay, is_there, holds] = self.episode_constants;
         [costs, friction, ahead, own, behind, delay, is_there, holds, soon, later]
     }

@@ -145,7 +145,14 @@ impl ReplayBuffer {
     #[must_use]
     pub fn new(capacity: usize, remembered: TransitionLayout) -> Self {
         let width = remembered.width();
-        Self { capacity: capacity.max(1), layout: remembered, width, total_stored: 0, data: Vec::new(), contact_indices: VecDeque::new() }
+        Self {
+            capacity: capacity.max(1),
+            layout: remembered,
+            width,
+            total_stored: 0,
+            data: Vec::new(),
+            contact_indices: VecDeque::new(),
+        }
     }
 
     /// Number of transitions in memory.
@@ -200,7 +207,8 @@ impl ReplayBuffer {
         if self.data.is_empty() {
             return;
         }
-        let of_contacts = if self.contact_indices.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
+        let of_contacts =
+            if self.contact_indices.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
         for index in 0..count {
             let place = if index < of_contacts {
                 self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize

@@ -8,7 +8,7 @@ use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
 use super::source::EGO;
 use crumple_world::measure::{PairState, justified_brake_mps2};
-use crumple_world::sim::{StepView, Motion, Stepper};
+use crumple_world::sim::{Motion, StepView, Stepper};
 
 /// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
 pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
@@ -46,7 +46,9 @@ impl CostConfig {
             + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
             + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
             + self.induced_braking * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
-            + self.unnecessary_braking * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
+            + self.unnecessary_braking
+                * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2).max(0.0)
+                / FULL_BRAKE_MPS2
             + self.residual * departure
     }
 }
@@ -118,7 +120,10 @@ mod tests {
         assert_eq!(relative_step_reward(none()), 1.0);
         let near = |found: f64, by_hand: f64| assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
         near(relative_step_reward(CostConfig { near: 1.0, ..none() }), (34.5 - 16.0) / 34.5);
-        near(relative_step_reward(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }), (16.0 - 13.5) / 13.5);
+        near(
+            relative_step_reward(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }),
+            (16.0 - 13.5) / 13.5,
+        );
         near(relative_step_reward(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
         near(relative_step_reward(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
         near(relative_step_reward(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);

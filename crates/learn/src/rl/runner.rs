@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 
-use super::evaluation::{PolicyEvaluation, EvaluationSet};
+use super::evaluation::{EvaluationSet, PolicyEvaluation};
 use super::trainer::{EpisodeRecord, Trainer, TrainingError};
 use crumple_core::observer::Observer;
 
@@ -74,7 +74,11 @@ impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
 /// train(&mut trainer, &held_out, &Quiet).unwrap();
 /// println!("{}", trainer.policy().unwrap().digest());
 /// ```
-pub fn train(trainer: &mut Trainer, held_out: &EvaluationSet, observer: &dyn Observer<TrainingEvent>) -> Result<(), TrainingError> {
+pub fn train(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    observer: &dyn Observer<TrainingEvent>,
+) -> Result<(), TrainingError> {
     train_with_recorder(trainer, held_out, &mut ForwardingRecorder(observer))
 }
 

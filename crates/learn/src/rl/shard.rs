@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::{CONFIGURATION, read_finished_trainings, training_identity, seed_folder, config_toml};
+use super::folder::{CONFIGURATION, config_toml, read_finished_trainings, seed_folder, training_identity};
 use super::{TrainingConfig, TrainingError};
 use crumple_core::digest::sha256;
 use crumple_store::disk;
+use crumple_store::run_folder::{CompletedRun, MANIFEST_FILE, RunFolderError, RunState, read_state};
 use crumple_store::shard::{MergeError, MissingShards, Parts, ShardId, TooManyShards};
-use crumple_store::run_folder::{CompletedRun, RunState, MANIFEST_FILE, RunFolderError, read_state};
 
 const SHARD_FILE: &str = "shard.json";
 const VERSION: u32 = 1;
@@ -169,8 +169,8 @@ impl MergedTrainings {
                 continue;
             }
             let RunState::Complete(found) = read_state(&place)? else { continue };
-            let is_own =
-                found.has_configuration(&training_identity(&self.config, seed)?) && found.read(CONFIGURATION)? == shard.configuration;
+            let is_own = found.has_configuration(&training_identity(&self.config, seed)?)
+                && found.read(CONFIGURATION)? == shard.configuration;
             if !is_own {
                 let problem = "trained otherwise than the shard says, or with another seed";
                 return Err(damaged_error(&place.join(CONFIGURATION), problem).into());

@@ -83,7 +83,8 @@ impl SourceMixture {
     }
 
     fn source_for(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
-        let mut stream = random::stream(random::derived_seed(seed, MIXTURE_SEED_INDEX), Purpose::ScenarioSampling, index);
+        let mut stream =
+            random::stream(random::derived_seed(seed, MIXTURE_SEED_INDEX), Purpose::ScenarioSampling, index);
         if stream.random::<f64>() < self.first_share { &self.first } else { &self.second }
     }
 }

@@ -76,7 +76,8 @@ impl SpaceMixture {
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
         for (index, TrainingSpace { space: name, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
-            let problem = |problem: String| TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem };
+            let problem =
+                |problem: String| TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem };
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
             let first = space.draw(0, 0).map_err(|error| problem(format!("`{name}` cannot be drawn from: {error}")))?;
             if let Some(reason) = unsuitability(&first) {
@@ -102,7 +103,8 @@ impl SpaceMixture {
 impl SpaceMixture {
     /// Whose turn it is; none only where there are no spaces.
     fn component_for(&self, seed: u64, index: u64) -> Option<&SpaceComponent> {
-        let mut stream = random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
+        let mut stream =
+            random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
         let turn = stream.random::<f64>();
         // Shares add up to 1 but for rounding: the last one takes what is left.
         self.components.iter().find(|part| turn < part.cumulative_share).or(self.components.last())
@@ -172,8 +174,12 @@ mod tests {
 
     #[test]
     fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
-        let blend =
-            SpaceMixture::new(&[training_space("traffic", 3.0), training_space("paper", 1.0), training_space("high-risk", 4.0)]).unwrap();
+        let blend = SpaceMixture::new(&[
+            training_space("traffic", 3.0),
+            training_space("paper", 1.0),
+            training_space("high-risk", 4.0),
+        ])
+        .unwrap();
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
@@ -202,7 +208,8 @@ mod tests {
             let found = refused(&[TrainingSpace { cost_multiplier: costs_times, ..training_space("paper", 1.0) }]);
             assert!(found.starts_with("spaces[0].costs_times: must be between 0 and 10000, found "), "{found}");
         }
-        let found = refused(&[training_space("paper", 1.0), training_space("steady", 1.0), training_space("paper", 2.0)]);
+        let found =
+            refused(&[training_space("paper", 1.0), training_space("steady", 1.0), training_space("paper", 2.0)]);
         assert_eq!(found, "spaces[2].space: `paper` is named twice: give it one weight");
     }
 

@@ -48,7 +48,8 @@ impl TrafficUsefulness {
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
         let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
-        (self.contacts + self.hard_braking + self.left_behind) as f64 / self.drives.max(1) as f64 + EXCESS_WEIGHT * excess
+        (self.contacts + self.hard_braking + self.left_behind) as f64 / self.drives.max(1) as f64
+            + EXCESS_WEIGHT * excess
     }
 }
 

@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::gather_context::GatherContext;
-use super::{CaseResult, Rounded, CacheError};
+use super::{CacheError, CaseResult, Rounded};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario};
-use crumple_verify::{ProvedClaim, Certificate, check};
+use crumple_verify::{Certificate, ProvedClaim, check};
 use crumple_world::scenario::{Scenario, file};
 
 /// Whether a contact was avoidable for any driver, and by how much.
@@ -113,8 +113,9 @@ impl CertifiedAvoidance {
     pub(super) fn load_or_compute(scenario: &Scenario, work: &GatherContext<'_>) -> Result<Self, CacheError> {
         let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
         let find = || Self::compute(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
-        let found: Self =
-            work.cache.get_or_gather(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, CacheError>(find()))?;
+        let found: Self = work
+            .cache
+            .get_or_gather(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, CacheError>(find()))?;
         Ok(if found.is_valid_for(scenario) { found } else { find() })
     }
 
@@ -128,16 +129,26 @@ impl CertifiedAvoidance {
                 };
                 Self { avoidance: best, certificate: certificate.map(|certificate| *certificate) }
             }
-            Err(error) => Self { avoidance: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None },
+            Err(error) => {
+                Self { avoidance: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None }
+            }
         }
     }
 
     /// Whether what it says of every driver is what its certificate shows.
     fn is_valid_for(&self, scenario: &Scenario) -> bool {
-        let shown = self.certificate.as_ref().map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
+        let shown =
+            self.certificate.as_ref().map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
         match (&self.avoidance, shown) {
-            (RoundedAvoidance::Unavoidable, shown) => matches!(shown, Some((Ok(ProvedClaim::Unavoidable { .. }), true))),
-            (RoundedAvoidance::Avoidable { min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, .. }, shown) => {
+            (RoundedAvoidance::Unavoidable, shown) => {
+                matches!(shown, Some((Ok(ProvedClaim::Unavoidable { .. }), true)))
+            }
+            (
+                RoundedAvoidance::Avoidable {
+                    min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, ..
+                },
+                shown,
+            ) => {
                 matches!(shown, Some((Ok(ProvedClaim::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
             }
             (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => shown.is_none(),

@@ -9,8 +9,8 @@ use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    AfterContact, Contact, FailedController, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions,
-    SimulationResult, Trace, FailedControllerRuns, simulate_batch,
+    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, NamedController, RecordingLevel, Run,
+    RunError, RunOptions, SimulationResult, Trace, simulate_batch,
 };
 
 /// What came of one controller in one scenario.
@@ -260,7 +260,8 @@ pub(super) fn run_cases(
     let collided: Vec<usize> = collided.collect();
     let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
     let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
-    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::from_simulated(&simulated));
+    let pile_ups =
+        simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::from_simulated(&simulated));
     for (index, pile_up) in collided.into_iter().zip(pile_ups) {
         cases[index].pile_up = pile_up;
     }

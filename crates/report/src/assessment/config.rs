@@ -119,8 +119,7 @@ impl Default for RatesConfig {
 }
 
 fn all_controllers() -> Vec<String> {
-    let compared =
-        ControllerSpec::all().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
+    let compared = ControllerSpec::all().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
     let mut names: Vec<_> = compared.map(|spec| spec.name().to_owned()).collect();
     // The shield stands beside the policy that it shields.
     let place = names.iter().position(|name| name == "policy").map_or(names.len(), |place| place + 1);

@@ -3,11 +3,11 @@
 //! Runs of single scenarios are not kept in the store, so they are no pieces. A new kind of evidence has to be a piece here, too.
 
 use super::avoidance::CertifiedAvoidance;
-use super::parts::{
-    SpaceSample, FailureMaps, PaperScenarios, SpecificationSearchPlan, FailureSearch, FileScenarios, UsefulnessReport, WorstProfile, WorstProfiles,
-    count_one, counted_names, run_suite,
-};
 use super::gather_context::GatherContext;
+use super::parts::{
+    FailureMaps, FailureSearch, FileScenarios, PaperScenarios, SpaceSample, SpecificationSearchPlan, UsefulnessReport,
+    WorstProfile, WorstProfiles, count_one, counted_names, run_suite,
+};
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
 
@@ -38,10 +38,7 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         add(name, Box::new(move |work| Ok(CertifiedAvoidance::load_or_compute(&scenario, work).map(drop)?)));
     }
     for named in &plan.distributions {
-        add(
-            format!("draws of {}", named.name),
-            Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)),
-        );
+        add(format!("draws of {}", named.name), Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)));
     }
     if !plan.file_scenarios.is_empty() {
         add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(plan, work).map(drop)));
@@ -74,7 +71,10 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         add(searched.name(), Box::new(move |work| searched.gather(plan, work).map(drop)));
     }
     for planned in &plan.suites {
-        add(format!("suite {}", planned.content_id.name), Box::new(move |work| run_suite(plan, planned, work).map(drop)));
+        add(
+            format!("suite {}", planned.content_id.name),
+            Box::new(move |work| run_suite(plan, planned, work).map(drop)),
+        );
     }
     all.sort_by_cached_key(|piece| sha256(&piece.name));
     Ok(all)

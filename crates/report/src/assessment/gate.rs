@@ -7,7 +7,10 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::claims::{AssuranceClaim, Domain, Property, Strength};
 use super::parts::EVERYDAY_SPACES;
-use super::{AssessConfig, AssessmentReport, AssessmentPlan, AssessmentComparison, CheckedCertificate, CertificateStatus, Rounded, ControllerUsefulness};
+use super::{
+    AssessConfig, AssessmentComparison, AssessmentPlan, AssessmentReport, CertificateStatus, CheckedCertificate,
+    ControllerUsefulness, Rounded,
+};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::sim::FailedControllerRuns;
 
@@ -191,7 +194,9 @@ impl AssessmentGate {
                 Some(traffic) => check_no_contact(&traffic.scenarios, controller),
                 None => (false, "the configuration names no scenarios".to_owned()),
             },
-            Self::NoCollisionInSpace { controller, space } => check_no_collision_in_space(plan, found, controller, space),
+            Self::NoCollisionInSpace { controller, space } => {
+                check_no_collision_in_space(plan, found, controller, space)
+            }
             Self::RateAtMost { controller, percent, space } => {
                 check_rate_at_most(plan, found, controller, *percent, space.as_deref())
             }
@@ -258,7 +263,8 @@ impl AssessmentGate {
 fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
     let of_controller = || {
         scenarios.iter().flat_map(|scenario| {
-            let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.is_conclusive());
+            let own =
+                scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.is_conclusive());
             own.map(|case| (scenario.scenario.as_str(), &case.verdict))
         })
     };
@@ -278,7 +284,12 @@ fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bo
 }
 
 /// Judges all random scenarios of a space that were simulated: those of `distributions`, and the drives in everyday traffic and danger.
-fn check_no_collision_in_space(plan: &AssessmentPlan, found: &AssessmentReport, controller: &str, space: &str) -> (bool, String) {
+fn check_no_collision_in_space(
+    plan: &AssessmentPlan,
+    found: &AssessmentReport,
+    controller: &str,
+    space: &str,
+) -> (bool, String) {
     let place = plan.distributions.iter().position(|named| named.name == space);
     let drawn = place.and_then(|place| found.distributions.spaces.get(place)).and_then(|drawn| {
         let of_controller = drawn.controllers.iter().find(|sampled| sampled.controller == controller)?;
@@ -319,8 +330,11 @@ fn check_rate_at_most(
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
     // What is asked for is never rounded in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
-    let standing =
-        found.evidence.claim_status(&AssuranceClaim { subject, property, domain: Domain::Space { space: named.content_id.clone() } });
+    let standing = found.evidence.claim_status(&AssuranceClaim {
+        subject,
+        property,
+        domain: Domain::Space { space: named.content_id.clone() },
+    });
     (matches!(standing.strength, Strength::Bounded { .. }), standing.describe())
 }
 
@@ -389,7 +403,8 @@ fn check_drives_at_most(
     // What a drive without an answer would have come to is not known: it counts as the worse.
     let [silent, _] = useful.unanswered_runs();
     let share = 100.0 * (count(useful) + silent) as f64 / all.draws as f64;
-    let words = useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.describe(all.draws)));
+    let words =
+        useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.describe(all.draws)));
     (share <= percent, format!("{} of {} drives{words}", count(useful), all.draws))
 }
 
@@ -407,10 +422,16 @@ fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Opt
 }
 
 /// What cannot be run does not count; but something has to.
-fn check_suite_passed(plan: &AssessmentPlan, found: &AssessmentReport, controller: &str, suite: &str) -> (bool, String) {
+fn check_suite_passed(
+    plan: &AssessmentPlan,
+    found: &AssessmentReport,
+    controller: &str,
+    suite: &str,
+) -> (bool, String) {
     let place = plan.suites.iter().position(|planned| planned.config_name == suite);
     let of_controller = place.zip(found.suites.as_ref());
-    let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.controller_outcomes(*place, controller)).collect();
+    let outcomes: Vec<_> =
+        of_controller.iter().flat_map(|(place, suites)| suites.controller_outcomes(*place, controller)).collect();
     let run: Vec<_> = outcomes.iter().filter(|(_, outcome)| outcome.points > 0).collect();
     let missed: Vec<_> =
         run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();

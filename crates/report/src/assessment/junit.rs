@@ -1,6 +1,6 @@
 //! Gates as tests, in the form that build servers read.
 
-use super::{AssessmentReport, AssessmentGate, GateResult, SuiteFindings};
+use super::{AssessmentGate, AssessmentReport, GateResult, SuiteFindings};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::DISCLAIMER;
 

@@ -5,24 +5,24 @@
 //! under `parts/`, a field of [`AssessmentReport`] and a line in [`AssessmentReport::parts`].
 
 mod avoidance;
+mod cache;
 mod case;
 mod claims;
 mod commands;
 mod config;
 mod document;
+mod evidence_tasks;
 mod gate;
+mod gather_context;
 mod junit;
 mod page;
 mod parts;
-mod evidence_tasks;
 mod plan;
 mod planned_suite;
 mod prose;
 mod rounded;
 mod shard;
-mod cache;
 mod table;
-mod gather_context;
 
 use crate::markdown;
 
@@ -31,31 +31,34 @@ use serde::Serialize;
 
 pub use crate::markdown::Markdown;
 pub use avoidance::RoundedAvoidance;
-pub use case::{CaseResult, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, RoundedLeadMeasures};
+pub use cache::{CacheError, EvidenceCache, EvidenceHash};
+pub use case::{CaseResult, CaseVerdict, PileUp, RoundedContact, RoundedLeadMeasures, STILL_CLOSING_TTC_S};
 pub use claims::{
-    SecondaryEvidence, AssuranceClaim, Domain, Evidence, ContentId, MIN_CONFIDENCE_PERCENT, Ledger, Property, InferenceRule, EvidenceSource, ClaimStatus,
-    Strength, Subject, UncomparedText,
+    AssuranceClaim, ClaimStatus, ContentId, Domain, Evidence, EvidenceSource, InferenceRule, Ledger,
+    MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, Subject, UncomparedText,
 };
-pub use commands::{CrumpleCommand, CommandFile};
-pub use config::{AssessConfig, CONFIG_VERSION, AssessConfigError, RatesConfig, SearchConfig};
+pub use commands::{CommandFile, CrumpleCommand};
+pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, RatesConfig, SearchConfig};
 pub use document::ReportDocument;
 pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
-    SafetyAnswer, Argument, BRAKING_MPS2, BrakingTimes, AssessmentChange, ClaimRow, AssessmentComparison, ComparisonError, SpaceSample,
-    SpaceSamples, SpaceDescriptions, EXAMPLE_MPS, EarlierAssessment, GsnElement, GsnElementKind, EscapeFile, DistinctFailure, FailureMap, FailureMaps,
-    FirstPage, Glossary, FixedParameter, KernelGap, LearnedPolicies, LearnedPolicy, LimitingAssumption, AssessmentLimits, StringStabilityVerdict, MAX_EVIDENCE_BYTES,
-    BuildInfo, FailureMapAxis, MapCell, MapRow, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
-    PercentInterval, CheckedCertificate, CertificateStatus, Proofs, AssessmentProvenance, SpecificationSearch, SpaceSpecificationSearches, SpecificationViolation, SpecificationSearches, ControllerSample,
-    ScenarioCases, FailureSearch, FailureSearches, SpaceDescription, SpaceSearches, CertificateSubject, SuiteFailure, SuiteFindings,
-    SuiteOutcome, SuiteTest, Suites, ClaimSummary, FileScenarios, UnknownCell, ControllerUsefulness, UsefulnessReport, WorstProfile, WorstProfiles,
+    Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, BRAKING_MPS2,
+    BrakingTimes, BuildInfo, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary,
+    ComparisonError, ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment,
+    EscapeFile, FailureMap, FailureMapAxis, FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage,
+    FixedParameter, Glossary, GsnElement, GsnElementKind, KernelGap, LearnedPolicies, LearnedPolicy,
+    LimitingAssumption, MAX_EVIDENCE_BYTES, MapCell, MapRow, MethodResult, MildestAttack, NameExplanation,
+    PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs, SafetyAnswer, ScenarioCases,
+    SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SpaceSpecificationSearches,
+    SpecificationSearch, SpecificationSearches, SpecificationViolation, StringStabilityVerdict, SuiteFailure,
+    SuiteFindings, SuiteOutcome, SuiteTest, Suites, UnknownCell, UsefulnessReport, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
-pub use shard::{EvidenceShardError, MergedEvidence, ASSESSMENT_SHARD_KIND, gather_shard};
-pub use cache::{EvidenceHash, EvidenceCache, CacheError};
+pub use shard::{ASSESSMENT_SHARD_KIND, EvidenceShardError, MergedEvidence, gather_shard};
 
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Stopped};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
@@ -64,8 +67,8 @@ use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
-use parts::GatheredEvidence;
 use gather_context::GatherContext;
+use parts::GatheredEvidence;
 
 /// The version of the JSON evidence this release writes.
 pub const EVIDENCE_VERSION: u32 = 3;
@@ -218,7 +221,8 @@ pub fn assess(
 ) -> Result<AssessmentReport, AssessError> {
     let nothing_kept = EvidenceCache::disabled();
     let store = if plan.first_without_identity().is_none() { store } else { &nothing_kept };
-    let work = GatherContext::new(store, ProgressCounter::new(observer, Some(plan.runs()))).with_controllers(&plan.controllers);
+    let work = GatherContext::new(store, ProgressCounter::new(observer, Some(plan.runs())))
+        .with_controllers(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = SpaceSamples::gather(plan, &work)?;
     let traffic = FileScenarios::gather(plan, &work)?;
@@ -288,7 +292,8 @@ impl AssessmentPlan {
         // A search has a method and two reference searches.
         let searched_by = 1 + self.config.search.specifications.len() as u64;
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget * searched_by;
-        let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
+        let each =
+            scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.distributions.len() as u64 * (learned + 1);
@@ -373,7 +378,10 @@ impl AssessmentReport {
             ("replay.sh".to_owned(), commands::replay_script(self.commands())),
         ];
         texts.extend(
-            self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files).map(|(name, svg)| (name, svg.document())),
+            self.paper_scenarios
+                .iter()
+                .flat_map(PaperScenarios::figure_files)
+                .map(|(name, svg)| (name, svg.document())),
         );
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));

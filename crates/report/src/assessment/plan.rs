@@ -7,7 +7,7 @@ use crumple_verify::Certificate;
 use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
-use super::config::{AssessConfig, CONFIG_VERSION, AssessConfigError};
+use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
 use super::gate::AssessmentGate;
 use super::parts;
 use super::planned_suite::PlannedSuite;
@@ -104,7 +104,17 @@ impl AssessmentPlan {
         let (distributions, spaces) = (known(&config.distributions()), known(&config.search_spaces()));
         let (subject, certificates) = (default_subject(&controllers), shipped_certificates(&controllers));
         let (traffic, left_out, suites) = (Vec::new(), Vec::new(), Vec::new());
-        Self { subject_index: subject, config, controllers, file_scenarios: traffic, left_out, suites, distributions, spaces, certificates }
+        Self {
+            subject_index: subject,
+            config,
+            controllers,
+            file_scenarios: traffic,
+            left_out,
+            suites,
+            distributions,
+            spaces,
+            certificates,
+        }
     }
 
     /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
@@ -257,7 +267,11 @@ impl PlanLoader<'_> {
     }
 
     /// The plan of a configuration with these controllers.
-    fn build_plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, AssessConfigError> {
+    fn build_plan(
+        &self,
+        mut config: AssessConfig,
+        controllers: Vec<NamedController>,
+    ) -> Result<AssessmentPlan, AssessConfigError> {
         self.check_numbers(&config)?;
         // However a controller is spelled, it goes by one name.
         let place_of = |name: &mut String| {
@@ -274,7 +288,8 @@ impl PlanLoader<'_> {
             .map_err(|(field, problem)| self.field_error(&field, problem))?;
         for (index, gate) in config.gates.iter_mut().enumerate() {
             for (field, name) in gate.controllers_mut() {
-                place_of(name).ok_or_else(|| self.field_error(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
+                place_of(name)
+                    .ok_or_else(|| self.field_error(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
@@ -287,9 +302,9 @@ impl PlanLoader<'_> {
         let spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
         let distributions = self.load_spaces("distributions", &config.distributions())?;
         self.normalize_specifications(&mut config.search.specifications, &spaces)?;
-        let clash = distributions
-            .iter()
-            .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id));
+        let clash = distributions.iter().find(|one| {
+            spaces.iter().any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id)
+        });
         if let Some(one) = clash {
             let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
             return Err(self.field_error("distributions", problem));
@@ -361,7 +376,9 @@ impl PlanLoader<'_> {
         }
         let (budget, runs) = (config.search.budget, config.rates.runs);
         if !(1..=MAX_EVALUATIONS).contains(&budget) {
-            return Err(self.field_error("search.budget", format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}")));
+            return Err(
+                self.field_error("search.budget", format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}"))
+            );
         }
         if runs > MAX_DRAWS {
             return Err(self.field_error("rates.runs", format!("must be at most {MAX_DRAWS}, found {runs}")));
@@ -471,13 +488,17 @@ impl PlanLoader<'_> {
         Ok(spaces)
     }
 
-    fn load_certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, AssessConfigError> {
+    fn load_certificates(
+        &self,
+        paths: &[PathBuf],
+        made_here: &[String],
+    ) -> Result<Vec<GivenCertificate>, AssessConfigError> {
         let mut given: Vec<GivenCertificate> = Vec::new();
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
-            let text =
-                fs::read_to_string(&at).map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
+            let text = fs::read_to_string(&at)
+                .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
             let certificate = Certificate::from_json(&text)
                 .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());

@@ -82,7 +82,12 @@ impl PlannedSuite {
             tested.dedup();
             let text = serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
             let known = ContentId::new(suite.spec().name.as_str(), text);
-            planned.push(Self { config_name: asked.suite.clone(), suite, content_id: known, controller_indices: tested });
+            planned.push(Self {
+                config_name: asked.suite.clone(),
+                suite,
+                content_id: known,
+                controller_indices: tested,
+            });
         }
         Ok(planned)
     }

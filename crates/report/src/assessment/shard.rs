@@ -10,15 +10,17 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::cache::{CacheEntry, CacheError, EvidenceCache};
 use super::evidence_tasks::evidence_tasks;
-use super::cache::{CacheEntry, EvidenceCache, CacheError};
 use super::gather_context::GatherContext as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{ProgressCounter, Observer, RunProgress};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_store::disk::DiskError;
-use crumple_store::shard::{MergeError, Mergeable, MergedShards, MissingShards, ShardId, Sharded, TooManyShards, open_shard};
 use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_store::shard::{
+    MergeError, Mergeable, MergedShards, MissingShards, ShardId, Sharded, TooManyShards, open_shard,
+};
 use crumple_world::scenario::file;
 
 /// What a folder of one is called in its `work.json`.
@@ -131,7 +133,8 @@ pub fn gather_shard(
     let under_way = folder.join(CACHE_FOLDER);
     if !work.is_complete() {
         let store = EvidenceCache::open(&under_way, program, false)?;
-        let gathering = Gathering::new(&store, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
+        let gathering =
+            Gathering::new(&store, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
         work.write(EVIDENCE_FILE, to_json_line(&store.entries()?)?)?;
         work.finish()?;

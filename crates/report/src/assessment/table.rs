@@ -110,8 +110,9 @@ impl ReportTable {
 
     /// The table, in a frame that scrolls sideways where the page is narrow. The first column heads its row.
     pub(super) fn to_html(&self) -> Markup {
-        let is_number =
-            |column: usize| self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == CellMark::Number));
+        let is_number = |column: usize| {
+            self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == CellMark::Number))
+        };
         html! {
             div.scroll tabindex="0" {
                 table {

@@ -7,11 +7,11 @@ use maud::{Markup, PreEscaped, html};
 
 use super::animation_data::AnimationData;
 use super::label::PixelRect;
-use super::vehicle_names::vehicle_names;
-use super::panel::{Anchor, Marker, draw_marker, draw_line, draw_tag, tag_width, draw_text};
+use super::panel::{Anchor, Marker, draw_line, draw_marker, draw_tag, draw_text, tag_width};
 use super::path::Px;
 use super::scale::format_number;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
+use super::vehicle_names::vehicle_names;
 use super::{PixelPoint, Svg};
 use crumple_world::scenario::{Scenario, VehicleClass};
 use crumple_world::sim::{Impact, Trace};

@@ -176,7 +176,10 @@ impl VehicleData {
             length_m: round_to_digits(track.length_m, 2),
             position_m: sampled(&track.position_m, 2),
             speed_mps: sampled(&track.speed_mps, 2),
-            acceleration_mps2: at_s.iter().map(|&at| round_to_digits(hold_previous(time_s, &track.acceleration_mps2, at), 1)).collect(),
+            acceleration_mps2: at_s
+                .iter()
+                .map(|&at| round_to_digits(hold_previous(time_s, &track.acceleration_mps2, at), 1))
+                .collect(),
         }
     }
 

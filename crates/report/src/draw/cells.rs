@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 
 use super::label::{PixelRect, text_width};
-use super::panel::{Anchor, Marker, draw_marker, draw_line, draw_text};
+use super::panel::{Anchor, Marker, draw_line, draw_marker, draw_text};
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 
 /// Height of a row of the key, and side of a sample in it, in pixels.
@@ -72,7 +72,14 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
                 let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {:.1}", -h);
             }
             CellStyle::Lettered(letter) => {
-                marks.push(draw_text((x, y + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, letter, SMALL_TEXT_SIZE, Ink::Text, false));
+                marks.push(draw_text(
+                    (x, y + SMALL_TEXT_SIZE * 0.35),
+                    Anchor::Middle,
+                    letter,
+                    SMALL_TEXT_SIZE,
+                    Ink::Text,
+                    false,
+                ));
             }
         }
     }

@@ -123,7 +123,8 @@ fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
     let samples: Vec<_> = samples.collect();
     let hidden = |frame: &PixelRect| {
         let (width, height) = (frame.width + MARGIN, frame.height + MARGIN);
-        let wider = PixelRect::from_center((frame.left + frame.width / 2.0, frame.top + frame.height / 2.0), width, height);
+        let wider =
+            PixelRect::from_center((frame.left + frame.width / 2.0, frame.top + frame.height / 2.0), width, height);
         samples.iter().filter(|place| wider.contains(**place)).count()
     };
     let best = INSET_SIZES.into_iter().flat_map(corners).min_by_key(hidden)?;

@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 
 use super::axis::{BOTTOM_MARGIN, LEFT_MARGIN};
-use super::label::{PixelRect, truncate_to_width, text_width, wrap_to_width};
-use super::motion::{PanelArrangement, MotionFigure};
-use super::panel::{Anchor, HEADING_HEIGHT, draw_tag, tag_width, draw_text};
+use super::label::{PixelRect, text_width, truncate_to_width, wrap_to_width};
+use super::motion::{MotionFigure, PanelArrangement};
+use super::panel::{Anchor, HEADING_HEIGHT, draw_tag, draw_text, tag_width};
 use super::theme::{Ink, TEXT_SIZE, draw_swatch};
 
 /// Distance between successive labels, in pixels.
@@ -59,17 +59,42 @@ impl FigureLayout {
                 let spacing = frame(speed.right() + LEFT_MARGIN + 16.0, unit);
                 let labels_right = space.right() + labels;
                 let height = space.bottom() + BOTTOM_MARGIN;
-                Self { arrangement: layout, width, height, title, position: space, speed, gap: spacing, labels_right, widest_tag }
+                Self {
+                    arrangement: layout,
+                    width,
+                    height,
+                    title,
+                    position: space,
+                    speed,
+                    gap: spacing,
+                    labels_right,
+                    widest_tag,
+                }
             }
             PanelArrangement::Stacked | PanelArrangement::Column => {
                 let (first, others) = if layout == PanelArrangement::Stacked { (230.0, 190.0) } else { (190.0, 130.0) };
                 let plot = width - LEFT_MARGIN - widest_tag - 18.0;
-                let frame = |above: f64, height| PixelRect { left: LEFT_MARGIN, top: above + HEADING_HEIGHT, width: plot, height };
+                let frame = |above: f64, height| PixelRect {
+                    left: LEFT_MARGIN,
+                    top: above + HEADING_HEIGHT,
+                    width: plot,
+                    height,
+                };
                 let space = frame(top + LEGEND_ROW_HEIGHT * legend_rows(figure, width).len() as f64, tall(first));
                 let speed = frame(space.bottom() + BOTTOM_MARGIN, others);
                 let spacing = frame(speed.bottom() + BOTTOM_MARGIN, others);
                 let height = spacing.bottom() + BOTTOM_MARGIN;
-                Self { arrangement: layout, width, height, title, position: space, speed, gap: spacing, labels_right: width, widest_tag }
+                Self {
+                    arrangement: layout,
+                    width,
+                    height,
+                    title,
+                    position: space,
+                    speed,
+                    gap: spacing,
+                    labels_right: width,
+                    widest_tag,
+                }
             }
         }
     }

@@ -13,17 +13,17 @@ mod animation_data;
 mod axis;
 mod cells;
 mod closeup;
+mod figure_layout;
 mod label;
 mod motion;
 mod motion_axes;
-mod vehicle_names;
 mod panel;
 mod path;
-mod figure_layout;
 #[cfg(feature = "png")]
 mod png;
 mod scale;
 mod theme;
+mod vehicle_names;
 
 use maud::{Markup, PreEscaped, html};
 
@@ -32,18 +32,18 @@ pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
 pub(crate) use cells::grid_rects;
 pub use cells::{CellStyle, LegendEntry, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};
-pub use motion::{PanelArrangement, MotionFigure, draw_motion, draw_motion_on_axes, draw_motion_responsive};
-pub(crate) use motion::{draw_motions_side_by_side, draw_motion_columns};
+pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
+pub(crate) use motion::{draw_motion_columns, draw_motions_side_by_side};
 pub use motion_axes::MotionAxes;
-pub use vehicle_names::vehicle_names;
 pub(crate) use panel::TaggedLine;
 pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
 pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;
 pub(crate) use scale::Ticks;
-pub use scale::{extent, pad_interval, format_number};
+pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
+pub use vehicle_names::vehicle_names;
 
 use crumple_core::quoting::TerminalLines;
 pub(crate) use label::strip_unprintable;

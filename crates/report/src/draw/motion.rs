@@ -5,10 +5,10 @@ use maud::{Markup, html};
 
 use super::axis::LEFT_MARGIN;
 use super::closeup::{self, Focus};
+use super::figure_layout::{FigureLayout, LABEL_STEP, vehicle_name};
 use super::label::{PixelRect, spread_evenly, text_width};
 use super::motion_axes::MotionAxes;
-use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, tag_width, draw_text};
-use super::figure_layout::{LABEL_STEP, FigureLayout, vehicle_name};
+use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, draw_text, tag_width};
 use super::scale::extent;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
@@ -95,7 +95,8 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
 #[must_use]
 pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
-    let drawn: Vec<Svg> = figures.iter().map(|figure| draw_motion_on_axes(figure, &axes, PanelArrangement::Column)).collect();
+    let drawn: Vec<Svg> =
+        figures.iter().map(|figure| draw_motion_on_axes(figure, &axes, PanelArrangement::Column)).collect();
     let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + COLUMN_GAP)));
     let content = html! {
         @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
@@ -116,7 +117,10 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
     }
     mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
         let place = impact_position_m(trace, contact);
-        (format!("contact {} at {:.2} s, {:.1} m/s", format_pair(contact), contact.time_s, contact.impact_speed_mps), place)
+        (
+            format!("contact {} at {:.2} s, {:.1} m/s", format_pair(contact), contact.time_s, contact.impact_speed_mps),
+            place,
+        )
     });
     if let Some(focus) = find_focus(figure) {
         if !focus.is_contact {

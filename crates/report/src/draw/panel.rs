@@ -152,7 +152,14 @@ impl Panel {
             Anchor::End => place.0 - width / 2.0,
         };
         self.occupied.push(PixelRect::from_center((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
-        self.overlays.push(draw_text((place.0, place.1 + SMALL_TEXT_SIZE * 0.35), anchor, text, SMALL_TEXT_SIZE, ink, true));
+        self.overlays.push(draw_text(
+            (place.0, place.1 + SMALL_TEXT_SIZE * 0.35),
+            anchor,
+            text,
+            SMALL_TEXT_SIZE,
+            ink,
+            true,
+        ));
     }
 
     /// Adds something drawn in pixels to the data, cut off at the frame.

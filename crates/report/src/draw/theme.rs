@@ -192,7 +192,10 @@ mod tests {
         let inks = INKS.iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
         for (ink, name) in inks.zip(names) {
             assert!(contrast(ink.hex(), Ink::Paper.hex()) >= 4.5, "{ink:?} on white");
-            assert!(contrast(dark_value(&format!("--draw-{name}")), dark_value("--draw-paper")) >= 4.5, "{ink:?} in the dark");
+            assert!(
+                contrast(dark_value(&format!("--draw-{name}")), dark_value("--draw-paper")) >= 4.5,
+                "{ink:?} in the dark"
+            );
         }
     }
 

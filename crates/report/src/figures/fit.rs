@@ -2,8 +2,10 @@
 
 use maud::html;
 
-use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, pad_interval};
-use crumple_evidence::fit::{FittedSpace, FittedFeature, format_p_value};
+use crate::draw::{
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg, pad_interval,
+};
+use crumple_evidence::fit::{FittedFeature, FittedSpace, format_p_value};
 
 /// Size of a panel, in pixels, and what lies between two of them.
 const PANEL_SIZE: (f64, f64) = (340.0, 200.0);
@@ -31,8 +33,10 @@ pub fn draw_fit(fitted: &FittedSpace) -> Svg {
 fn fit_panel(number: &FittedFeature, frame: PixelRect) -> Panel {
     let point = number.point_mass.map(|point| point.at);
     let (smallest, largest) = (number.tails.smallest, number.tails.largest);
-    let (low, high) =
-        pad_interval((point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))), 0.08);
+    let (low, high) = pad_interval(
+        (point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))),
+        0.08,
+    );
     let x = Axis::numeric(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
     let title = format!("{}: {}", number.name, number.chosen.family.name());
     let mut panel = Panel::new(frame, &title, x, Axis::numeric("", (0.0, 1.0), 5));

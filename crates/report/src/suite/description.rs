@@ -1,6 +1,9 @@
 //! What a run of a suite found, in words.
 
-use crumple_suites::{SweepFailure, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, ControllerResult, WorstInTolerance};
+use crumple_suites::{
+    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, SweepFailure, TestVerdict,
+    WorstInTolerance,
+};
 
 /// A verdict in words.
 pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
@@ -77,7 +80,9 @@ fn describe_margin(margin: &Margin) -> String {
     let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
     let push = push.label();
     match end {
-        MarginEnd::None { failure: beyond } => format!("margin of {push}{held}: none, it {} at {from} {unit}", describe_beyond(*beyond)),
+        MarginEnd::None { failure: beyond } => {
+            format!("margin of {push}{held}: none, it {} at {from} {unit}", describe_beyond(*beyond))
+        }
         MarginEnd::Holds { parts } => {
             format!("margin of {push}{held}: passes from {from} to {to} {unit} at the ends of {parts} parts")
         }

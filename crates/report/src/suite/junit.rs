@@ -2,7 +2,7 @@
 
 use super::description::{describe_min_margins, describe_verdict, describe_worst_in_tolerance};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
-use crumple_suites::{SuiteResult, TestResult, TestVerdict, ControllerResult};
+use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 
 /// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
 /// cannot run is skipped.
@@ -10,7 +10,8 @@ use crumple_suites::{SuiteResult, TestResult, TestVerdict, ControllerResult};
 pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {
         let document = format!("{}, {}", result.document, result.edition);
-        let tests = clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| junit_case(test, tested)));
+        let tests =
+            clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| junit_case(test, tested)));
         JunitSuite {
             name: format!("{} {}", result.suite, clause.clause),
             properties: vec![("statement".to_owned(), result.statement.to_string()), ("document".to_owned(), document)],

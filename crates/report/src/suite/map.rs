@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, html};
 
 use super::map_figure;
-use super::page::{html_head, describe_estimator};
+use super::page::{describe_estimator, html_head};
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 

@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::map::{LEGEND, panel_title, cell_letter};
+use super::map::{LEGEND, cell_letter, panel_title};
 use crate::draw::{
-    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg,
-    grid_rects, draw_text,
+    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, LegendEntry, Marker, Panel,
+    PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, draw_text, grid_rects,
 };
 use crumple_suites::{Boundary, CrashMap, CrashMapAxis, MapPanel};
 
@@ -51,7 +51,8 @@ fn draw(map: &CrashMap, prefix: &str, width: f64, columns: usize) -> Svg {
     let row_height = HEADING_HEIGHT + plot.1 + BOTTOM_MARGIN;
     let placed = |(index, panel): (usize, &MapPanel)| {
         let (column, row) = (index % columns, index / columns);
-        let (left, top) = (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
+        let (left, top) =
+            (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
         let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
         self::draw_panel(map, panel, frame).draw(&Svg::id(prefix, &index.to_string()))
     };
@@ -87,7 +88,8 @@ fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: PixelRect) -> Panel {
 /// What is drawn, and the height that this takes. What does not occur is left out.
 fn draw_legend(map: &CrashMap, width: f64) -> (Markup, f64) {
     let occurs = |kind: char| map.panels.iter().flat_map(|panel| &panel.cells).any(|cell| cell_letter(cell) == kind);
-    let kinds = LEGEND.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| LegendEntry::Cell(cell_style(*kind), what));
+    let kinds =
+        LEGEND.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| LegendEntry::Cell(cell_style(*kind), what));
     let lines = map.boundaries.iter().map(|one| LegendEntry::Line(boundary_stroke(one), &one.label));
     let mut entries: Vec<LegendEntry<'_>> = kinds.chain(lines).collect();
     if !map.stated_points.is_empty() {

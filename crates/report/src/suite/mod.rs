@@ -1,24 +1,26 @@
 //! Runs of suites, told: a matrix for readers as text or as a page, JUnit for build servers; crash maps as pictures.
 
+mod description;
 mod junit;
 mod map;
 mod map_figure;
 mod page;
 mod table;
-mod description;
 
 use std::fmt::Write;
 
 use crumple_core::quoting::TerminalText;
-use crumple_suites::{FailedPoint, SuiteResult, TestResult, ControllerResult};
+use crumple_suites::{ControllerResult, FailedPoint, SuiteResult, TestResult};
 
+use description::describe_outcome;
+pub(crate) use description::{
+    describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
+};
 pub use junit::render_junit;
 pub use map::{render_map_html, render_map_text};
 pub use map_figure::draw_map;
 pub use page::render_html;
 pub use table::render_markdown_table;
-use description::describe_outcome;
-pub(crate) use description::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
 /// shows a failure of a controller; none where its scenario was not written.
@@ -46,16 +48,28 @@ pub fn render_text(result: &SuiteResult, replay: impl Fn(&FailedPoint, &Controll
     out
 }
 
-fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&FailedPoint, &ControllerResult) -> Option<String>) {
+fn write_test(
+    out: &mut String,
+    test: &TestResult,
+    replay: &impl Fn(&FailedPoint, &ControllerResult) -> Option<String>,
+) {
     let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
     let _ = writeln!(out, "  {}{chosen}", test.name);
     if let Some(limit) = &test.impact_at_most {
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
     for tested in &test.controllers {
-        let points =
-            if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) };
-        let _ = writeln!(out, "    {}: {}{points}", TerminalText(&tested.controller), TerminalText(&describe_outcome(tested)));
+        let points = if tested.points == 0 {
+            String::new()
+        } else {
+            format!(", {} of {} pass", tested.passed_points, tested.points)
+        };
+        let _ = writeln!(
+            out,
+            "    {}: {}{points}",
+            TerminalText(&tested.controller),
+            TerminalText(&describe_outcome(tested))
+        );
         for line in describe_min_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
@@ -63,7 +77,8 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&FailedPoint
             let _ = writeln!(out, "      {}", TerminalText(&describe_worst_in_tolerance(within)));
         }
         for failed in tested.failures() {
-            let _ = writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&describe_verdict(&failed.verdict)));
+            let _ =
+                writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&describe_verdict(&failed.verdict)));
             let preventable = describe_preventability(failed);
             if !preventable.is_empty() {
                 let _ = writeln!(out, "        {}", TerminalText(&preventable));

@@ -2,12 +2,15 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::description::{describe_impact_limit, describe_outcome, describe_min_margins, describe_prevention, describe_verdict, describe_worst_in_tolerance};
+use super::description::{
+    describe_impact_limit, describe_min_margins, describe_outcome, describe_prevention, describe_verdict,
+    describe_worst_in_tolerance,
+};
 use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, draw_motion_responsive, vehicle_names};
 use crate::units::insert_nbsp_before_units;
 use crumple_core::quoting::TerminalLines;
-use crumple_suites::{ClauseResult, FailedPoint, SuiteResult, TestResult, TestVerdict, ControllerResult};
+use crumple_suites::{ClauseResult, ControllerResult, FailedPoint, SuiteResult, TestResult, TestVerdict};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
@@ -36,7 +39,8 @@ struct Page<'a> {
 
 impl Page<'_> {
     fn to_markup(&self) -> Markup {
-        let SuiteResult { statement, suite, document, edition, parameter_source: figures_from, clauses, .. } = self.result;
+        let SuiteResult { statement, suite, document, edition, parameter_source: figures_from, clauses, .. } =
+            self.result;
         let title = format!("{suite}: {document}");
         html! {
             (DOCTYPE)

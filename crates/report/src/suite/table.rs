@@ -2,7 +2,7 @@
 
 use super::description::min_margins;
 use crate::markdown::Markdown;
-use crumple_suites::{Margin, MarginEnd, DISCLAIMER, SuiteResult, TestVerdict, ControllerResult};
+use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict};
 
 /// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
 /// test that passes can be pushed.
@@ -45,7 +45,9 @@ fn format_cell(tested: &ControllerResult) -> String {
         let impact = fastest.map_or_else(String::new, |mps| format!(", {mps:.1} m/s"));
         return format!("{sign} {points}{impact}");
     }
-    let margin = min_margins(&tested.margins).first().map_or_else(String::new, |(margin, _)| format!(", {}", describe_margin_end(margin)));
+    let margin = min_margins(&tested.margins)
+        .first()
+        .map_or_else(String::new, |(margin, _)| format!(", {}", describe_margin_end(margin)));
     format!("✓ {points}{margin}")
 }
 

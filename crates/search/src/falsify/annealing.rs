@@ -7,7 +7,7 @@
 use rand::RngExt;
 
 use super::method::nan_as_infinity;
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Moves of each coordinate in a cycle.

@@ -2,14 +2,14 @@
 
 use rand::RngExt;
 
-use super::climb::{Climbs, ClimbMove};
-use super::cma_es::{INITIAL_SIGMA, CmaRun, default_population};
+use super::climb::{ClimbMove, Climbs};
+use super::cma_es::{CmaRun, INITIAL_SIGMA, default_population};
 use super::method::nan_as_infinity;
 use super::plateau_bisection::{Plateaus, Segment};
 use super::sequential::LeaderDescent;
 use super::simple_points::sample_simple_point;
 use super::surrogate::{MetricSelection, Surrogate};
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Simple points before anything else: problems that give in to extreme inputs end here.
@@ -202,7 +202,12 @@ impl Auto {
             let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
             (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
         };
-        CmaDescent { run: CmaRun::new(start, sigma, population), best: f64::INFINITY, evaluations: 0, generations_without_gain: 0 }
+        CmaDescent {
+            run: CmaRun::new(start, sigma, population),
+            best: f64::INFINITY,
+            evaluations: 0,
+            generations_without_gain: 0,
+        }
     }
 }
 
@@ -226,7 +231,8 @@ impl LeaderSearch {
         let asked = self.descent.as_mut().map(LeaderDescent::ask).unwrap_or_default();
         let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
         let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
-        let has_fallen = self.started_at_value.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
+        let has_fallen =
+            self.started_at_value.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
         if !has_fallen {
             return asked;
         }
@@ -263,7 +269,8 @@ impl SearchAlgorithm for Auto {
         self.climbs.rank();
         self.pending.clear();
         self.surrogate_data.drain(..self.surrogate_data.len().saturating_sub(MAX_SURROGATE_POINTS));
-        self.surrogate = Surrogate::fit(&self.coarse, &self.surrogate_data, self.surrogate_data_count, &mut self.metric_selection);
+        self.surrogate =
+            Surrogate::fit(&self.coarse, &self.surrogate_data, self.surrogate_data_count, &mut self.metric_selection);
         if self.good_points.len() > 2 * MAX_GOOD_POINTS {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             self.good_points.truncate(MAX_GOOD_POINTS);
@@ -283,8 +290,9 @@ impl SearchAlgorithm for Auto {
                 }
                 _ => descent.run.ask(&mut self.random),
             };
-            self.pending
-                .extend(generation.into_iter().map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))));
+            self.pending.extend(
+                generation.into_iter().map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))),
+            );
             self.descent = Some(descent);
             self.propose_batch(PLAN_DURING_DESCENT);
         }
@@ -306,7 +314,11 @@ impl SearchAlgorithm for Auto {
         let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
         let asked = std::mem::take(&mut self.pending);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| nan_as_infinity(value))) {
-            if let PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) | PortfolioProposal::Descent(point) | PortfolioProposal::Leader(point) = &asked {
+            if let PortfolioProposal::Simple(point)
+            | PortfolioProposal::Screened(point)
+            | PortfolioProposal::Descent(point)
+            | PortfolioProposal::Leader(point) = &asked
+            {
                 self.leader_search.learn(point, value);
             }
             match asked {
@@ -324,7 +336,9 @@ impl SearchAlgorithm for Auto {
                     self.add_surrogate_data(&point, value);
                     generation.push(value);
                 }
-                PortfolioProposal::PlateauBisection(segment) => self.segments.extend(self.plateaus.halve(segment, value)),
+                PortfolioProposal::PlateauBisection(segment) => {
+                    self.segments.extend(self.plateaus.halve(segment, value))
+                }
                 PortfolioProposal::Climb(proposal) => self.climbs.tell(proposal, value),
                 PortfolioProposal::Leader(point) => {
                     of_lead.push(value);

@@ -46,7 +46,14 @@ impl Climbs {
     /// A new start.
     pub(super) fn add_start(&mut self, point: Vec<f64>, value: f64) {
         let weights = vec![1.0; point.len()];
-        self.climbs.push(Climb { point, value, moves_without_gain: 0, weights, last_gain: None, has_pending_move: false });
+        self.climbs.push(Climb {
+            point,
+            value,
+            moves_without_gain: 0,
+            weights,
+            last_gain: None,
+            has_pending_move: false,
+        });
     }
 
     /// Puts the climbs in order; call it once before a batch of moves, and never between a move and its value.
@@ -58,7 +65,8 @@ impl Climbs {
 
     /// The next move, of a climb that has none in this batch.
     pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
-        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK;
+        let cost =
+            |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK;
         let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.has_pending_move);
         let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
         climb.has_pending_move = true;

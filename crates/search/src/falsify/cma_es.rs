@@ -8,7 +8,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::method::nan_as_infinity;
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Largest population after restarts, as a multiple of the first one.

@@ -124,8 +124,7 @@ impl FailureCriterion {
         let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
         match self {
             Self::Differential(other) => {
-                let is_named_alike =
-                    other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
+                let is_named_alike = other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
                 is_named_alike && digest(other) == digest(own)
             }
             Self::Metamorphic(_) => false,
@@ -187,7 +186,9 @@ impl FailureCriterionRecord {
     /// [`UnknownController`] if there is no such controller.
     pub(super) fn resolve(&self, folder: &Path) -> Result<FailureCriterion, UnknownController> {
         Ok(match self {
-            Self::Differential { controller, .. } => FailureCriterion::Differential(NamedController::find(controller, folder)?),
+            Self::Differential { controller, .. } => {
+                FailureCriterion::Differential(NamedController::find(controller, folder)?)
+            }
             Self::Metamorphic(relation) => FailureCriterion::Metamorphic(*relation),
         })
     }

@@ -2,7 +2,7 @@
 
 use rand::seq::SliceRandom;
 
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, stream};
 
 const BATCH_SIZE: usize = 32;
@@ -71,7 +71,9 @@ impl SearchAlgorithm for Halton {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         let indices = self.next..self.next + BATCH_SIZE as u64;
         self.next = indices.end;
-        indices.map(|index| self.coordinates.iter().map(|coordinate| coordinate.radical_inverse(index)).collect()).collect()
+        indices
+            .map(|index| self.coordinates.iter().map(|coordinate| coordinate.radical_inverse(index)).collect())
+            .collect()
     }
 
     fn tell(&mut self, _robustness: &[f64]) {}

@@ -286,7 +286,9 @@ mod tests {
     }
 
     fn campaign(name: &str, coordinate: f64) -> Campaign {
-        let start = move |cube: &UnitCube, _| -> Box<dyn SearchAlgorithm> { Box::new(FixedPointSearch(vec![coordinate; cube.dimension()])) };
+        let start = move |cube: &UnitCube, _| -> Box<dyn SearchAlgorithm> {
+            Box::new(FixedPointSearch(vec![coordinate; cube.dimension()]))
+        };
         Campaign {
             estimator: EstimatorKind::Truth,
             method: Method::Custom(CustomMethod::new(name, start).unwrap()),

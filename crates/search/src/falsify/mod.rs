@@ -16,25 +16,25 @@ mod annealing;
 mod auto;
 pub mod campaign;
 pub mod chasing_cars;
-#[cfg(test)]
-mod test_functions;
 mod climb;
 mod cma_es;
-mod failure_criterion;
 pub mod counterexample;
 mod cross_entropy;
 mod cube;
-mod halton;
 mod evaluator;
+mod failure_criterion;
+mod halton;
 mod method;
 pub mod non_finite;
 mod plateau_bisection;
 mod sequential;
-mod simple_points;
 mod signals;
+mod simple_points;
 mod surrogate;
+#[cfg(test)]
+mod test_functions;
 mod uniform;
 
+pub use cube::{EmptyBlock, UnitCube};
 pub use failure_criterion::{FailureCriterion, FailureCriterionRecord, MetamorphicRelation, UnknownRelation};
-pub use cube::{UnitCube, EmptyBlock};
 pub use method::{CustomMethod, InvalidMethodName, Method, SearchAlgorithm, UnknownMethod};

@@ -91,7 +91,11 @@ mod tests {
     fn infinite_numbers_come_back() {
         for (one, other) in [(f64::NEG_INFINITY, None), (f64::INFINITY, Some(f64::NEG_INFINITY)), (-1.5, Some(0.1))] {
             let text = serde_json::to_string(&RequiredAndOptional { one, other }).unwrap();
-            assert_eq!(serde_json::from_str::<RequiredAndOptional>(&text).unwrap(), RequiredAndOptional { one, other }, "{text}");
+            assert_eq!(
+                serde_json::from_str::<RequiredAndOptional>(&text).unwrap(),
+                RequiredAndOptional { one, other },
+                "{text}"
+            );
         }
     }
 }

@@ -7,8 +7,8 @@
 
 use super::method::nan_as_infinity;
 use super::simple_points::sample_simple_point;
-use super::{UnitCube, SearchAlgorithm};
-use crate::worst_case::{TrustRegionDescent, VariableBounds, StepSchedule};
+use super::{SearchAlgorithm, UnitCube};
+use crate::worst_case::{StepSchedule, TrustRegionDescent, VariableBounds};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
@@ -98,7 +98,8 @@ impl SearchAlgorithm for Sequential {
             }
             self.descent = None;
         }
-        self.exploration_points = (0..EXPLORATION_POINTS).map(|_| sample_simple_point(&self.cube, &mut self.random)).collect();
+        self.exploration_points =
+            (0..EXPLORATION_POINTS).map(|_| sample_simple_point(&self.cube, &mut self.random)).collect();
         self.exploration_points.clone()
     }
 

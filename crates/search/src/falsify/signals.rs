@@ -2,10 +2,10 @@
 
 use rand::RngExt;
 
-use super::climb::{Climbs, ClimbMove};
+use super::climb::{ClimbMove, Climbs};
 use super::method::nan_as_infinity;
 use super::simple_points::sample_simple_point;
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 8;

@@ -55,7 +55,12 @@ const STEP_DEVIATION: Range<f64> = 0.01..0.5;
 
 /// A neighbour of a point: one piece, chosen by where `weights` lie, gets another value, moves a border, is cut in two or
 /// merges with the next. None if the move drawn changes nothing.
-pub(super) fn sample_neighbour(cube: &UnitCube, point: &[f64], weights: &[f64], random: &mut Stream) -> Option<Vec<f64>> {
+pub(super) fn sample_neighbour(
+    cube: &UnitCube,
+    point: &[f64],
+    weights: &[f64],
+    random: &mut Stream,
+) -> Option<Vec<f64>> {
     let mut left = random.random::<f64>() * weights.iter().sum::<f64>();
     let index = weights.iter().position(|weight| {
         left -= weight;

@@ -69,7 +69,9 @@ impl Metric {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
         let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZON_COUNT) } else { (1, 1) };
         SIGNAL_FEATURES.into_iter().take(readings).flat_map(move |reading| {
-            (0..horizons).flat_map(move |horizon| (0..LENGTH_COUNT).map(move |length| Self { signal_feature: reading, horizon, length_exponent: length }))
+            (0..horizons).flat_map(move |horizon| {
+                (0..LENGTH_COUNT).map(move |length| Self { signal_feature: reading, horizon, length_exponent: length })
+            })
         })
     }
 
@@ -102,7 +104,12 @@ impl Metric {
 impl Surrogate {
     /// A fit to points of the cube and their values, the last ones of `known`; none if there are too few or the numbers do
     /// not allow it.
-    pub(super) fn fit(cube: &UnitCube, data: &[(Vec<f64>, f64)], known: usize, chosen: &mut MetricSelection) -> Option<Self> {
+    pub(super) fn fit(
+        cube: &UnitCube,
+        data: &[(Vec<f64>, f64)],
+        known: usize,
+        chosen: &mut MetricSelection,
+    ) -> Option<Self> {
         if data.is_empty() {
             return None;
         }
@@ -132,7 +139,9 @@ impl Surrogate {
         let n = features.len();
         // The factorisation reads the lower triangle only.
         let covariance = DMatrix::from_fn(n, n, |i, j| match (features.get(i), features.get(j)) {
-            (Some(a), Some(b)) if j <= i => matern(square_distance(a, b), length) + if i == j { NOISE_VARIANCE } else { 0.0 },
+            (Some(a), Some(b)) if j <= i => {
+                matern(square_distance(a, b), length) + if i == j { NOISE_VARIANCE } else { 0.0 }
+            }
             _ => 0.0,
         });
         let factor = Cholesky::<f64, Dyn>::new(covariance)?;
@@ -190,7 +199,8 @@ mod tests {
         let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
         assert!(chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values, "{chosen:?}");
 
-        let plain = Metric::candidates(&cube).filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
+        let plain = Metric::candidates(&cube)
+            .filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
         let scores = DVector::from_vec(scores(known));
         let plain = plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();

@@ -1,6 +1,6 @@
 //! Classic test functions with known optima, and what the methods are published to reach on them.
 
-use super::{UnitCube, Method};
+use super::{Method, UnitCube};
 
 /// A function of a point of the unit cube, 0 at its global optimum and positive elsewhere.
 type TestFunction = fn(&[f64]) -> f64;
@@ -46,7 +46,13 @@ fn branin(point: &[f64]) -> f64 {
 }
 
 /// Evaluations until a value below `target`, for the seeds 0 to 8, sorted; the budget where it was not reached.
-fn evaluations_to_target(method: &Method, function: TestFunction, dimension: usize, target: f64, budget: usize) -> Vec<usize> {
+fn evaluations_to_target(
+    method: &Method,
+    function: TestFunction,
+    dimension: usize,
+    target: f64,
+    budget: usize,
+) -> Vec<usize> {
     let cube = UnitCube::new(vec![1; dimension]).unwrap();
     let run = |seed| {
         let mut search = method.start(&cube, seed);

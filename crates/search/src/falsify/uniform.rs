@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use super::{UnitCube, SearchAlgorithm};
+use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 32;

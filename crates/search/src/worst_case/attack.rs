@@ -1,7 +1,7 @@
 //! How little lead braking makes a controller collide, and how badly it can end.
 
-use super::profile_simulator::ProfileSimulator;
 use super::exact;
+use super::profile_simulator::ProfileSimulator;
 use super::sequential;
 use crumple_core::observer::{Observer, RunProgress, Stopped};
 use crumple_world::control::ControllerSpec;

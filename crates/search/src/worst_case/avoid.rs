@@ -1,16 +1,16 @@
 //! Could any driver have avoided the collision?
 
-use crumple_verify::{ProvedClaim, Certificate, Statement};
+use crumple_verify::{Certificate, ProvedClaim, Statement};
 
 use super::avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-use super::firing_search::FiringSearch;
+use super::avoidance_problem::AvoidanceProblem;
 use super::certificate;
 use super::closed_loop::{self, SearchEffort};
-use super::scenario_box::ScenarioBox;
-use super::program::{Grid, EscapeObjective};
-use super::reason::UndecidedReason;
-use super::avoidance_problem::AvoidanceProblem;
 use super::escape::{Escape, step_accelerations_mps2};
+use super::firing_search::FiringSearch;
+use super::program::{EscapeObjective, Grid};
+use super::reason::UndecidedReason;
+use super::scenario_box::ScenarioBox;
 use crumple_world::scenario::{Scenario, whole_multiple};
 
 /// How to search for an escape.
@@ -215,7 +215,8 @@ fn explore_grids(
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
-        let (most, open_ends) = if is_last { (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS) } else { (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS) };
+        let (most, open_ends) =
+            if is_last { (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS) } else { (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS) };
         search.explore(&Grid::new(situation, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
@@ -260,7 +261,8 @@ fn build_avoidance(
         AvoidanceVerdict::Unavoidable(_) => false,
     };
     let is_wanted = options.certify_bound && may_escape && situation.proof_caveat.is_none();
-    let certified = computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, situation, search, bound_m));
+    let certified =
+        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, situation, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
         verdict,

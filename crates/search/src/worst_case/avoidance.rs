@@ -2,8 +2,8 @@
 
 use crumple_verify::Certificate;
 
-use super::reason::UndecidedReason;
 use super::escape::Escape;
+use super::reason::UndecidedReason;
 
 /// Result of an analysis of avoidability.
 #[derive(Debug, Clone, PartialEq)]

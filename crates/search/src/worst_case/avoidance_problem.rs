@@ -6,10 +6,10 @@
 //! lower bound, which escapes use ([`BoundSide::Tight`]).
 
 use crumple_verify::claim::MAX_EGOS;
-use crumple_verify::{SceneFollower, Interval};
+use crumple_verify::{Interval, SceneFollower};
 
-use super::scenario_box::{ScenarioBox, ScenarioRanges};
 use super::reason::UndecidedReason;
+use super::scenario_box::{ScenarioBox, ScenarioRanges};
 use super::scripted_leader::{ScriptedLeader, interval_hull};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
@@ -98,8 +98,9 @@ impl AvoidanceProblem {
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
         let mut escape_caveat =
             under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle });
-        let mut proof_caveat =
-            under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
+        let mut proof_caveat = under_test()
+            .find(|(_, v)| v.acceleration_noise_mps2 > 0.0)
+            .map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
         if last_ego > MAX_EGOS {
             proof_caveat.get_or_insert(UndecidedReason::TooManyVehicles { egos: last_ego, most: MAX_EGOS });
         }
@@ -199,8 +200,10 @@ impl AvoidanceProblem {
         let t = self.time_s(step);
         let bumper = |x: f64, v: f64| x + v * t - ego.length_m;
         side.select(
-            bumper(ego.position_m.low(), ego.speed_mps.low()) - self.follower_front_m(follower, firing, step, BoundSide::Upper),
-            bumper(ego.position_m.high(), ego.speed_mps.high()) - self.follower_front_m(follower, firing, step, BoundSide::Lower),
+            bumper(ego.position_m.low(), ego.speed_mps.low())
+                - self.follower_front_m(follower, firing, step, BoundSide::Upper),
+            bumper(ego.position_m.high(), ego.speed_mps.high())
+                - self.follower_front_m(follower, firing, step, BoundSide::Lower),
         )
     }
 

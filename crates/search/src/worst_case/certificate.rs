@@ -1,15 +1,15 @@
 //! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
 
 use crumple_verify::{
-    Assumption, AvoidableClaim, Branch, Certificate, SceneEgo, GapBoundClaim, ConstantPiece, Interval, SceneLeader, CertificateProvenance, Scene, Statement,
-    UnavoidableClaim,
+    Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece, GapBoundClaim, Interval,
+    Scene, SceneEgo, SceneLeader, Statement, UnavoidableClaim,
 };
 
-use super::firing_search::FiringSearch;
-use super::scenario_box::ScenarioBox;
-use super::multipliers::{Multipliers, DualProof, ROUNDING_MARGIN, WeightedInstant};
-use super::reason::UndecidedReason;
 use super::avoidance_problem::AvoidanceProblem;
+use super::firing_search::FiringSearch;
+use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN, WeightedInstant};
+use super::reason::UndecidedReason;
+use super::scenario_box::ScenarioBox;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
@@ -58,7 +58,12 @@ pub(super) fn unavoidable(
     search: &FiringSearch<'_>,
 ) -> Result<Option<Certificate>, UndecidedReason> {
     let Some(branches) = closing_branches(situation, search, 0.0) else { return Ok(None) };
-    wrap_statement(scenario, situation, Statement::Unavoidable(UnavoidableClaim { scene: build_scene(situation), branches })).map(Some)
+    wrap_statement(
+        scenario,
+        situation,
+        Statement::Unavoidable(UnavoidableClaim { scene: build_scene(situation), branches }),
+    )
+    .map(Some)
 }
 
 /// The certificate that nobody keeps every gap at `gap_m` or more; none if the search has not shown that in every branch.
@@ -73,7 +78,11 @@ pub(super) fn gap_bound(
     wrap_statement(scenario, situation, Statement::GapBound(statement)).map(Some)
 }
 
-fn wrap_statement(scenario: &Scenario, situation: &AvoidanceProblem, statement: Statement) -> Result<Certificate, UndecidedReason> {
+fn wrap_statement(
+    scenario: &Scenario,
+    situation: &AvoidanceProblem,
+    statement: Statement,
+) -> Result<Certificate, UndecidedReason> {
     let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable { why: error.to_string() };
     let text = file::to_toml(scenario).map_err(unwritable)?;
     let ranges = situation.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
@@ -113,7 +122,8 @@ pub fn build_certificate(
 /// later is further ahead: they close all later firings too.
 fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
     let never = situation.never_firing();
-    let closes = |proof: &DualProof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
+    let closes =
+        |proof: &DualProof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
     let earliest = |proof: &DualProof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
@@ -147,7 +157,13 @@ fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap
 }
 
 /// A branch with multipliers as short as the proof survives.
-fn build_branch(situation: &AvoidanceProblem, proof: &DualProof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
+fn build_branch(
+    situation: &AvoidanceProblem,
+    proof: &DualProof,
+    [first, last]: [usize; 2],
+    fired: bool,
+    gap_m: f64,
+) -> Branch {
     let exact = proof.multipliers(fired);
     let short = round_multipliers(&exact);
     let holds = DualProof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > ROUNDING_MARGIN;
@@ -204,7 +220,8 @@ pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
 #[must_use]
 pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
     let Ok(situation) = AvoidanceProblem::new(family) else { return false };
-    is_modelled(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&build_scene(&situation))
+    is_modelled(certificate, family.centre(), &situation)
+        && certificate.statement.scene() == Some(&build_scene(&situation))
 }
 
 /// Whether there is nothing in a scenario that the claim does not model.
@@ -217,7 +234,8 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &Avoid
         Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
             let waits = |(ego, witness): (&super::avoidance_problem::EgoModel, &Vec<ConstantPiece<f64>>)| {
-                let held = witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
+                let held =
+                    witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
                 held.take(ego.dead_steps).all(|value| value == 0.0)
             };
             situation.escape_caveat.is_none()

@@ -88,7 +88,15 @@ enum PendingRequest {
 impl TrustRegionDescent {
     /// From a point and the value there.
     pub(crate) fn new(limits: VariableBounds, pace: StepSchedule, at: Vec<f64>, value: f64) -> Self {
-        Self { bounds: limits, schedule: pace, trust_region: pace.trust_region[0], point: at, value, gradient: None, pending: PendingRequest::Nothing }
+        Self {
+            bounds: limits,
+            schedule: pace,
+            trust_region: pace.trust_region[0],
+            point: at,
+            value,
+            gradient: None,
+            pending: PendingRequest::Nothing,
+        }
     }
 
     /// Where it is.
@@ -117,7 +125,9 @@ impl TrustRegionDescent {
     /// The values of what was asked for last; where there are fewer, it goes on as if it had not asked.
     pub(crate) fn tell(&mut self, values: &[f64]) {
         match std::mem::replace(&mut self.pending, PendingRequest::Nothing) {
-            PendingRequest::Gradient(by) if values.len() == by.len() => self.gradient = Some(finite_difference_gradient(self.value, values, &by)),
+            PendingRequest::Gradient(by) if values.len() == by.len() => {
+                self.gradient = Some(finite_difference_gradient(self.value, values, &by))
+            }
             PendingRequest::Step(at) => {
                 let Some(&value) = values.first() else { return };
                 let [success, failure] = TRUST_REGION_FACTORS;

@@ -170,7 +170,13 @@ impl EnvelopeStep<'_> {
     }
 
     /// Cost of the whole profile.
-    fn add_cost(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram, aim: AttackObjective, peak: usize) {
+    fn add_cost(
+        &self,
+        bench: &ProfileSimulator<'_>,
+        program: &mut QuadraticProgram,
+        aim: AttackObjective,
+        peak: usize,
+    ) {
         // Of all profiles with the least peak, a mild one.
         let weight = if aim == AttackObjective::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
         for (cell, &held) in self.profile_mps2.iter().enumerate() {

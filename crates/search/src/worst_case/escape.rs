@@ -1,8 +1,8 @@
 //! An escape as a scenario, and what the ordinary simulation says about it.
 
-use super::firing_search::ModelEscape;
-use super::emergency_brake::EmergencyBrake;
 use super::avoidance_problem::AvoidanceProblem;
+use super::emergency_brake::EmergencyBrake;
+use super::firing_search::ModelEscape;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec};

@@ -15,9 +15,9 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::attack::{AttackObjective, Attack, AttackError, AttackMethod};
-use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
+use super::attack::{Attack, AttackError, AttackMethod, AttackObjective};
 use super::leader_program::{LeaderConstraint, cheapest_profile};
+use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
 use super::sequential;
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
@@ -98,7 +98,10 @@ fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> 
             }
             if let Some(ego) = spec.vehicles.get_mut(1) {
                 let from_s = vec![(step + delay) as f64 * step_s];
-                ego.driver = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2: vec![-brake_mps2] }));
+                ego.driver = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration {
+                    from_s,
+                    accel_mps2: vec![-brake_mps2],
+                }));
                 (ego.reaction_delay_s, ego.actuator_delay_s) = (0.0, 0.0);
             }
         })
@@ -190,14 +193,20 @@ impl Enumeration<'_, '_> {
                 let hits = self.hits_behind.get(first..=last)?;
                 let (from, to) = (hits.iter().position(|hit| *hit)?, hits.iter().rposition(|hit| *hit)?);
                 if (from, to) != (0, last - first) {
-                    return self.solve_relaxation(FiringBox { firing_steps: [first + from, first + to], contact_steps: None });
+                    return self
+                        .solve_relaxation(FiringBox { firing_steps: [first + from, first + to], contact_steps: None });
                 }
             }
             Some([earliest, latest]) => {
                 let touches = earliest.max(first)..=latest;
                 let reach_m = touches.map(|at| self.braking_ego_front_m(last, at) - self.leader_rear_m(at));
                 let reach_m = reach_m.reduce(f64::max)?;
-                asked.push(LeaderConstraint { step: latest, theta_s: 0.0, bound_m: reach_m - self.beyond_m, is_upper_bound: true });
+                asked.push(LeaderConstraint {
+                    step: latest,
+                    theta_s: 0.0,
+                    bound_m: reach_m - self.beyond_m,
+                    is_upper_bound: true,
+                });
             }
         }
         asked.push(self.guard_constraint(last, true));
@@ -246,7 +255,9 @@ fn split_box(node: FiringBox) -> Option<[FiringBox; 2]> {
         Some(touches) if width(touches) > width(node.firing_steps) => {
             Some(split(touches).map(|touches| FiringBox { contact_steps: Some(touches), ..node }))
         }
-        _ if width(node.firing_steps) > 0 => Some(split(node.firing_steps).map(|fires| FiringBox { firing_steps: fires, ..node })),
+        _ if width(node.firing_steps) > 0 => {
+            Some(split(node.firing_steps).map(|fires| FiringBox { firing_steps: fires, ..node }))
+        }
         _ => None,
     }
 }

@@ -5,9 +5,9 @@
 //! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
 //! left. If no escape is found, what is left of it is a proof.
 
-use super::multipliers::{Multipliers, DualProof, ROUNDING_MARGIN};
-use super::program::{self, ProgramOutcome, Grid, EscapeObjective, EscapeQuery};
-use super::avoidance_problem::{BoundSide, AvoidanceProblem};
+use super::avoidance_problem::{AvoidanceProblem, BoundSide};
+use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN};
+use super::program::{self, EscapeObjective, EscapeQuery, Grid, ProgramOutcome};
 
 /// An escape of the model.
 #[derive(Debug, Clone)]
@@ -114,7 +114,9 @@ impl<'a> FiringSearch<'a> {
         // That no profile is an escape from all of a box does not say that some member has none: that is another program.
         if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
             match self.solve_program(grid, firing, BoundSide::Upper) {
-                ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
+                ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => {
+                    self.cut(multipliers)
+                }
                 ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
             }
         }

@@ -22,7 +22,11 @@ pub(super) struct LeaderConstraint {
 }
 
 /// The cheapest profile that does what is asked, one acceleration a cell, and its cost; none if there is none.
-pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: AttackObjective, asked: &[LeaderConstraint]) -> Option<(f64, Vec<f64>)> {
+pub(super) fn cheapest_profile(
+    bench: &mut ProfileSimulator<'_>,
+    aim: AttackObjective,
+    asked: &[LeaderConstraint],
+) -> Option<(f64, Vec<f64>)> {
     bench.programs += 1;
     let (all, cell_s, cell) = (bench.cell_count(), bench.cell_s(), bench.cell);
     // After the last thing asked there is only easing off, within the jerk.
@@ -75,7 +79,11 @@ pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: AttackObje
         if j > 1 {
             terms.extend([(w(j - 1) + 1, 1.0), (w(j - 1), ask.theta_s + into_s - of_after)]);
         }
-        if ask.is_upper_bound { cone.add_inequality(&terms, ask.bound_m) } else { cone.add_inequality(&negative(&terms), -ask.bound_m) }
+        if ask.is_upper_bound {
+            cone.add_inequality(&terms, ask.bound_m)
+        } else {
+            cone.add_inequality(&negative(&terms), -ask.bound_m)
+        }
     }
     if asked.iter().any(|ask| ask.step == 0 && if ask.is_upper_bound { ask.bound_m < 0.0 } else { ask.bound_m > 0.0 }) {
         return None;

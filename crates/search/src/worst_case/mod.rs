@@ -22,37 +22,37 @@
 mod attack;
 mod avoid;
 mod avoidance;
-mod profile_simulator;
-mod firing_search;
+mod avoidance_problem;
 mod certificate;
 mod closed_loop;
 mod descent;
 mod emergency_brake;
 mod envelope_step;
+mod escape;
 mod exact;
-mod scenario_box;
+mod firing_search;
 mod leader_program;
 mod multipliers;
+mod profile_simulator;
 mod program;
 mod pulses;
 mod reason;
 mod report;
+mod scenario_box;
 mod scripted_leader;
 mod sequential;
-mod avoidance_problem;
-mod escape;
 
 pub use attack::{
-    AttackObjective, Attack, AttackError, AttackMethod, AttackResult, Envelope, MAX_VEHICLE_STEPS, MAX_TOTAL_VEHICLE_STEPS,
-    attack,
+    Attack, AttackError, AttackMethod, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
+    MAX_VEHICLE_STEPS, attack,
 };
 pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MAX_EGO_STEPS, MAX_EGOS, avoid, avoid_box, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
 pub use certificate::{build_certificate, covers_scenario, matches_box};
 pub use closed_loop::SearchEffort;
-pub(crate) use descent::{TrustRegionDescent, VariableBounds, StepSchedule};
+pub(crate) use descent::{StepSchedule, TrustRegionDescent, VariableBounds};
 pub use emergency_brake::EmergencyBrake;
-pub use scenario_box::{ScenarioBox, ScenarioBoxError, FieldRange, ScenarioRanges};
+pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
 pub use report::AttackReport;
-pub use escape::{Escape, FoundBy};
+pub use scenario_box::{FieldRange, ScenarioBox, ScenarioBoxError, ScenarioRanges};

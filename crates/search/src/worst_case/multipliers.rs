@@ -6,7 +6,7 @@
 //! every measurable a within the limits is the integral of min(-b q, a q), where q is the coefficient of a at each moment,
 //! linear between the instants that carry a multiplier. The bound holds for every control grid and every controller.
 
-use super::avoidance_problem::{BoundSide, AvoidanceProblem};
+use super::avoidance_problem::{AvoidanceProblem, BoundSide};
 
 /// An instant, in steps, and its multiplier.
 pub(super) type WeightedInstant = (usize, f64);
@@ -201,7 +201,12 @@ impl DualProof {
 pub(super) const ROUNDING_MARGIN: f64 = 1e-9;
 
 /// The integral of min(-b q, a q) from 0 to the latest kink. All kinks latest first; `extra` is one more.
-fn min_integral(kinks: &[(usize, f64, f64)], mut extra: Option<(usize, f64, f64)>, step_s: f64, limits: [f64; 2]) -> f64 {
+fn min_integral(
+    kinks: &[(usize, f64, f64)],
+    mut extra: Option<(usize, f64, f64)>,
+    step_s: f64,
+    limits: [f64; 2],
+) -> f64 {
     let (mut slope, mut value, mut total) = (0.0, 0.0, 0.0);
     let mut at = usize::MAX;
     let mut kinks = kinks.iter().copied().peekable();

@@ -71,7 +71,8 @@ impl<'a> ProfileSimulator<'a> {
             .map(|scenario| Run::new(scenario, self.options.clone()))
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
-        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::from_simulated(&simulated));
+        let trials =
+            simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::from_simulated(&simulated));
         self.observer.notify(&RunProgress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
         Ok(trials)
     }

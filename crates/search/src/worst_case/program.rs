@@ -16,8 +16,8 @@
 //! A profile that fires earlier than τ makes the follower brake earlier, which leaves more room: it is an escape as well,
 //! so nothing need say that the brake has not fired before τ.
 
+use super::avoidance_problem::{AvoidanceProblem, BoundSide};
 use super::multipliers::Multipliers;
-use super::avoidance_problem::{BoundSide, AvoidanceProblem};
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
 /// Instants, in steps, between which accelerations are held.
@@ -105,7 +105,9 @@ pub(super) fn solve(situation: &AvoidanceProblem, grid: &Grid, firing: usize, wa
     program.set_objective();
     let (at, multipliers) = match program.quadratic_program.solve() {
         QuadraticSolution::Optimal { point: at, multipliers } => (at, multipliers),
-        QuadraticSolution::Infeasible(multipliers) => return ProgramOutcome::Infeasible(program.multipliers(&multipliers)),
+        QuadraticSolution::Infeasible(multipliers) => {
+            return ProgramOutcome::Infeasible(program.multipliers(&multipliers));
+        }
         QuadraticSolution::SolverFailed(status) => return ProgramOutcome::SolverFailed(status),
     };
     let acceleration_mps2 = (0..situation.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
@@ -172,7 +174,11 @@ impl<'a> EscapeProgram<'a> {
                     self.add_inequality(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
                 }
                 let step = self.grid.steps[instant];
-                self.add_inequality(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
+                self.add_inequality(
+                    ConstraintRow::Speed(ego, step),
+                    &[(w, -1.0)],
+                    self.situation.speed_slack_mps(ego, side),
+                );
             }
         }
     }
@@ -196,7 +202,8 @@ impl<'a> EscapeProgram<'a> {
         let (situation, side) = (self.situation, self.query.side);
         self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], situation.initial_gap_m(side));
         let last = situation.egos.len() - 1;
-        let (leader_rests, follower_rests) = (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
+        let (leader_rests, follower_rests) =
+            (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
         // Over a box the loose side lets the slowest member lose the speed of the fastest one: it may reverse.
         let may_reverse = situation.is_box && side == BoundSide::Upper;
         for instant in 1..=self.grid.cell_count() {
@@ -210,7 +217,11 @@ impl<'a> EscapeProgram<'a> {
             }
             for ahead in 0..last {
                 let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
+                self.add_inequality(
+                    ConstraintRow::Pair(ahead, step),
+                    &terms,
+                    situation.pair_slack_m(ahead, step, side),
+                );
             }
             if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
@@ -257,7 +268,8 @@ impl<'a> EscapeProgram<'a> {
                     let (terms, apart_s) = self.acceleration_change_terms(ego, instant);
                     self.quadratic_program.add_squared_cost(&terms, 1.0 / apart_s);
                 } else {
-                    self.quadratic_program.add_squared_cost(&self.speed_change_terms(ego, instant), 1.0 / self.cell_s(instant));
+                    self.quadratic_program
+                        .add_squared_cost(&self.speed_change_terms(ego, instant), 1.0 / self.cell_s(instant));
                 }
             }
         }

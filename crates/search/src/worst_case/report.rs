@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{AttackObjective, AttackMethod, AttackResult};
+use super::{AttackMethod, AttackObjective, AttackResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome};
 

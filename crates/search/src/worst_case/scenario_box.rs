@@ -121,7 +121,8 @@ impl ScenarioBox {
             let values = if turned { [*high, *low] } else { [*low, *high] };
             let targets = [(&mut *least, values[0]), (&mut *most, values[1]), (&mut *centre, 0.5 * (low + high))];
             for (spec, value) in targets {
-                *field_mut(spec, field).ok_or_else(|| ScenarioBoxError::UnsupportedField { field: field.clone() })? = value;
+                *field_mut(spec, field).ok_or_else(|| ScenarioBoxError::UnsupportedField { field: field.clone() })? =
+                    value;
             }
         }
         let [centre, low, high] = specs;

@@ -54,7 +54,8 @@ impl ScriptedLeader {
             rear_m
         };
         let (rearmost, foremost) = (drive(Interval::low), drive(Interval::high));
-        let rear_m: Vec<Interval> = rearmost.iter().zip(&foremost).map(|(&low, &high)| interval_hull(low, high)).collect();
+        let rear_m: Vec<Interval> =
+            rearmost.iter().zip(&foremost).map(|(&low, &high)| interval_hull(low, high)).collect();
         let moves = rear_m.windows(2).rposition(|pair| pair.first() != pair.last());
         let rests_from = moves.map_or(0, |step| step + 1);
         Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, standstill_step: rests_from }

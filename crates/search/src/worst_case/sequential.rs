@@ -6,10 +6,10 @@
 //! step, and a rollout judges it. First down to a collision, then, along its boundary, to a mild one; or on down to a severe
 //! one. The result is the best profile found: nothing shows that no milder one exists.
 
-use super::attack::{AttackObjective, Attack, AttackError, AttackMethod};
-use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
+use super::attack::{Attack, AttackError, AttackMethod, AttackObjective};
 use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
 use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
+use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
 use super::pulses::{self, Pulse};
 
 /// Change of a knot for a finite difference, in m/s².
@@ -39,7 +39,11 @@ pub(super) struct SimulatedBraking {
 }
 
 /// The best profile found with about `budget` simulations; none if none collides.
-pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: AttackObjective, budget: usize) -> Result<Option<Attack>, AttackError> {
+pub(super) fn attack(
+    bench: &mut ProfileSimulator<'_>,
+    aim: AttackObjective,
+    budget: usize,
+) -> Result<Option<Attack>, AttackError> {
     let mut search = AttackSearch { bench, objective: aim };
     let mut best: Option<(SimulatedBraking, f64)> = None;
     let mut starts = search.find_starts(budget)?;
@@ -52,7 +56,9 @@ pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: AttackObjective, bud
         let found = search.descend(start, until)?;
         let is_better = |best: &SimulatedBraking, found: &SimulatedBraking| match aim {
             AttackObjective::Severest => found.margin_m < best.margin_m,
-            AttackObjective::Mildest | AttackObjective::LeastPeak => search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2),
+            AttackObjective::Mildest | AttackObjective::LeastPeak => {
+                search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2)
+            }
         };
         if found.0.collides && best.as_ref().is_none_or(|(best, _)| is_better(best, &found.0)) {
             best = Some(found);
@@ -111,8 +117,9 @@ impl AttackSearch<'_, '_> {
     fn bisect(&mut self, pulses: &mut [(Pulse, SimulatedBraking)]) -> Result<(), AttackError> {
         let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_depth_mps2()).collect();
         for _ in 0..BISECTIONS {
-            let halfway =
-                |((pulse, _), misses): (&(Pulse, SimulatedBraking), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
+            let halfway = |((pulse, _), misses): (&(Pulse, SimulatedBraking), &f64)| {
+                pulse.with_depth(0.5 * (pulse.depth_mps2 + misses))
+            };
             let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
             let tried = self.simulate_profiles(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
             for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried)
@@ -133,11 +140,18 @@ impl AttackSearch<'_, '_> {
             let slope = self.gradient(&at, &hats)?;
             // Several depths beyond contact at once: the linear prediction is not exact.
             let goals: Vec<StepGoal> = match wants_cost {
-                true => [-1e-3, -0.05, -0.3, -1.0].map(|margin_m| StepGoal::Cost { objective: self.objective, margin_m }).into(),
+                true => [-1e-3, -0.05, -0.3, -1.0]
+                    .map(|margin_m| StepGoal::Cost { objective: self.objective, margin_m })
+                    .into(),
                 false => vec![StepGoal::Margin],
             };
-            let step =
-                EnvelopeStep { profile_mps2: &at.cells_mps2, margin_m: at.margin_m, gradient: &slope, hats: &hats, trust_region_mps2: region };
+            let step = EnvelopeStep {
+                profile_mps2: &at.cells_mps2,
+                margin_m: at.margin_m,
+                gradient: &slope,
+                hats: &hats,
+                trust_region_mps2: region,
+            };
             let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.solve(self.bench, goal)).collect();
             let tried = self.simulate_profiles(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
             let gain = |point: &SimulatedBraking| match wants_cost {
@@ -174,7 +188,9 @@ impl AttackSearch<'_, '_> {
     fn cost(&self, cells_mps2: &[f64]) -> f64 {
         match self.objective {
             AttackObjective::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
-            AttackObjective::Mildest | AttackObjective::Severest => cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum(),
+            AttackObjective::Mildest | AttackObjective::Severest => {
+                cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum()
+            }
         }
     }
 

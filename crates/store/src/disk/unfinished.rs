@@ -10,7 +10,7 @@ use std::path::Path;
 
 use tempfile::NamedTempFile;
 
-use super::{DiskError, remove, none_if_missing};
+use super::{DiskError, none_if_missing, remove};
 
 const PREFIX: &str = ".crumple-unfinished-";
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::lock::LOCK_FILE;
 use super::manifest::{MAX_BYTES, Manifest, sorted_entries};
-use super::{MANIFEST_FILE, PREVIOUS_FOLDER, UNLISTED_FILE_MESSAGE, RunFolderError};
+use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::disk::{self, DiskError};
 use crumple_core::digest::sha256;
 
@@ -37,8 +37,9 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
     }
     let path = folder.join(MANIFEST_FILE);
     let Some(manifest) = Manifest::read(&path)? else {
-        let is_own =
-            |path: &PathBuf| disk::is_unfinished(path) || [LOCK_FILE, PREVIOUS_FOLDER].iter().any(|own| path.ends_with(own));
+        let is_own = |path: &PathBuf| {
+            disk::is_unfinished(path) || [LOCK_FILE, PREVIOUS_FOLDER].iter().any(|own| path.ends_with(own))
+        };
         return match sorted_entries(folder)?.iter().all(is_own) {
             true => Ok(RunState::Missing),
             false => Err(RunFolderError::missing(&path)),
@@ -66,7 +67,8 @@ impl CompletedRun {
     /// [`WorkError`] if it is not there, is not as it was written, or is no text.
     pub fn read(&self, name: &str) -> Result<String, RunFolderError> {
         let path = self.folder.join(name);
-        let no_text = |error| RunFolderError::Disk(DiskError::at(&path)(io::Error::new(io::ErrorKind::InvalidData, error)));
+        let no_text =
+            |error| RunFolderError::Disk(DiskError::at(&path)(io::Error::new(io::ErrorKind::InvalidData, error)));
         String::from_utf8(self.read_bytes(name)?).map_err(no_text)
     }
 
@@ -83,7 +85,10 @@ impl CompletedRun {
     pub fn read_bytes(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         let path = self.folder.join(name);
         if self.manifest.whole_file_state(name).is_some_and(|state| state.max_bytes() > MAX_BYTES) {
-            return Err(RunFolderError::damaged(&path, format!("longer than {MAX_BYTES} bytes, which no such file is")));
+            return Err(RunFolderError::damaged(
+                &path,
+                format!("longer than {MAX_BYTES} bytes, which no such file is"),
+            ));
         }
         let bytes = self.manifest.read_contents(&self.folder, name)?;
         self.manifest.check(name, bytes.as_deref()).map_err(|problem| RunFolderError::damaged(&path, problem))?;
@@ -98,7 +103,9 @@ impl CompletedRun {
         let text = self.read(name)?;
         match sha256(&text) == self.manifest.configuration_sha256 {
             true => Ok(text),
-            false => Err(RunFolderError::damaged(&self.folder.join(name), "the work beside it was configured otherwise")),
+            false => {
+                Err(RunFolderError::damaged(&self.folder.join(name), "the work beside it was configured otherwise"))
+            }
         }
     }
 
@@ -136,9 +143,10 @@ impl CompletedRun {
                 &path,
                 format!("the {} there is half done, and that in {own} is not", there.kind),
             )),
-            Some(there) => {
-                Err(RunFolderError::damaged(&path, format!("the {} there came to something else than in {own}", there.kind)))
-            }
+            Some(there) => Err(RunFolderError::damaged(
+                &path,
+                format!("the {} there came to something else than in {own}", there.kind),
+            )),
         }
     }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::lock::FolderLock;
 use super::manifest::Manifest;
-use super::{MANIFEST_FILE, UNLISTED_FILE_MESSAGE, RunFolderError};
+use super::{MANIFEST_FILE, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::program;
 
 /// What is found in a folder of work that is only looked at.
@@ -46,7 +46,8 @@ impl FolderExamination {
             let problem = found.as_ref().err()?;
             Some(RunFolderError::damaged(&folder.join(name), problem))
         };
-        let stranger = || Some(RunFolderError::damaged(&folder.join(self.unlisted_files.first()?), UNLISTED_FILE_MESSAGE));
+        let stranger =
+            || Some(RunFolderError::damaged(&folder.join(self.unlisted_files.first()?), UNLISTED_FILE_MESSAGE));
         self.files.iter().find_map(problem).or_else(stranger)
     }
 }
@@ -94,5 +95,13 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let identity = manifest.program.as_deref().map(|program| manifest.identity(program));
     let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
     let beside = manifest.unrelated_files(folder)?;
-    Ok(FolderExamination { kind, is_complete: complete, is_of_this_build, files, unlisted_files: strangers, identity, unrelated_files: beside })
+    Ok(FolderExamination {
+        kind,
+        is_complete: complete,
+        is_of_this_build,
+        files,
+        unlisted_files: strangers,
+        identity,
+        unrelated_files: beside,
+    })
 }

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::lock::LOCK_FILE;
 use super::pending::{self, PendingChange, is_inside_folder};
-use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, regular_file_len, read_regular_file};
-use super::{MANIFEST_FILE, PREVIOUS_FOLDER, UNLISTED_FILE_MESSAGE, RunFolderError};
+use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, read_regular_file, regular_file_len};
+use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::disk::{self, DiskError};
 use crumple_core::digest::{Sha256, sha256};
 

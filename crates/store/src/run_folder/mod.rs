@@ -11,19 +11,19 @@
 //! This is integrity, not secrecy: it finds what was cut, edited, moved or left over, on purpose or by accident, but not the work
 //! of somebody who writes files and manifest anew. Who must not be able to do that must not be able to write there.
 
-mod transaction;
-mod examine;
 mod completed_run;
+mod examine;
 mod lock;
 mod manifest;
 mod pending;
 mod state;
+mod transaction;
 
-pub use transaction::FolderTransaction;
-pub use examine::{FolderExamination, examine};
 pub use completed_run::{CompletedRun, RunState, read_state};
+pub use examine::{FolderExamination, examine};
 pub use lock::{FolderLock, with_folder_lock};
 pub use state::Prefix;
+pub use transaction::FolderTransaction;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -191,7 +191,8 @@ impl RunFolder {
     pub fn open(folder: &Path, asked: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
         let kind = || asked.kind.to_owned();
-        let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| RunFolderError::InUse { folder: folder.to_owned(), kind: kind() })?;
+        let lock = FolderLock::try_acquire(folder)?
+            .ok_or_else(|| RunFolderError::InUse { folder: folder.to_owned(), kind: kind() })?;
         let (path, configuration_sha256) = (folder.join(MANIFEST_FILE), sha256(asked.configuration));
         let program = program::identity()?;
         let manifest = match Manifest::read(&path)? {
@@ -200,7 +201,9 @@ impl RunFolder {
             Some(found) if found.kind != asked.kind => {
                 return Err(RunFolderError::OtherKind { path, found: found.kind, kind: kind() });
             }
-            Some(_) if !asked.resume => return Err(RunFolderError::AlreadyExists { folder: folder.to_owned(), kind: kind() }),
+            Some(_) if !asked.resume => {
+                return Err(RunFolderError::AlreadyExists { folder: folder.to_owned(), kind: kind() });
+            }
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = asked.configuration_file;
                 if found.check_file(folder, name).is_err() {
@@ -286,7 +289,8 @@ impl RunFolder {
     pub fn include(&self, folder: &str) -> Result<(), RunFolderError> {
         let name = format!("{folder}/{MANIFEST_FILE}");
         let path = self.path(&name);
-        let bytes = state::read_regular_file(&path, manifest::MAX_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
+        let bytes =
+            state::read_regular_file(&path, manifest::MAX_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
         let mut manifest = self.lock_manifest();
         manifest.set_state(&name, FileState::from_contents(&bytes));
         Ok(manifest.write(&self.folder)?)

@@ -2,8 +2,13 @@ use std::fs;
 
 use super::*;
 
-const OPTIONS: RunFolderOptions<'_> =
-    RunFolderOptions { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true, outputs: &[] };
+const OPTIONS: RunFolderOptions<'_> = RunFolderOptions {
+    kind: "count",
+    configuration: "runs = 3",
+    configuration_file: "count.toml",
+    resume: true,
+    outputs: &[],
+};
 
 /// A folder with three files, one of which was changed and one removed.
 fn finished_folder() -> tempfile::TempDir {
@@ -34,7 +39,9 @@ fn another_folders_work_is_refused() {
     let folder = finished_folder();
     let open = |asked| RunFolder::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
     assert!(open(RunFolderOptions { resume: false, ..OPTIONS }).contains("holds a count already"));
-    assert!(open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training"));
+    assert!(
+        open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training")
+    );
     assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
 }
 

@@ -57,7 +57,8 @@ impl<W: Mergeable> MergedShards<W> {
         }
         let text = found.read(W::RESULTS_FILE)?;
         let file = serde_json::from_str(&text).map_err(|error| found.unreadable_error(W::RESULTS_FILE, &error))?;
-        let results = self.work.check(file, shard, &own).map_err(|problem| found.damaged_error(W::RESULTS_FILE, problem))?;
+        let results =
+            self.work.check(file, shard, &own).map_err(|problem| found.damaged_error(W::RESULTS_FILE, problem))?;
         let first = self.parts.contents().next();
         if let Some(field) = first.and_then(|first| W::contradiction(first, &results)) {
             return Err(self.parts.foreign_error(folder, field));

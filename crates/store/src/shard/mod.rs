@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::difference;
 use crate::disk::DiskError;
-use crate::run_folder::{RunFolderOptions, CompletedRun, RunFolder, RunFolderError};
+use crate::run_folder::{CompletedRun, RunFolder, RunFolderError, RunFolderOptions};
 
 pub use merge::{Mergeable, MergedShards};
 pub use parts::{MergeError, MissingShards, Parts};
@@ -69,12 +69,18 @@ struct ShardFile<'a, W> {
 ///
 /// # Errors
 /// [`WorkError`] if the folder cannot be used, or holds other work: the error names the field that differs.
-pub fn open_shard<W: Sharded>(work: &W, shard: ShardId, folder: &Path, resume: bool) -> Result<RunFolder, RunFolderError> {
+pub fn open_shard<W: Sharded>(
+    work: &W,
+    shard: ShardId,
+    folder: &Path,
+    resume: bool,
+) -> Result<RunFolder, RunFolderError> {
     let file = ShardFile { version: W::VERSION, shard, work };
     let text = if W::IS_PRETTY { serde_json::to_string_pretty(&file) } else { serde_json::to_string(&file) };
     let text = text.map_err(|error| DiskError::at(&folder.join(SHARD_FILE))(error.into()))? + "\n";
     let outputs = &[SHARD_FILE, W::RESULTS_FILE];
-    let asked = RunFolderOptions { kind: W::KIND, configuration: &text, configuration_file: SHARD_FILE, resume, outputs };
+    let asked =
+        RunFolderOptions { kind: W::KIND, configuration: &text, configuration_file: SHARD_FILE, resume, outputs };
     let opened = RunFolder::open(folder, asked).map_err(|error| match error {
         RunFolderError::OtherConfiguration { path, kind, found } => {
             RunFolderError::ConfigurationDiffers(difference::describe_json(&path, &kind, &found, &text))

@@ -164,7 +164,12 @@ fn describe_known_settings(known: &[SettingField]) -> String {
         [] => "it has none".to_owned(),
         [first, ..] => {
             let names: Vec<_> = known.iter().map(|field| field.name).collect();
-            format!("there are {}, each with a number, as in `{}={}`", names.join(", "), first.name, first.typical_range[1])
+            format!(
+                "there are {}, each with a number, as in `{}={}`",
+                names.join(", "),
+                first.name,
+                first.typical_range[1]
+            )
         }
     }
 }

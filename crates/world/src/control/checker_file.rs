@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::mapping::{InputMapping, OutputMapping, Squash};
 use super::{InvalidMapping, NetworkController, ObservedQuantity};
-use crate::network::{Elementwise, NetworkFormat, Linear, NetworkStep};
+use crate::network::{Elementwise, Linear, NetworkFormat, NetworkStep};
 use crate::policy::ObservationScaling;
 
 /// The one metadata key.
@@ -87,7 +87,8 @@ impl NetworkController {
                 width = biases.len();
             }
         }
-        let OutputMapping { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } = mapping.output;
+        let OutputMapping { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } =
+            mapping.output;
         // The same function of the same single-precision number.
         steps.extend(squash.map(|Squash::Tanh| CheckerFileStep::Tanh));
         let header = CheckerFileHeader {
@@ -95,7 +96,13 @@ impl NetworkController {
             source: CheckerFileSource { format: self.file().format(), sha256: &self.file().sha256 },
             inputs: &mapping.inputs,
             steps,
-            output: CheckerFileOutput { answer: answer.unwrap_or_default(), scale_mps2, offset_mps2, low_mps2, high_mps2 },
+            output: CheckerFileOutput {
+                answer: answer.unwrap_or_default(),
+                scale_mps2,
+                offset_mps2,
+                low_mps2,
+                high_mps2,
+            },
             empty_gap_m: ObservationScaling::default().empty_gap_m,
             decision_interval_s,
         };

@@ -15,7 +15,7 @@
 //! a vehicle 1.9 m wide from the middle of a lane 3.5 m wide has come 0.3 m into the next lane. There UN R157, 5.2.5.2, begins to count.
 //! The driver therefore reacts as soon as a vehicle is in the lane.
 
-use super::reaction::{ReactionTimer, BrakeRamp, whole_steps};
+use super::reaction::{BrakeRamp, ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
@@ -105,8 +105,11 @@ impl CompetentHuman {
         let same = before.filter(|_| appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= NEW_LEADER_GAP_JUMP_M));
         let closing_mps = speed_mps - ahead.speed_mps;
         let coasting_mps = same.map_or(ahead.speed_mps, |same| ahead.speed_mps.max(same.coasting_mps - coasted_mps));
-        self.leader =
-            Some(LeaderPrediction { gap_m: ahead.gap_m, next_gap_m: ahead.gap_m - closing_mps * self.step_s, coasting_mps });
+        self.leader = Some(LeaderPrediction {
+            gap_m: ahead.gap_m,
+            next_gap_m: ahead.gap_m - closing_mps * self.step_s,
+            coasting_mps,
+        });
 
         let cuts_out = before.is_some_and(|before| before.gap_m <= risk_time_gap_s * speed_mps + NEW_LEADER_GAP_JUMP_M)
             && appeared_m.is_some_and(|appeared_m| appeared_m > NEW_LEADER_GAP_JUMP_M)
@@ -164,8 +167,9 @@ mod tests {
                 let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
                 let expected_m =
                     v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
-                let found_m =
-                    stopping_distance_m(start(&settings), v, |speed_mps| leader_observation(speed_mps, 90.0, 10.0, -5.01));
+                let found_m = stopping_distance_m(start(&settings), v, |speed_mps| {
+                    leader_observation(speed_mps, 90.0, 10.0, -5.01)
+                });
                 assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
             }
         }
@@ -176,7 +180,11 @@ mod tests {
         let settings = CompetentHumanSettings::default();
         let mut driver = start(&settings);
         for _ in 0..1000 {
-            assert_eq!(driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.0)).unwrap(), 0.0, "not harder than 5 m/s²");
+            assert_eq!(
+                driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.0)).unwrap(),
+                0.0,
+                "not harder than 5 m/s²"
+            );
         }
         let commands = [0; 200].map(|_| driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.1)).unwrap());
         assert_eq!(commands[..75], [-0.4; 75]);
@@ -194,9 +202,15 @@ mod tests {
         let steady = |gap_m: f64| leader_observation(20.0, gap_m, 20.0, 0.0);
         assert!(!reacts(&[steady(300.0), leader_observation(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
         assert!(reacts(&[steady(300.0), leader_observation(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
-        assert!(reacts(&[steady(40.0), leader_observation(20.0, 200.0, 0.0, 0.0)]), "cuts out before a vehicle that stands");
+        assert!(
+            reacts(&[steady(40.0), leader_observation(20.0, 200.0, 0.0, 0.0)]),
+            "cuts out before a vehicle that stands"
+        );
         assert!(!reacts(&[steady(45.0), leader_observation(20.0, 200.0, 0.0, 0.0)]), "was followed at more than 2 s");
-        assert!(!reacts(&[steady(40.0), leader_observation(20.0, 200.0, 19.8, 0.0)]), "reveals a vehicle about as fast");
+        assert!(
+            !reacts(&[steady(40.0), leader_observation(20.0, 200.0, 19.8, 0.0)]),
+            "reveals a vehicle about as fast"
+        );
         assert!(!reacts(&[leader_observation(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
     }
 
@@ -224,7 +238,8 @@ mod tests {
             let mut driver = start(&CompetentHumanSettings::default());
             while own > 0.0 {
                 let front_mps2 = if front > 0.0 { -brake_mps2 } else { 0.0 };
-                let command = driver.decide(&leader_observation(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
+                let command =
+                    driver.decide(&leader_observation(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
                 let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);

@@ -3,7 +3,7 @@
 //! After K. Mattas et al., *Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk*, Accident Analysis
 //! and Prevention 148 (2020) 105794. Formulas and numbers are as the authors' public implementation has them, written anew here.
 
-use super::reaction::{ReactionTimer, BrakeRamp, whole_steps};
+use super::reaction::{BrakeRamp, ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;

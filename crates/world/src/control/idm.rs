@@ -40,7 +40,8 @@ mod tests {
 
     #[test]
     fn a_negative_estimated_gap_means_braking() {
-        let command = Idm::start(&IdmSettings::default(), &EGO, 0).decide(&leader_observation(10.0, -0.5, 10.0, 0.0)).unwrap();
+        let command =
+            Idm::start(&IdmSettings::default(), &EGO, 0).decide(&leader_observation(10.0, -0.5, 10.0, 0.0)).unwrap();
         assert!(command.is_finite() && command < -100.0);
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{
-    ControllerFailure, ControllerSource, ControllerSpec, Ego, RequiredNeighbours, NetworkController, ProcessController,
+    ControllerFailure, ControllerSource, ControllerSpec, Ego, NetworkController, ProcessController, RequiredNeighbours,
     ShieldSettings,
 };
 use crate::policy::Policy;

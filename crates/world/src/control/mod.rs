@@ -51,15 +51,15 @@ macro_rules! with_controllers {
 
 mod acc_aeb;
 mod baseline;
+mod batch_query;
 mod built_in;
 mod checker_file;
 mod competent_human;
 mod constant_brake;
-mod space_check;
+mod decision_timer;
 mod fuzzy_safety;
 mod history;
 mod idm;
-mod decision_timer;
 mod kind;
 mod mapping;
 mod match_leader;
@@ -72,8 +72,8 @@ mod reaction;
 mod rss;
 mod shield;
 mod source;
+mod space_check;
 mod stress;
-mod batch_query;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
@@ -92,16 +92,17 @@ pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
 pub use process::find_fmu_host;
 pub use process::{
-    FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission, StartRefusal, FmuConfig, allow_external,
+    FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission, StartRefusal, allow_external,
     is_external_allowed,
 };
 pub use quantity::ObservedQuantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use shield::{
-    RearVehicleParams, ErrorBounds, ShieldParams, ViabilityKernel, MIN_MARGIN_M, Real, ShieldSettings, ShieldState, max_closing_m, distance_and_speed_after,
+    ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState, ViabilityKernel,
+    distance_and_speed_after, max_closing_m,
 };
-pub(crate) use shield::{MAX_MARGIN_M, Override, ShieldedController, MotionBounds};
+pub(crate) use shield::{MAX_MARGIN_M, MotionBounds, Override, ShieldedController};
 pub(crate) use source::ZeroOrderHold;
 pub use source::{BatchController, ControllerFailure, ControllerSource, RequiredNeighbours};
 pub use stress::{FullThrottle, RandomActions};
@@ -109,7 +110,7 @@ pub(crate) use with_controllers;
 
 pub use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
-pub use crate::settings::{SettingField, NoSettings, ControllerSettings};
+pub use crate::settings::{ControllerSettings, NoSettings, SettingField};
 
 /// What a controller knows about its own vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::space_check;
-use super::history::InputHistory;
 use super::decision_timer::DecisionTimer;
+use super::history::InputHistory;
+use super::space_check;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::network::{FeedForward, NetworkFile};
 use crate::observation::Observation;
@@ -226,7 +226,9 @@ impl Controller for NetworkDriver {
             let controller = &alike[0].1;
             let (now, later) = rows.split_at(alike.len() * controller.mapping.width());
             rows = later;
-            for ((index, _), answer_mps2) in alike.iter().zip(controller.accelerations_mps2(now, alike.len(), &mut space)) {
+            for ((index, _), answer_mps2) in
+                alike.iter().zip(controller.accelerations_mps2(now, alike.len(), &mut space))
+            {
                 all[*index].command_mps2 = answer_mps2;
             }
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::decision_timer::DecisionTimer;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
-use crate::policy::{HeldAction, FrameStack, Policy, Workspace};
+use crate::policy::{FrameStack, HeldAction, Policy, Workspace};
 
 /// Asks a policy once every decision interval and holds its action in between.
 pub struct PolicyDriver {
@@ -23,7 +23,14 @@ impl PolicyDriver {
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
         let (past, held, space) = Default::default();
-        Self { policy, decision_timer: interval, frame_stack: past, held_action: held, step_s: ego.step_s, workspace: space }
+        Self {
+            policy,
+            decision_timer: interval,
+            frame_stack: past,
+            held_action: held,
+            step_s: ego.step_s,
+            workspace: space,
+        }
     }
 }
 

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::decision_timer::DecisionTimer;
 use super::batch_query::{self, BatchQuery};
+use super::decision_timer::DecisionTimer;
 use super::{Controller, Ego};
 use crate::observation::Observation;
 use crate::process::ProcessFailure;
@@ -288,8 +288,9 @@ mod tests {
     fn runs_that_share_questions_end_as_they_would_alone() {
         let draws: Vec<_> = (0..60).map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap()).collect();
         let most_together = Arc::new(AtomicUsize::new(0));
-        let sources =
-            [0.0, 12.0].map(|least_gap_m| Arc::new(MinGapController { min_gap_m: least_gap_m, max_batch_size: most_together.clone() }));
+        let sources = [0.0, 12.0].map(|least_gap_m| {
+            Arc::new(MinGapController { min_gap_m: least_gap_m, max_batch_size: most_together.clone() })
+        });
         let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
         let runs: Vec<_> = (0..60).map(|index| Run::new(&draws[index], options(index)).unwrap()).collect();
         let two_threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();

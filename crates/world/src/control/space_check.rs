@@ -57,7 +57,11 @@ fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
         let (low, high) = saved.observation_space.bounds(index)?;
         let close = BOUND_TOLERANCE * (1.0 + low.abs().min(high.abs()));
         (least < low - close || most > high + close).then(|| {
-            let seen = if least == most { format_rounded(least) } else { format!("{} to {}", format_rounded(least), format_rounded(most)) };
+            let seen = if least == most {
+                format_rounded(least)
+            } else {
+                format!("{} to {}", format_rounded(least), format_rounded(most))
+            };
             format!("inputs[{index}] ({}) is {seen}, of {low} to {high}", input.name())
         })
     };

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{DistanceEstimate, Filter, Accelerometer, KnownChange, Sensor, Tuning};
+use super::{Accelerometer, DistanceEstimate, Filter, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
 use crate::random::{self, Purpose, Stream};
 use crate::scenario::Sensors;
@@ -122,7 +122,12 @@ impl EgoEstimator {
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
             *filter = neighbour.map(|other| {
-                steady_filter(&mut self.initial_error_stream, &self.tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
+                steady_filter(
+                    &mut self.initial_error_stream,
+                    &self.tuning.gap,
+                    other.gap_m,
+                    sign * (other.speed_mps - own.speed_mps),
+                )
             });
         }
     }
@@ -132,7 +137,8 @@ impl EgoEstimator {
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
         let tuning = &*self.tuning;
         let truly = &truth.observation;
-        let felt = self.accelerometer.measure_change(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
+        let felt =
+            self.accelerometer.measure_change(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
         let (sensor, filter) = &mut self.position;
         let own = measure((sensor, filter), &tuning.position, truth.position_m, (&felt, 1.0));
         let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {

@@ -184,8 +184,11 @@ impl Filter {
     #[must_use]
     pub fn new_steady(tuning: &Tuning, distance_m: f64, rate_mps: f64, normals: [f64; 3]) -> Self {
         let error = tuning.steady_cholesky * Vector3::from(normals);
-        let predicted =
-            DistanceEstimate { distance_m: distance_m + error.x, rate_mps: rate_mps + error.y, acceleration_mps2: error.z };
+        let predicted = DistanceEstimate {
+            distance_m: distance_m + error.x,
+            rate_mps: rate_mps + error.y,
+            acceleration_mps2: error.z,
+        };
         Self { prediction: predicted, covariance: None }
     }
 
@@ -266,12 +269,18 @@ mod tests {
         for (step, noise, bandwidth) in [(0.01, 0.03, 5.0), (0.001, 1e-4, 5.0), (0.1, 2.0, 3.0), (1.0, 10.0, 5.0)] {
             let tuning = Tuning::new(step, noise, bandwidth);
             let once_more = tuning.predict_covariance(&tuning.correct_covariance(&tuning.steady_covariance));
-            assert!((once_more - tuning.steady_covariance).amax() <= 1e-9 * tuning.steady_covariance.amax(), "step {step}");
+            assert!(
+                (once_more - tuning.steady_covariance).amax() <= 1e-9 * tuning.steady_covariance.amax(),
+                "step {step}"
+            );
             let mut from_afar = tuning.steady_covariance * 4.0;
             for _ in 0..(20.0 / step) as usize + 100 {
                 from_afar = tuning.predict_covariance(&tuning.correct_covariance(&from_afar));
             }
-            assert!((from_afar - tuning.steady_covariance).amax() <= 1e-6 * tuning.steady_covariance.amax(), "step {step}");
+            assert!(
+                (from_afar - tuning.steady_covariance).amax() <= 1e-6 * tuning.steady_covariance.amax(),
+                "step {step}"
+            );
         }
     }
 

@@ -1,6 +1,6 @@
 //! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
 
-use crate::sim::{Contact, Impact, Motion, VehiclePair, TIME_TOLERANCE_S, Trace, Track, closest_gap_m};
+use crate::sim::{Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m};
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,7 +101,11 @@ impl Approach {
         let (mut legs, mut touched) = (Vec::new(), false);
         for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
             let (front_length_m, parted) = (pair.front.length_m, pair.span_s[1].is_finite());
-            let mut leg = ApproachSegment { front_length_m, states: Vec::with_capacity(pair.samples().len() + 1), interrupted: parted };
+            let mut leg = ApproachSegment {
+                front_length_m,
+                states: Vec::with_capacity(pair.samples().len() + 1),
+                interrupted: parted,
+            };
             for state in pair_states(pair).take_while(|state| state.time_s < until_s) {
                 touched = state.gap_m <= 0.0;
                 leg.states.push(PairState { gap_m: state.gap_m.max(0.0), ..state });

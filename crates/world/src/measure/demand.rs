@@ -156,7 +156,10 @@ mod tests {
         // Had they touched at 0.4 s, braking after that would not count, and no deceleration would have been enough.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
         let touched = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
-        assert_eq!(touched, InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None });
+        assert_eq!(
+            touched,
+            InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None }
+        );
     }
 
     proptest! {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::demand::InducedBraking;
-use super::usefulness::{UnnecessaryBraking, SpeedAmplification};
+use super::usefulness::{SpeedAmplification, UnnecessaryBraking};
 use crate::scenario::Scenario;
 use crate::sim::SimulationResult;
 
@@ -43,7 +43,8 @@ impl DrivingRule {
         let of_each = |index: usize| match self {
             Self::NoUnnecessaryBraking => UnnecessaryBraking::margin_mps2(trace, &result.impacts, index),
             Self::InducedBraking { max_mps2: at_most_mps2 } => {
-                let imposed = InducedBraking::from_trace(trace, &result.impacts, index).and_then(|imposed| imposed.peak_brake_mps2);
+                let imposed = InducedBraking::from_trace(trace, &result.impacts, index)
+                    .and_then(|imposed| imposed.peak_brake_mps2);
                 imposed.map(|peak_mps2| at_most_mps2 - peak_mps2)
             }
             Self::NoAmplification => {
@@ -60,7 +61,9 @@ impl fmt::Display for DrivingRule {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoUnnecessaryBraking => out.write_str(NO_UNNECESSARY_BRAKING),
-            Self::InducedBraking { max_mps2: at_most_mps2 } => write!(out, "{INDUCED_BRAKING} {at_most_mps2} {}", UNITS[0]),
+            Self::InducedBraking { max_mps2: at_most_mps2 } => {
+                write!(out, "{INDUCED_BRAKING} {at_most_mps2} {}", UNITS[0])
+            }
             Self::NoAmplification => out.write_str(NO_AMPLIFICATION),
         }
     }

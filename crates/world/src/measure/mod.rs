@@ -9,9 +9,9 @@
 
 mod approach;
 mod comfort;
-mod driving_rule;
 mod contact_role;
 mod demand;
+mod driving_rule;
 mod exposure;
 mod proximity;
 mod severity;
@@ -25,17 +25,17 @@ use serde::{Deserialize, Serialize};
 
 pub use approach::{Approach, PairState};
 pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
-pub use driving_rule::{DrivingRule, UnknownDrivingRule};
 pub use contact_role::ContactRole;
 pub use demand::{InducedBraking, drac_mps2, required_brake_mps2};
-pub use exposure::{TtcExposure, TTC_THRESHOLD_S};
+pub use driving_rule::{DrivingRule, UnknownDrivingRule};
+pub use exposure::{TTC_THRESHOLD_S, TtcExposure};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError};
 pub use usefulness::{
-    CAUSE_LASTS_S, EASY_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, FollowingMeasures, HARD_BRAKE_MPS2, MIN_BRAKING_S, MIN_DEVIATION_MPS,
-    MIN_BRAKING_SPEED_MPS, MIN_MOVING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, BrakeInstant, UnnecessaryBraking, SETTLED_TOLERANCE_MPS, SpeedAmplification,
-    UsefulnessMeasures, justified_brake_mps2,
+    BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, FollowingMeasures, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S,
+    MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS, MIN_MOVING_SPEED_MPS, SETTLED_TOLERANCE_MPS,
+    SpeedAmplification, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};

@@ -46,7 +46,8 @@ impl Approach {
     /// Smallest time headway at any sample, in seconds; none if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
-        let headway = |(state, length_m): (&PairState, f64)| time_headway_s(state.gap_m, length_m, state.rear_speed_mps);
+        let headway =
+            |(state, length_m): (&PairState, f64)| time_headway_s(state.gap_m, length_m, state.rear_speed_mps);
         self.states_with_length_m().filter_map(headway).reduce(f64::min)
     }
 

@@ -3,9 +3,10 @@
 use std::fmt;
 
 use super::stl::{
-    Formula, MonitorError, FormulaParseError, SampledSignals, SignalsError, motion_signal_names, motion_signals, signal_column,
+    Formula, FormulaParseError, MonitorError, SampledSignals, SignalsError, motion_signal_names, motion_signals,
+    signal_column,
 };
-use super::{DrivingRule, ContactRole};
+use super::{ContactRole, DrivingRule};
 use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
 

@@ -3,7 +3,13 @@
 use crate::sim::{Contact, Impact, Trace, Track};
 
 /// A vehicle that holds each acceleration for its time, in steps that divide those times, and never reverses.
-pub(super) fn driven_track(length_m: f64, position_m: f64, speed_mps: f64, pieces: &[(f64, f64)], step_s: f64) -> Track {
+pub(super) fn driven_track(
+    length_m: f64,
+    position_m: f64,
+    speed_mps: f64,
+    pieces: &[(f64, f64)],
+    step_s: f64,
+) -> Track {
     let (mut x, mut v) = (position_m, speed_mps);
     let (mut position_m, mut speed_mps, mut acceleration_mps2) = (vec![x], vec![v], Vec::new());
     for &(held_s, a) in pieces {

@@ -133,7 +133,8 @@ impl ArchiveMember {
         directory.take(4)?;
         let crc = directory.read_uint(4)? as u32;
         let (stored, mut size) = (directory.read_uint(4)?, directory.read_uint(4)?);
-        let lengths = [directory.read_uint(2)?, directory.read_uint(2)?, directory.read_uint(2)?].map(|length| length as usize);
+        let lengths =
+            [directory.read_uint(2)?, directory.read_uint(2)?, directory.read_uint(2)?].map(|length| length as usize);
         directory.take(8)?;
         let mut header = directory.read_uint(4)?;
         let name = String::from_utf8_lossy(directory.take(lengths[0])?).into_owned();

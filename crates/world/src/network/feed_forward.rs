@@ -1,6 +1,6 @@
 //! A network of products and of things done to each number, one after the other.
 
-use super::{Elementwise, MAX_PARAMETERS, MAX_STEPS, NetworkError, MAX_LAYER_WIDTH};
+use super::{Elementwise, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError};
 use crate::policy::{PackedNetwork, Workspace};
 
 /// h W + b.
@@ -106,7 +106,8 @@ impl FeedForward {
     /// they set none.
     #[must_use]
     pub fn answer_bounds(&self) -> Vec<[f64; 2]> {
-        let after_last = self.steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_))).map_or(0, |last| last + 1);
+        let after_last =
+            self.steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_))).map_or(0, |last| last + 1);
         let bounds_of = |index| {
             self.steps.iter().skip(after_last).fold([f64::NEG_INFINITY, f64::INFINITY], |bounds, step| match step {
                 NetworkStep::Elementwise(each) => each.range(index, bounds),
@@ -212,8 +213,8 @@ fn pack_steps(steps: &[NetworkStep], widths: &[usize]) -> PackedNetwork {
         match step {
             NetworkStep::Linear(Linear { weights, biases }) => {
                 let is_last = last == Some(index);
-                is_done =
-                    steps.get(index + 1) == Some(&NetworkStep::Elementwise(Elementwise::Relu)) && !(is_last && biases.len() == 1);
+                is_done = steps.get(index + 1) == Some(&NetworkStep::Elementwise(Elementwise::Relu))
+                    && !(is_last && biases.len() == 1);
                 acting.push_product(weights, biases, width, is_last, is_done);
             }
             NetworkStep::Elementwise(_) if is_done => is_done = false,

@@ -17,8 +17,8 @@ mod error;
 mod feed_forward;
 mod onnx;
 mod pickle;
-mod sb3;
 mod protobuf;
+mod sb3;
 
 use std::fs::File;
 use std::io::Read;
@@ -89,7 +89,13 @@ impl NetworkFile {
                 (network, Some(Arc::new(saved)))
             }
         };
-        Ok(Self { network, sha256: crumple_core::digest::sha256(bytes), bytes: bytes.into(), format, saved_model: saved })
+        Ok(Self {
+            network,
+            sha256: crumple_core::digest::sha256(bytes),
+            bytes: bytes.into(),
+            format,
+            saved_model: saved,
+        })
     }
 
     /// What a model of Stable-Baselines3 says of itself.

@@ -282,7 +282,8 @@ impl<'a> Machine<'a> {
     }
 
     fn text(&mut self, bytes: usize) -> Result<(), NetworkError> {
-        let text = std::str::from_utf8(self.take_length_prefixed(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
+        let text =
+            std::str::from_utf8(self.take_length_prefixed(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
         self.push(Object::Text(text))
     }
 

@@ -33,7 +33,14 @@ fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -
     let inputs: Vec<u8> = inputs.iter().flat_map(|name| bytes_field(1, name.as_bytes())).collect();
     let attributes: Vec<u8> = attributes.iter().flat_map(|one| bytes_field(5, one)).collect();
     let name = operator.to_lowercase();
-    [inputs, bytes_field(2, output.as_bytes()), bytes_field(3, name.as_bytes()), bytes_field(4, operator.as_bytes()), attributes].concat()
+    [
+        inputs,
+        bytes_field(2, output.as_bytes()),
+        bytes_field(3, name.as_bytes()),
+        bytes_field(4, operator.as_bytes()),
+        attributes,
+    ]
+    .concat()
 }
 
 fn integer_attribute(name: &str, value: u8) -> Vec<u8> {
@@ -49,7 +56,8 @@ fn value_info(name: &str, shape: &[u8]) -> Vec<u8> {
 fn model(opset: u8, shape: &[u8], nodes: &[Vec<u8>], constants: &[Vec<u8>]) -> Vec<u8> {
     let nodes: Vec<u8> = nodes.iter().flat_map(|one| bytes_field(1, one)).collect();
     let constants: Vec<u8> = constants.iter().flat_map(|one| bytes_field(5, one)).collect();
-    let graph = [nodes, constants, bytes_field(11, &value_info("x", shape)), bytes_field(12, &value_info("y", &[1]))].concat();
+    let graph =
+        [nodes, constants, bytes_field(11, &value_info("x", shape)), bytes_field(12, &value_info("y", &[1]))].concat();
     [bytes_field(8, &varint_field(2, opset)), bytes_field(7, &graph)].concat()
 }
 

@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
 use super::header::{POLICY_VERSION, PolicyHeader, STATE_LEN};
-use super::{ResidualControl, Network, Policy};
+use super::{Network, Policy, ResidualControl};
 
 /// The one metadata key; a single key keeps the bytes the same from run to run.
 const METADATA_KEY: &str = "crumple_policy";

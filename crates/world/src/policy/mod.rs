@@ -3,27 +3,27 @@
 //! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
 //! others, and on any machine. No learning framework is needed to drive.
 
-mod residual;
 mod elementwise;
 mod file;
+mod frame_stack;
 mod header;
 mod learning_curve;
 mod network;
-mod frame_stack;
 mod product;
+mod residual;
 mod simd;
 
 use std::sync::{Arc, LazyLock};
 
-pub use residual::{ResidualControl, HeldAction};
 pub use elementwise::Elementwise;
 pub use file::{MAX_HISTORY, PolicyError};
+pub use frame_stack::FrameStack;
 pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
-pub use learning_curve::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};
+pub use learning_curve::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 pub(crate) use network::PackedNetwork;
 pub use network::{Network, Workspace};
-pub use frame_stack::FrameStack;
 pub use product::{Lhs, PackedPanels, Rhs, multiply_vector, with_workers};
+pub use residual::{HeldAction, ResidualControl};
 #[cfg(test)]
 pub(crate) use simd::available_archs;
 pub use simd::{SimdClosure, f64_lanes, has_fused_multiply_add};

@@ -227,7 +227,13 @@ impl Multiply<'_> {
     }
 
     #[inline(always)]
-    fn compute_tile<S: Simd, const R: usize>(&mut self, simd: S, panel: &[PanelRow], group: usize, [row, column]: [usize; 2]) {
+    fn compute_tile<S: Simd, const R: usize>(
+        &mut self,
+        simd: S,
+        panel: &[PanelRow],
+        group: usize,
+        [row, column]: [usize; 2],
+    ) {
         let k = self.panels.rows;
         let mut sums = match self.lhs {
             Lhs::Rows(left) => {

@@ -154,8 +154,9 @@ mod tests {
 
     #[test]
     fn what_is_no_number_of_its_range_is_refused() {
-        let with =
-            |dead_zone, rate_per_s, idm| ResidualControl { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field);
+        let with = |dead_zone, rate_per_s, idm| {
+            ResidualControl { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field)
+        };
         assert_eq!(with(0.3, 4.0, IdmSettings::default()), Ok(()));
         assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
         assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));

@@ -12,7 +12,12 @@ pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> P
 }
 
 /// A policy with random weights that sees some of its past.
-fn policy_with_history([history, history_every]: [usize; 2], hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
+fn policy_with_history(
+    [history, history_every]: [usize; 2],
+    hidden: &[usize],
+    decision_interval_s: f64,
+    seed: u64,
+) -> Policy {
     let mut stream = crate::random::Stream::seed_from_u64(seed);
     let header = PolicyHeader {
         version: POLICY_VERSION,

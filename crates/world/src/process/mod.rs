@@ -2,18 +2,18 @@
 //!
 //! Needs Unix, and the feature `process`: elsewhere no program starts.
 
-#[cfg(not(all(unix, feature = "process")))]
-mod unsupported;
-#[cfg(all(unix, feature = "process"))]
-mod stderr_tail;
 mod problem;
 pub(crate) mod protocol;
 #[cfg(all(unix, feature = "process"))]
+mod stderr_tail;
+#[cfg(all(unix, feature = "process"))]
 mod unix;
-
 #[cfg(not(all(unix, feature = "process")))]
-pub(crate) use unsupported::ChildProcess;
+mod unsupported;
+
 pub(crate) use problem::escaped_excerpt;
 pub use problem::{ProcessFailure, ProcessProblem};
 #[cfg(all(unix, feature = "process"))]
 pub(crate) use unix::ChildProcess;
+#[cfg(not(all(unix, feature = "process")))]
+pub(crate) use unsupported::ChildProcess;

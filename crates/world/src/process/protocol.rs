@@ -170,7 +170,10 @@ fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> 
 }
 
 fn invalid_reply(line: &[u8], reason: &str) -> ProcessProblem {
-    ProcessProblem::InvalidReply { found: escaped_excerpt(String::from_utf8_lossy(line).trim_end()), reason: escaped_excerpt(reason) }
+    ProcessProblem::InvalidReply {
+        found: escaped_excerpt(String::from_utf8_lossy(line).trim_end()),
+        reason: escaped_excerpt(reason),
+    }
 }
 
 #[cfg(test)]
@@ -181,7 +184,10 @@ mod tests {
     fn answers_that_are_none_are_told_apart() {
         let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
         assert_eq!(parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
-        assert_eq!(problem("{\"id\":6,\"acceleration_mps2\":1}"), ProcessProblem::WrongRequestId { found: 6, asked: 7 });
+        assert_eq!(
+            problem("{\"id\":6,\"acceleration_mps2\":1}"),
+            ProcessProblem::WrongRequestId { found: 6, asked: 7 }
+        );
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
             assert_eq!(
                 problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")),

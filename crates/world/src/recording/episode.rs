@@ -144,7 +144,9 @@ impl BrakingEpisode {
         let _ = write!(about, " Behind it {verb} {} at the recorded {gaps}.", followers.join(", "));
         let _ = match self.ahead {
             VehicleAhead::None => Ok(()),
-            VehicleAhead::Recorded(number) => write!(about, " Vehicle {number}, ahead of it, is no part of the scenario."),
+            VehicleAhead::Recorded(number) => {
+                write!(about, " Vehicle {number}, ahead of it, is no part of the scenario.")
+            }
             VehicleAhead::NotRecorded(number) => {
                 write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.")
             }

@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use super::dropped::{DroppedItem, EpisodeProblem, Omission};
 use super::episode::BrakingEpisode;
 use super::error::RecordingError;
-use super::lead_vehicles::{VehicleAhead, LeadVehicle};
+use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
 use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
 
@@ -118,7 +118,11 @@ impl EpisodeWindow<'_> {
             Err(why) => {
                 let (number, onset_s) = (self.lead.episode_vehicle(0.0).number, self.braking.onset_ms as f64 / 1000.0);
                 let what = Omission::Episode { number, onset_s, reason: why };
-                found.dropped.push(DroppedItem { path: recording.path.clone(), line: self.lead.line_of(start), omission: what });
+                found.dropped.push(DroppedItem {
+                    path: recording.path.clone(),
+                    line: self.lead.line_of(start),
+                    omission: what,
+                });
             }
         }
     }

@@ -30,7 +30,8 @@ pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, follo
             let speeds: Vec<Option<f64>> = run
                 .iter()
                 .map(|sample| {
-                    let may_lead = leaders == LeaderSelection::Any || !matches!(lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
+                    let may_lead = leaders == LeaderSelection::Any
+                        || !matches!(lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
                     lead.follower_speed_at_mps(sample, followers).filter(|_| may_lead)
                 })
                 .collect();
@@ -76,7 +77,8 @@ pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
 }
 
 fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
-    let braking = |episode: &BrakingEpisode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
+    let braking =
+        |episode: &BrakingEpisode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
     let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
     let leads_in = |lead: &BrakingEpisode, line: &BrakingEpisode| {
         let number = lead.vehicles.first().map(|leader| leader.number);
@@ -134,7 +136,7 @@ mod tests {
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
         assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");
-        let found = super::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
+        let found = crate::recording::find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes;
         assert_eq!((found.len(), braking_clusters(&found)), (6, [0, 0, 0, 1, 1, 1].to_vec()));
     }
 }

@@ -10,7 +10,7 @@ use super::episodes::{LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, hardest_braking};
-use super::{RecordingFormat, Recording, load};
+use super::{Recording, RecordingFormat, load};
 
 /// Longest part of a file's name that goes into a scenario's.
 const MAX_STEM: usize = 100;

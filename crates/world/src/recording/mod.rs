@@ -33,16 +33,16 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 pub use dropped::{DroppedItem, EpisodeProblem, Omission, PlatoonPosition};
-pub use episode::{CAR_LENGTH_M, BrakingEpisode, EpisodeVehicle};
+pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
-pub use exposure::{FollowingExposure, following_exposure, braking_clusters};
-pub use import::{ImportOptions, ImportResult, ImportedScenario, ImportedRecording, import};
+pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
+pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
 
-use lead_vehicles::{PlatoonLead, LeadVehicle};
-use map::{Delimiter, LayoutSpec, RecordingMapSpec, RecordingMap};
-pub use preview::{HardestBrakingResult, HardestBraking, Preview, SpeedLine, hardest_braking, preview};
+use lead_vehicles::{LeadVehicle, PlatoonLead};
+use map::{Delimiter, LayoutSpec, RecordingMap, RecordingMapSpec};
+pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hardest_braking, preview};
 use table::{CsvRow, RowReader};
 pub use traffic::RecordedTraffic;
 
@@ -218,7 +218,11 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
 }
 
 /// Reads by a map, from the first row on.
-fn read_with_map<R: Read>(table: &mut RowReader<'_, R>, map: &RecordingMapSpec, first: CsvRow<'_>) -> Result<Recording, RecordingError> {
+fn read_with_map<R: Read>(
+    table: &mut RowReader<'_, R>,
+    map: &RecordingMapSpec,
+    first: CsvRow<'_>,
+) -> Result<Recording, RecordingError> {
     let (mut lines, mut names) = (Vec::new(), first);
     while lines.len() < map.lines_before_names {
         lines.push(names.fields);

@@ -9,10 +9,10 @@ use std::{iter, mem};
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{RecordingError, ValueProblem};
-use super::map::{RecordingMapSpec, PairsSpec, Sign, SpeedSpec};
+use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, RowLimiter, CsvRow, RowReader, excerpt};
-use super::{RecordingFormat, RecordedPlatoon, Recording, RecordedVehicle};
+use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
 use crumple_core::digest::sha256;
 
 /// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
@@ -197,7 +197,8 @@ impl<'m> EventReader<'m> {
             }
         }
         let [gaps_m, followers_mps, leaders_mps] = lists;
-        let vehicle = |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
+        let vehicle =
+            |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
         let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
         let event = self.column.is_some().then(|| excerpt(&event));
         self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });

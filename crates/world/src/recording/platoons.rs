@@ -17,10 +17,10 @@ use csv::StringRecord;
 
 use super::dropped::{DroppedItem, Omission, PlatoonPosition};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{RecordingMapSpec, PlatoonSpec};
+use super::map::{PlatoonSpec, RecordingMapSpec};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, RowLimiter, CsvRow, RowReader, excerpt};
-use super::{RecordingFormat, RecordedPlatoon, Recording, RecordedVehicle};
+use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
 
 /// Most vehicles of a platoon: ten times what was ever driven.
 const MAX_VEHICLES: usize = 200;
@@ -88,7 +88,13 @@ pub(super) fn read<R: Read>(
         let vehicles = numbers.iter().map(vehicle).collect();
         platoons.push(RecordedPlatoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
     }
-    Ok(Recording { path: table.path().to_owned(), format: RecordingFormat::from_map(map), platoons, traffic: None, dropped })
+    Ok(Recording {
+        path: table.path().to_owned(),
+        format: RecordingFormat::from_map(map),
+        platoons,
+        traffic: None,
+        dropped,
+    })
 }
 
 /// What the header lines say of the vehicles.
@@ -136,7 +142,10 @@ struct PlatoonColumns {
 }
 
 impl PlatoonColumns {
-    fn from_names((map, platoon): (&RecordingMapSpec, &PlatoonSpec), names: &CsvRow<'_>) -> Result<Self, RecordingError> {
+    fn from_names(
+        (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
+        names: &CsvRow<'_>,
+    ) -> Result<Self, RecordingError> {
         let time = CsvColumn::find_time(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
         for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.index) {
@@ -187,7 +196,11 @@ impl PlatoonColumns {
         }
         // A count far beyond the columns is a slip of the pen, not a platoon.
         if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
-            report(Omission::VehiclesMissing { first: ahead + 1, last: header.number_of_vehicles, place: PlatoonPosition::Rear });
+            report(Omission::VehiclesMissing {
+                first: ahead + 1,
+                last: header.number_of_vehicles,
+                place: PlatoonPosition::Rear,
+            });
         }
         for (number, column) in &self.gaps {
             if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {

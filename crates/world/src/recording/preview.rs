@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::Recording;
 use super::lead_vehicles::LeadVehicle;
-use super::motion::{MAX_HOLE_MS, SpeedSample, BRAKING_WINDOW_MS, find_brakings};
+use super::motion::{BRAKING_WINDOW_MS, MAX_HOLE_MS, SpeedSample, find_brakings};
 use super::series::round_to_milli;
 
 /// Most lines that are drawn of one recording.
@@ -112,7 +112,8 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
     let mut time_s = [f64::INFINITY, f64::NEG_INFINITY];
     let leads = recording.lead_vehicles();
     for lead in &leads {
-        let mut line = SpeedLine { number: lead.episode_vehicle(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
+        let mut line =
+            SpeedLine { number: lead.episode_vehicle(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
         steps_s.extend(sample_intervals(&**lead));
         for run in lead.segments() {
             for sample in &run {
@@ -166,7 +167,9 @@ pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
         (None, None) => HardestBrakingResult::NoSpeed,
         (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => HardestBrakingResult::NoBraking,
         (None, Some(longest_ms)) => match min_median_max(&mut steps_s) {
-            Some([_, step_s, _]) if step_s * 1000.0 > MAX_HOLE_MS as f64 => HardestBrakingResult::SamplesTooFarApart { step_s },
+            Some([_, step_s, _]) if step_s * 1000.0 > MAX_HOLE_MS as f64 => {
+                HardestBrakingResult::SamplesTooFarApart { step_s }
+            }
             _ => HardestBrakingResult::TooShort { longest_s: longest_ms as f64 / 1000.0 },
         },
     }

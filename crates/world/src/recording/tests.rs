@@ -211,7 +211,10 @@ fn each_car_following_event_is_a_platoon_of_two() {
 fn an_event_that_begins_anew_is_another_one() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(), [Some("1"), Some("2"), Some("1")]);
+    assert_eq!(
+        recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(),
+        [Some("1"), Some("2"), Some("1")]
+    );
 }
 
 #[test]
@@ -268,7 +271,8 @@ fn the_first_recorded_vehicle_leads() {
         fields[2] = fields[1].clone();
         fields[1] = "20".to_owned();
     });
-    let none = find_episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), LeaderSelection::First);
+    let none =
+        find_episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), LeaderSelection::First);
     assert_eq!(none, FoundEpisodes::default(), "a follower's braking is its own affair");
     let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
     let episode = only_episode(&read_text(&first_lost).expect("readable"));
@@ -307,7 +311,8 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
             let more = 2.0 * (number(&fields[0]) - at_s).clamp(0.0, 1.0);
             fields[1] = format!("{:.3}", number(&fields[1]) - more);
         });
-        let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First).episodes;
+        let found =
+            find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First).episodes;
         found.iter().map(|episode| (episode.start_s, episode.duration_s)).collect::<Vec<_>>()
     };
     assert_eq!(again_at(13.0), [(3.5, 20.8)]);

@@ -10,12 +10,12 @@ use std::io::Read;
 use super::dropped::{DroppedItem, Omission};
 use super::episode::EpisodeVehicle;
 use super::error::{RecordingError, ValueProblem};
-use super::lead_vehicles::{VehicleAhead, LeadVehicle};
+use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::map::{LengthSpec, RecordingMapSpec, ReferencePoint, TracksSpec};
 use super::motion::{SpeedSample, split_at_holes};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes, round_to_milli};
-use super::table::{CsvColumn, RowLimiter, MAX_ROWS, CsvRow, RowReader, excerpt};
-use super::{RecordingFormat, Recording};
+use super::table::{CsvColumn, CsvRow, MAX_ROWS, RowLimiter, RowReader, excerpt};
+use super::{Recording, RecordingFormat};
 
 /// Most vehicles behind a leader that become part of a scenario: further back, a wave has taken longer than an episode lasts.
 const MAX_FOLLOWERS: usize = 9;
@@ -76,7 +76,9 @@ pub(super) fn read<R: Read>(
         let vehicle = read_whole_number(row, &vehicle)?;
         let lane = match &lane {
             // Who is in no lane could be in any of them, between any two.
-            Some(column) if row.text(column.index).is_empty() => return row.reject(&column.name, ValueProblem::Missing),
+            Some(column) if row.text(column.index).is_empty() => {
+                return row.reject(&column.name, ValueProblem::Missing);
+            }
             Some(column) => {
                 let next = lanes.len();
                 let known = *lanes.entry(row.text(column.index).to_owned()).or_insert(next);
@@ -131,7 +133,13 @@ pub(super) fn read<R: Read>(
     dropped.extend(unplaced.map(|(line, count)| what(Omission::UnknownPosition { count }, line)));
     dropped.extend(overlapping.map(|(line, count)| what(Omission::Overlapping { count }, line)));
     let traffic = Some(RecordedTraffic { points: places });
-    Ok(Recording { path: path.to_owned(), format: RecordingFormat::from_map(map), platoons: Vec::new(), traffic, dropped })
+    Ok(Recording {
+        path: path.to_owned(),
+        format: RecordingFormat::from_map(map),
+        platoons: Vec::new(),
+        traffic,
+        dropped,
+    })
 }
 
 /// A whole number of a vehicle, which some tools write with a point.
@@ -312,7 +320,11 @@ struct TrafficLead<'a> {
 impl LeadVehicle for TrafficLead<'_> {
     fn segments(&self) -> Vec<Vec<SpeedSample>> {
         let sample = |(index, place): (usize, &TrackPoint)| {
-            Some(SpeedSample { index: self.first + index, time_ms: place.time_ms, speed_mps: round_to_milli(place.speed_mps?) })
+            Some(SpeedSample {
+                index: self.first + index,
+                time_ms: place.time_ms,
+                speed_mps: round_to_milli(place.speed_mps?),
+            })
         };
         split_at_holes(self.track.iter().enumerate().filter_map(sample))
     }

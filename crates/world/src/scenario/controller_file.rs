@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    ControllerKind, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping, NameOrigin, NetworkController, OutputMapping,
-    ProcessController, ProcessSetup, StartPermission, StartRefusal, FmuConfig,
+    ControllerKind, FmuConfig, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping, NameOrigin,
+    NetworkController, OutputMapping, ProcessController, ProcessSetup, StartPermission, StartRefusal,
 };
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
@@ -208,7 +208,8 @@ fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
     /// Numbers are often written with seven digits.
     const TOLERANCE: f64 = 1e-5;
-    let Some(VecNormalizeStats::Observations(theirs)) = VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
+    let Some(VecNormalizeStats::Observations(theirs)) =
+        VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
     else {
         return false;
     };
@@ -238,9 +239,7 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
         (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
             "it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"
         )),
-        (VecNormalizeUse::Behind, None) => {
-            Some("it was trained behind VecNormalize, as its own data tells".to_owned())
-        }
+        (VecNormalizeUse::Behind, None) => Some("it was trained behind VecNormalize, as its own data tells".to_owned()),
         (_, Some(beside)) => Some(format!("beside it lies `{beside}`, so what it saw in training was normalised")),
         (_, None) => None,
     }
@@ -303,7 +302,11 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
 }
 
 /// Returns the process that the file at `path` sets up.
-fn process_controller(setup: ProcessSetup, path: &Path, permission: StartPermission) -> Result<ControllerKind, InvalidMapping> {
+fn process_controller(
+    setup: ProcessSetup,
+    path: &Path,
+    permission: StartPermission,
+) -> Result<ControllerKind, InvalidMapping> {
     let setup = ProcessSetup { file: Some(path.to_owned()), ..setup };
     Ok(Arc::new(ProcessController::new(setup, permission)?).into())
 }

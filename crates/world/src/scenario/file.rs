@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 use super::named_fields::NamedFields;
-use super::{InvalidField, FieldProblem, Scenario, ScenarioSpec};
+use super::{FieldProblem, InvalidField, Scenario, ScenarioSpec};
 
 /// Why a scenario file could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -101,8 +101,9 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     }
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
-    let is_scenario =
-        |path: &PathBuf| ScenarioFileFormat::from_path(path).is_some() && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref());
+    let is_scenario = |path: &PathBuf| {
+        ScenarioFileFormat::from_path(path).is_some() && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref())
+    };
     let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(is_scenario).collect();
     files.sort();
     let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();

@@ -3,12 +3,12 @@
 //! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
 //! else constructs one, so whoever holds a `Scenario` need not check it again.
 
-mod named_fields;
 pub mod controller_file;
 mod driver;
 pub mod file;
 mod invalid;
 mod lane_change;
+mod named_fields;
 mod paper;
 mod profile;
 pub mod space;
@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 pub use driver::{Driver, FileDriver};
 pub use invalid::format_compact;
-pub use invalid::{InvalidField, FieldProblem, AllowedRange};
+pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};

@@ -279,7 +279,10 @@ mod tests {
             LeadProfile::ConstantSpeed,
             LeadProfile::Brake(Brake { onset_s: 1.004, rate_mps2: 3.0 }),
             LeadProfile::Brake(Brake { onset_s: 0.0, rate_mps2: 3.0 }),
-            LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![0.5, 1.0, 1.003, 2.0], accel_mps2: vec![-1.0, 0.5, -0.0, -3.0] }),
+            LeadProfile::Pieces(PiecewiseAcceleration {
+                from_s: vec![0.5, 1.0, 1.003, 2.0],
+                accel_mps2: vec![-1.0, 0.5, -0.0, -3.0],
+            }),
             LeadProfile::Pieces(PiecewiseAcceleration { from_s: vec![], accel_mps2: vec![] }),
         ];
         for profile in profiles {

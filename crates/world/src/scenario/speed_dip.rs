@@ -1,8 +1,8 @@
 //! The standard experiment of string stability: a leader slows down a little and recovers.
 
 use super::{
-    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec,
-    Sensors, VehicleClass, VehicleSpec,
+    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, PiecewiseAcceleration, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
 /// When the leader of [`speed_dip`] begins to slow down, in seconds: until then the line settles to its own time gaps.

@@ -1,6 +1,6 @@
 //! The one place that says which scenarios are valid.
 
-use super::invalid::{InvalidField, FieldProblem, AllowedRange};
+use super::invalid::{AllowedRange, FieldProblem, InvalidField};
 use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
 use crate::control::ControllerSpec;
 
@@ -53,7 +53,11 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
             && behind.position_m >= rear_bumper_m
         {
             let found = behind.position_m;
-            return vehicles.index(*index).field("position_m").reject(FieldProblem::Overlap { ahead, rear_bumper_m, found });
+            return vehicles.index(*index).field("position_m").reject(FieldProblem::Overlap {
+                ahead,
+                rear_bumper_m,
+                found,
+            });
         }
     }
     Ok(steps)
@@ -128,7 +132,11 @@ fn check_lane_changes(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<()
 }
 
 /// A script that the vehicle could not follow on a dry road is a mistake, not a scenario.
-fn check_within_limits(driver: &FieldPath<'_>, vehicle: &VehicleSpec, profile: &LeadProfile) -> Result<(), InvalidField> {
+fn check_within_limits(
+    driver: &FieldPath<'_>,
+    vehicle: &VehicleSpec,
+    profile: &LeadProfile,
+) -> Result<(), InvalidField> {
     let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
     let (max_brake_mps2, max_accel_mps2) = (vehicle.max_brake_mps2(), vehicle.max_accel_mps2());
     if -lowest_mps2 > max_brake_mps2 {
@@ -243,7 +251,11 @@ impl<'a> FieldPath<'a> {
     }
 
     fn check_length(&self, found: usize, least: usize, most: usize, what: &'static str) -> Result<(), InvalidField> {
-        if (least..=most).contains(&found) { Ok(()) } else { self.reject(FieldProblem::Length { min: least, max: most, what, found }) }
+        if (least..=most).contains(&found) {
+            Ok(())
+        } else {
+            self.reject(FieldProblem::Length { min: least, max: most, what, found })
+        }
     }
 
     /// Two lists of one length: increasing times, and values in a range.

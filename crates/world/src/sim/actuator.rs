@@ -48,7 +48,11 @@ impl Actuator {
                 response_mps2: 0.0,
             })
         });
-        Self { max_brake_mps2: scenario.usable_brake_mps2(index), max_accel_mps2: vehicle.max_accel_mps2(), dynamics: sluggish }
+        Self {
+            max_brake_mps2: scenario.usable_brake_mps2(index),
+            max_accel_mps2: vehicle.max_accel_mps2(),
+            dynamics: sluggish,
+        }
     }
 
     pub(super) fn is_immediate(&self) -> bool {

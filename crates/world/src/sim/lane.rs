@@ -70,7 +70,11 @@ impl LaneState {
         let mut planned: Vec<PlannedLaneChange> = planned.collect();
         // Who leaves at an instant makes room for who enters at the same one. Among each the order is that of the line.
         planned.sort_by_key(|planned| planned.is_entry);
-        let changes = LaneChangeState { is_inside: inside.clone().collect(), in_lane_s: inside.map(in_lane_s).collect(), planned };
+        let changes = LaneChangeState {
+            is_inside: inside.clone().collect(),
+            in_lane_s: inside.map(in_lane_s).collect(),
+            planned,
+        };
         Self { vehicles: vehicles.len(), changes: Some(Box::new(changes)) }.after(bodies, 0.0, 0.0)
     }
 
@@ -194,7 +198,8 @@ impl LaneState {
     /// When what is planned comes, between `from_s` and `to_s` seconds from now.
     fn change_time_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
         let [from_s, to_s] = span_s;
-        let PlannedLaneChange { vehicle, is_entry: enters, trigger: when, was_gap_larger: was_larger } = *self.changes.as_ref()?.planned.get(place)?;
+        let PlannedLaneChange { vehicle, is_entry: enters, trigger: when, was_gap_larger: was_larger } =
+            *self.changes.as_ref()?.planned.get(place)?;
         if enters == self.contains(vehicle) {
             return None;
         }
@@ -241,7 +246,8 @@ impl LaneState {
     /// front to rear. Who is to enter and finds no room stays beside.
     fn apply_changes(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
         let Some(changes) = &mut self.changes else { return };
-        let due: Vec<PlannedLaneChange> = places.iter().filter_map(|&place| changes.planned.get(place).copied()).collect();
+        let due: Vec<PlannedLaneChange> =
+            places.iter().filter_map(|&place| changes.planned.get(place).copied()).collect();
         for place in places.iter().rev() {
             changes.planned.remove(*place);
         }

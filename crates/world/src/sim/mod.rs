@@ -19,13 +19,15 @@ pub use lockstep::simulate_batch;
 pub use motion::Motion;
 pub(crate) use motion::closest_gap_m;
 pub use named::{NamedController, RefusedController, UnknownController};
-pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, SimulationResult, FailedControllerRuns, VehicleSummary};
+pub use outcome::{
+    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome, SimulationResult, VehicleSummary,
+};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
 pub use run::{Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal};
 pub use stepper::{StepView, Stepper};
-pub use trace::{VehiclePair, Trace, Track};
+pub use trace::{Trace, Track, VehiclePair};
 
 pub use crate::control::{ControllerKind, ShieldedSource};

@@ -105,7 +105,12 @@ pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt
 
 /// The same where it is known how both vehicles, front and rear, move at the end.
 #[inline]
-pub(super) fn closest_gap_given_ends_m([front, rear]: [Motion; 2], end: [Motion; 2], front_length_m: f64, dt_s: f64) -> f64 {
+pub(super) fn closest_gap_given_ends_m(
+    [front, rear]: [Motion; 2],
+    end: [Motion; 2],
+    front_length_m: f64,
+    dt_s: f64,
+) -> f64 {
     let at_end = end[0].position_m - front_length_m - end[1].position_m;
     // At the end both may stand, the rear one first: then the gap was smallest before.
     if rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0 {

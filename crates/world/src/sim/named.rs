@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NameOrigin,
-    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, ShieldedSource, StartRefusal,
+    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting,
+    NameOrigin, ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
@@ -227,7 +227,12 @@ impl NamedController {
     }
 
     /// The controller of that name, which says at most so many shields.
-    fn parse_nested(shields: usize, name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
+    fn parse_nested(
+        shields: usize,
+        name: &str,
+        folder: &Path,
+        named_by: NameOrigin,
+    ) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
         let name = &match name.strip_prefix("hardened") {
             Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
@@ -237,7 +242,8 @@ impl NamedController {
             return Ok(spec?.into());
         }
         if let Some(command) = name.strip_prefix(EXEC_PREFIX) {
-            let words = split_command(command).ok_or_else(|| UnknownController::CommandSyntax { command: command.to_owned() })?;
+            let words = split_command(command)
+                .ok_or_else(|| UnknownController::CommandSyntax { command: command.to_owned() })?;
             let permission = named_by.permission(|| format!("`{name}`"))?;
             let process = ProcessController::new(ProcessSetup::new(words, folder), permission)
                 .map_err(ControllerFileError::Command)?;

@@ -1,6 +1,6 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
-use super::lane::{Bodies, LaneState, LaneInterval};
+use super::lane::{Bodies, LaneInterval, LaneState};
 use super::motion::{Motion, closest_gap_given_ends_m, first_contact, needs_contact_check};
 use super::{AfterContact, Contact, Impact};
 
@@ -100,7 +100,9 @@ impl PlatoonState {
         }
         let mut gaps_m = [f64::INFINITY; MAX_SHORT_LINE_VEHICLES];
         let pairs = self.motion.windows(2).zip(ends.windows(2)).zip(&self.length_m);
-        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m.iter_mut().zip(&self.locked_to_front).skip(1).zip(pairs) {
+        for ((gap_m, &sticks), ((now, end), length_m)) in
+            gaps_m.iter_mut().zip(&self.locked_to_front).skip(1).zip(pairs)
+        {
             let ([front, rear], [front_end, rear_end]) = (now, end) else { continue };
             match contact_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
                 Some(end_m) if !sticks => *gap_m = end_m,
@@ -130,7 +132,9 @@ impl PlatoonState {
     fn next_contact(&self, stints: Option<&[LaneInterval]>, within_s: f64) -> Option<(f64, [usize; 2])> {
         match stints {
             None => self.first_contact_between(&self.lane, [0.0, within_s]),
-            Some(stints) => stints.iter().find_map(|stint| self.first_contact_between(&stint.lane, [stint.from_s, stint.to_s])),
+            Some(stints) => {
+                stints.iter().find_map(|stint| self.first_contact_between(&stint.lane, [stint.from_s, stint.to_s]))
+            }
         }
     }
 
@@ -213,7 +217,8 @@ impl PlatoonState {
             if let Some((index, front, front_end)) = before
                 && !self.locked_to_front[rear]
             {
-                let closest_m = closest_gap_given_ends_m([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
+                let closest_m =
+                    closest_gap_given_ends_m([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
             }
             before = Some((rear, behind, behind_end));
@@ -263,7 +268,9 @@ impl PlatoonState {
     pub(super) fn share_acceleration(&mut self) {
         for first in (0..self.motion.len()).filter(|&vehicle| !self.locked_to_front[vehicle]).collect::<Vec<_>>() {
             let mut members = vec![first];
-            while let Some(next) = self.lane.behind(members[members.len() - 1]).filter(|&behind| self.locked_to_front[behind]) {
+            while let Some(next) =
+                self.lane.behind(members[members.len() - 1]).filter(|&behind| self.locked_to_front[behind])
+            {
                 members.push(next);
             }
             if members.len() > 1 {

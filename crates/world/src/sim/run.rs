@@ -9,8 +9,8 @@ use super::motion::Motion;
 use super::platoon::PlatoonState;
 use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, ControllerFailure, ControllerKind, Ego, ShieldParams, RequiredNeighbours, NetworkDriver, PolicyDriver, ProcessDriver,
-    ShieldedController, ZeroOrderHold,
+    AnyController, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver, ProcessDriver,
+    RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
@@ -239,9 +239,10 @@ impl Run {
             return Ok(vec![None; vehicles.len()]);
         };
         let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
-            Driver::UnderTest => {
-                self.shield_params(vehicle, &shielded.settings).map(Some).map_err(|why| RunError::Shield { vehicle, refusal: why })
-            }
+            Driver::UnderTest => self
+                .shield_params(vehicle, &shielded.settings)
+                .map(Some)
+                .map_err(|why| RunError::Shield { vehicle, refusal: why }),
             _ => Ok(None),
         };
         vehicles.iter().enumerate().map(frame).collect()
@@ -273,9 +274,11 @@ impl Run {
     pub(super) fn start_driver(&self, index: usize) -> VehicleController<&LeadProfile> {
         match &self.scenario.vehicles()[index].driver {
             Driver::Profile(profile) => VehicleController::Profile(profile),
-            Driver::Controller(spec) => {
-                VehicleController::Controller(AnyController::from_spec(spec, &self.ego(index), self.scenario.spec().seed))
-            }
+            Driver::Controller(spec) => VehicleController::Controller(AnyController::from_spec(
+                spec,
+                &self.ego(index),
+                self.scenario.spec().seed,
+            )),
             Driver::File(file) => VehicleController::Controller(match file.controller() {
                 Some(controller) => self.start_controller(index, controller),
                 None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),

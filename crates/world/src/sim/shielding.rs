@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::control::{
-    AnyController, RearVehicleParams, ErrorBounds, ShieldParams, ViabilityKernel, MIN_MARGIN_M, MAX_MARGIN_M, Override, ShieldSettings, MotionBounds,
+    AnyController, ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override, RearVehicleParams, ShieldParams,
+    ShieldSettings, ViabilityKernel,
 };
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};

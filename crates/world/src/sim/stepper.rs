@@ -205,7 +205,8 @@ impl Stepper {
     fn decide(&mut self) {
         let span_s = self.span_s();
         // Everybody decides on the state at the start of the step; only then does anybody move.
-        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.next_acceleration_mps2).enumerate() {
+        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.next_acceleration_mps2).enumerate()
+        {
             match vehicle.decide(&self.platoon, index, span_s) {
                 Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
                 Err(failure) => {
@@ -277,8 +278,9 @@ impl Stepper {
             }
         }
         let vehicles = self.platoon.min_gap_m.iter().zip(self.extremes).zip(&self.platoon.motion);
-        let vehicles =
-            vehicles.map(|((&min_gap_m, tally), motion)| summarize_vehicle(min_gap_m, tally, motion.speed_mps)).collect();
+        let vehicles = vehicles
+            .map(|((&min_gap_m, tally), motion)| summarize_vehicle(min_gap_m, tally, motion.speed_mps))
+            .collect();
         assemble_result(self.impacts, vehicles, interventions, self.trace, self.failed)
     }
 }
@@ -359,7 +361,12 @@ impl VehicleLoop {
         *self.observation.insert(seen)
     }
 
-    fn decide(&mut self, platoon: &PlatoonState, index: usize, [from_s, to_s]: [f64; 2]) -> Result<f64, ControllerFailure> {
+    fn decide(
+        &mut self,
+        platoon: &PlatoonState,
+        index: usize,
+        [from_s, to_s]: [f64; 2],
+    ) -> Result<f64, ControllerFailure> {
         // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
         if self.estimator.is_some() {
             self.observe(platoon, index);

@@ -103,7 +103,13 @@ impl Trace {
                 Some(last) => last.span_s[1] = to_s,
                 None => {
                     let front = &ahead[front_vehicle];
-                    pairs.push(VehiclePair { time_s: &self.time_s, front_vehicle, front, rear, span_s: [from_s, to_s] });
+                    pairs.push(VehiclePair {
+                        time_s: &self.time_s,
+                        front_vehicle,
+                        front,
+                        rear,
+                        span_s: [from_s, to_s],
+                    });
                 }
             }
         }

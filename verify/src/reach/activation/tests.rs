@@ -37,8 +37,9 @@ fn any_activation() -> impl Strategy<Value = Activation> {
         any_f32(10.0).prop_map(move |a| Activation::Add(one(a))),
         any_f32(10.0).prop_map(move |a| Activation::Multiply(one(a))),
         any_f32(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Activation::Divide(one(a))),
-        (any_f32(3.0), 0.0..3.0_f32)
-            .prop_map(move |(low, more)| { Activation::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
+        (any_f32(3.0), 0.0..3.0_f32).prop_map(move |(low, more)| {
+            Activation::Clip { low: one(low), high: one(f64::from(low as f32 + more)) }
+        }),
     ]
 }
 
@@ -152,7 +153,12 @@ proptest! {
 #[test]
 fn what_is_straight_stays_as_it_is() {
     let one = |number: f64| vec![number];
-    for each in [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(0.5), Activation::Clip { low: one(-1.0), high: one(9.0) }] {
+    for each in [
+        Activation::Relu,
+        Activation::LeakyRelu(0.1),
+        Activation::Elu(0.5),
+        Activation::Clip { low: one(-1.0), high: one(9.0) },
+    ] {
         for (low, high) in [(0.0, 2.0), (0.5, 0.5), (1.0, 3.0)] {
             assert!(each.relaxation(0, low, high).is_identity(), "{each:?}");
         }
@@ -174,7 +180,11 @@ fn what_is_straight_stays_as_it_is() {
     let below = Activation::Clip { low: one(-1.0), high: one(2.0) }.relaxation(0, -7.0, -1.0);
     assert!(below.is_constant() && below.low == -1.0);
     let level = LinearRelaxation::new_constant(2.0);
-    for line in [LinearRelaxation { slope: 1.0, ..level }, LinearRelaxation { high: 3.0, ..level }, LinearRelaxation { rounding: 1e-9, ..level }] {
+    for line in [
+        LinearRelaxation { slope: 1.0, ..level },
+        LinearRelaxation { high: 3.0, ..level },
+        LinearRelaxation { rounding: 1e-9, ..level },
+    ] {
         assert!(!line.is_constant() && level.is_constant());
     }
 }
@@ -183,10 +193,14 @@ fn what_is_straight_stays_as_it_is() {
 fn numbers_have_as_many_operands_as_there_are() {
     let numbers = vec![1.0, 2.0, 3.0];
     let clip = Activation::Clip { low: numbers.clone(), high: numbers.clone() };
-    for each in [Activation::Add(numbers.clone()), Activation::Multiply(numbers.clone()), Activation::Divide(numbers), clip] {
+    for each in
+        [Activation::Add(numbers.clone()), Activation::Multiply(numbers.clone()), Activation::Divide(numbers), clip]
+    {
         assert_eq!(each.width(), Some(3));
     }
-    for each in [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(1.0), Activation::Tanh, Activation::Sigmoid] {
+    for each in
+        [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Elu(1.0), Activation::Tanh, Activation::Sigmoid]
+    {
         assert_eq!(each.width(), None);
     }
 }
@@ -194,16 +208,21 @@ fn numbers_have_as_many_operands_as_there_are() {
 /// exp takes ten times what a product does; a rectifier is taken together with the layer before it.
 #[test]
 fn what_is_curved_costs_most() {
-    assert_eq!([Activation::Relu, Activation::LeakyRelu(0.1), Activation::Tanh].map(|each| each.operations()), [0, 100, 1000]);
+    assert_eq!(
+        [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Tanh].map(|each| each.operations()),
+        [0, 100, 1000]
+    );
 }
 
 /// Products of small numbers lose more than in proportion, and a quotient is off its line by rounding on either side.
 #[test]
 fn what_is_small_may_be_lost() {
     let least = f64::from(f32::from_bits(1));
-    for (each, by) in
-        [(Activation::LeakyRelu(0.25), 0.25), (Activation::Multiply(vec![0.25]), 0.25), (Activation::Divide(vec![4.0]), 0.25)]
-    {
+    for (each, by) in [
+        (Activation::LeakyRelu(0.25), 0.25),
+        (Activation::Multiply(vec![0.25]), 0.25),
+        (Activation::Divide(vec![4.0]), 0.25),
+    ] {
         let line = each.relaxation(0, -3.0 * least, -least);
         let lost = by * 3.0 * least - f64::from((by * 3.0 * least) as f32);
         assert!(

@@ -15,7 +15,11 @@ fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64;
 }
 
 /// Bounds of as many numbers as there are inputs, with slopes, two columns of their own, and ρ.
-fn network_bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> NetworkBounds {
+fn network_bounds(
+    centre: [f64; NUMBERS],
+    columns: [[f64; NUMBERS]; NUMBERS + 2],
+    rho: [f64; NUMBERS],
+) -> NetworkBounds {
     NetworkBounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
 }
 
@@ -108,8 +112,9 @@ proptest! {
 #[test]
 fn a_wide_layer_rounds_more_than_in_proportion() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
-    let inputs: Vec<AffineForm> =
-        (0..wide).map(|i| AffineForm::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
+    let inputs: Vec<AffineForm> = (0..wide)
+        .map(|i| AffineForm::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap()))
+        .collect();
     let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
     let layer = LinearLayer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
     let mut bounds = NetworkBounds::from_inputs(&inputs);

@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{symbol_form, assert_bounds, interval};
+use super::super::fixtures::{assert_bounds, interval, symbol_form};
 use super::*;
 
 const STEP_S: f64 = 0.1;
@@ -80,7 +80,9 @@ proptest! {
 fn what_is_told_apart_is_what_there_is() {
     let step = Interval::point(STEP_S);
     let mut braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.5]);
-    let ranges = |braking: &BrakingVehicle, k| braking.possible_accelerations(k, step).iter().map(AffineForm::range).collect::<Vec<_>>();
+    let ranges = |braking: &BrakingVehicle, k| {
+        braking.possible_accelerations(k, step).iter().map(AffineForm::range).collect::<Vec<_>>()
+    };
     assert_eq!(ranges(&braking, 1), [Interval::ZERO]);
     let three = ranges(&braking, 4);
     assert_eq!(three.len(), 3);

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{symbol_form, assert_bounds, point_form};
 use super::super::ego_set::SHARED_SYMBOLS;
+use super::super::fixtures::{assert_bounds, point_form, symbol_form};
 use super::*;
 
 const STEP_S: f64 = 0.1;
@@ -62,7 +62,8 @@ proptest! {
 fn one_member_that_does_not_stop_is_where_the_formula_says() {
     let step = Interval::point(STEP_S);
     let rates = [-1.0, 0.5, -2.0, 1.0];
-    let course = CommandProfile::from_steps(&state_with_speed(point_form(5.0)), 4, step, |j, _| point_form(rates[j as usize]));
+    let course =
+        CommandProfile::from_steps(&state_with_speed(point_form(5.0)), 4, step, |j, _| point_form(rates[j as usize]));
     let members = EgoSet::from_speed(point_form(5.0), SHARED_SYMBOLS);
     let ego = course.ego_after(&members, step, 4);
     let (x, v) = simulate_rates(5.0, &rates);
@@ -70,7 +71,9 @@ fn one_member_that_does_not_stop_is_where_the_formula_says() {
     assert_bounds(ego.speed.range(), [v; 2], 1e-12);
     assert!(course.is_moving_throughout(&ego.speed));
     // One that stops in between has.
-    let stops = CommandProfile::from_steps(&state_with_speed(point_form(0.1)), 2, step, |j, _| point_form([-3.0, 3.0][j as usize]));
+    let stops = CommandProfile::from_steps(&state_with_speed(point_form(0.1)), 2, step, |j, _| {
+        point_form([-3.0, 3.0][j as usize])
+    });
     assert!(!stops.is_moving_throughout(&point_form(0.3)));
 }
 
@@ -78,8 +81,15 @@ fn one_member_that_does_not_stop_is_where_the_formula_says() {
 #[test]
 fn who_is_asked_for_nothing_stands() {
     let step = Interval::point(STEP_S);
-    let of = |rates: [f64; 2]| CommandProfile::from_steps(&state_with_speed(AffineForm::default()), 2, step, |j, _| point_form(rates[j as usize]));
-    assert!(of([-1.0, 0.0]).is_standing_throughout(MotionMode::Standing) && !of([-1.0, 0.0]).is_standing_throughout(MotionMode::Moving));
+    let of = |rates: [f64; 2]| {
+        CommandProfile::from_steps(&state_with_speed(AffineForm::default()), 2, step, |j, _| {
+            point_form(rates[j as usize])
+        })
+    };
+    assert!(
+        of([-1.0, 0.0]).is_standing_throughout(MotionMode::Standing)
+            && !of([-1.0, 0.0]).is_standing_throughout(MotionMode::Moving)
+    );
     assert!(!of([0.5, -1.0]).is_standing_throughout(MotionMode::Standing));
 }
 
@@ -106,7 +116,8 @@ fn who_starts_again_within_an_interval_has_started_again() {
 #[test]
 fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
-    let course = CommandProfile::from_steps(&state_with_speed(symbol_form(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
+    let course =
+        CommandProfile::from_steps(&state_with_speed(symbol_form(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
     let members = EgoSet::from_speed(symbol_form(0, 0.1, 0.5), SHARED_SYMBOLS);
     let VehicleState { distance, speed, .. } = course.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);

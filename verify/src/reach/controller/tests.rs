@@ -1,4 +1,4 @@
-use super::super::fixtures::{affine_controller, symbol_form, assert_bounds, point_form, affine_input};
+use super::super::fixtures::{affine_controller, affine_input, assert_bounds, point_form, symbol_form};
 use super::*;
 
 const NO_ERROR: [f64; OBSERVATION_SIZE] = [0.0; OBSERVATION_SIZE];
@@ -29,7 +29,9 @@ fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
     for (factors, off) in [([1.0, 0.0], 0.25), ([0.0, -1.0], 0.5), ([2.0, -3.0], 2.0), ([1.0, 1.0], 0.75)] {
         for (error, off) in [(&error, off), (&NO_ERROR, 0.0)] {
             for (offset, scale) in [(0.0, 1.0), (7.0, 4.0), (7.0, -4.0), (4.0, 1.0)] {
-                let found = ControllerInput { offset, scale, ..affine_input(coefficients(factors), 0.5) }.enclose(&seen, error, true).range();
+                let found = ControllerInput { offset, scale, ..affine_input(coefficients(factors), 0.5) }
+                    .enclose(&seen, error, true)
+                    .range();
                 let ends = |x: [f64; 2], factor: f64| [x[0] * factor, x[1] * factor];
                 let [a, b] = [ends([3.0, 5.0], factors[0]), ends([10.0, 11.0], factors[1])];
                 let ends = [a[0].min(a[1]) + b[0].min(b[1]) - off, a[0].max(a[1]) + b[0].max(b[1]) + off];
@@ -108,19 +110,32 @@ fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
 }
 
 fn constant_layer(inputs: usize, outputs: usize) -> NetworkLayer {
-    NetworkLayer::Linear(LinearLayer { inputs, outputs, weights: vec![0.5; inputs * outputs], biases: vec![0.1; outputs] })
+    NetworkLayer::Linear(LinearLayer {
+        inputs,
+        outputs,
+        weights: vec![0.5; inputs * outputs],
+        biases: vec![0.1; outputs],
+    })
 }
 
 /// What has a function off its lines is kept for each number that any layer behind it has.
 #[test]
 fn the_bytes_of_a_decision_are_those_of_the_widest_step() {
     let bytes = |steps: Vec<NetworkLayer>| {
-        NeuralController { layers: steps, inputs: vec![affine_input(NO_ERROR, 1.0); 8], ..affine_controller(NO_ERROR, 0.0) }.max_decision_bytes()
+        NeuralController {
+            layers: steps,
+            inputs: vec![affine_input(NO_ERROR, 1.0); 8],
+            ..affine_controller(NO_ERROR, 0.0)
+        }
+        .max_decision_bytes()
     };
     let (relu, tanh) = (|| NetworkLayer::Activation(Activation::Relu), || NetworkLayer::Activation(Activation::Tanh));
     assert_eq!(bytes(Vec::new()), 0);
     // 8 + 12 for 12, then as many and 9 for 9, then one more for 1; of each two, before and after.
-    assert_eq!(bytes(vec![constant_layer(8, 12), relu(), constant_layer(12, 9), relu(), constant_layer(9, 1), tanh()]), 29 * 9 * 16);
+    assert_eq!(
+        bytes(vec![constant_layer(8, 12), relu(), constant_layer(12, 9), relu(), constant_layer(9, 1), tanh()]),
+        29 * 9 * 16
+    );
     // A second function in a row has lines of its own, and so has one before all layers.
     assert_eq!(bytes(vec![constant_layer(8, 12), relu(), tanh(), constant_layer(12, 1)]), 32 * 12 * 16);
     assert_eq!(bytes(vec![relu(), constant_layer(8, 1)]), 16 * 8 * 16);

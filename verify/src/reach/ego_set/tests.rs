@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{symbol_form, assert_bounds, point_form};
+use super::super::fixtures::{assert_bounds, point_form, symbol_form};
 use super::*;
 
 /// How far a set reaches along a direction, up to its middle: Σ |w · vector| for its symbols, and what belongs to no symbol.
@@ -173,7 +173,10 @@ fn who_stands_stays_or_starts_again() {
     let [stands, none] = after(&symbol_form(1, -2.0, -1.0));
     let stands = stands.unwrap();
     assert!(
-        none.is_none() && stands.mode == MotionMode::Standing && stands.ego.distance.is_zero() && stands.ego.speed.is_zero()
+        none.is_none()
+            && stands.mode == MotionMode::Standing
+            && stands.ego.distance.is_zero()
+            && stands.ego.speed.is_zero()
     );
     let [starts, none] = after(&symbol_form(1, 1.0, 2.0));
     let starts = starts.unwrap();
@@ -200,8 +203,9 @@ fn nothing_has_moved_at_the_decision() {
 #[test]
 fn a_set_that_has_stopped_is_no_set_that_moves() {
     let step = Interval::point(0.1);
-    let kinds =
-        |speed: AffineForm, wanted: AffineForm| egos_at_speed(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.mode));
+    let kinds = |speed: AffineForm, wanted: AffineForm| {
+        egos_at_speed(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.mode))
+    };
     assert_eq!(kinds(point_form(0.1), point_form(-2.0)), [None, Some(MotionMode::Standing)]);
     assert_eq!(kinds(point_form(0.5), point_form(-2.0)), [Some(MotionMode::Moving), None]);
     // Bounds that hold nobody but members that reverse.
@@ -265,7 +269,8 @@ fn a_direction_is_the_share_of_the_speed() {
 #[test]
 fn who_moves_later_within_an_interval_is_of_the_same_kind() {
     let seen = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
-    let kind = |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
+    let kind =
+        |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
     assert_eq!(kind(point_form(5.0), point_form(4.0)), MotionMode::Moving);
     assert_eq!(kind(point_form(5.0), point_form(0.0)), MotionMode::Moving);
     assert_eq!(kind(point_form(0.0), point_form(0.0)), MotionMode::Standing);

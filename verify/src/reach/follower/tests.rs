@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{symbol_form, assert_bounds, point_form, interval, point_box};
+use super::super::fixtures::{assert_bounds, interval, point_box, point_form, symbol_form};
 use super::*;
 
 const IDM: IdmLaw = IdmLaw {
@@ -78,7 +78,12 @@ fn point([gap, v, w]: [f64; 3]) -> LawInput {
 
 const BRAKE: [f64; 2] = [7.0, 9.0];
 
-fn law_follower<'a>(law: &'a FollowerLaw, set_speed: AffineForm, brake: AffineForm, start_gap: &'a AffineForm) -> LawFollower<'a> {
+fn law_follower<'a>(
+    law: &'a FollowerLaw,
+    set_speed: AffineForm,
+    brake: AffineForm,
+    start_gap: &'a AffineForm,
+) -> LawFollower<'a> {
     LawFollower { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
 }
 
@@ -156,14 +161,20 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
     let behind = law_follower(&law, point_form(25.0), symbol_form(6, BRAKE[0], BRAKE[1]), &start_gap);
     // Closing at 1 m/s, it fires below 5 m.
-    let at =
-        |low: f64, high: f64| behind.acceleration(&law_input(symbol_form(0, low, high), point_form(20.0), &point_form(19.0))).range();
+    let at = |low: f64, high: f64| {
+        behind.acceleration(&law_input(symbol_form(0, low, high), point_form(20.0), &point_form(19.0))).range()
+    };
     assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
     let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
     // Exactly at the limit it does not fire.
-    let stands = LawInput { gap: AffineForm::default(), speed: AffineForm::default(), closing: AffineForm::default(), min_speed_mps: 0.0 };
+    let stands = LawInput {
+        gap: AffineForm::default(),
+        speed: AffineForm::default(),
+        closing: AffineForm::default(),
+        min_speed_mps: 0.0,
+    };
     let expected = acc_acceleration(&ACC, 25.0, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
@@ -187,8 +198,13 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 #[test]
 fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     let step = Interval::point(0.1);
-    let at = |speed: AffineForm| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
-    let (moves, may_stand, stands) = (at(symbol_form(0, 5.0, 6.0)), at(symbol_form(0, 0.0, 6.0)), at(AffineForm::default()));
+    let at = |speed: AffineForm| VehicleState {
+        distance: AffineForm::default(),
+        speed,
+        acceleration: AffineForm::default(),
+    };
+    let (moves, may_stand, stands) =
+        (at(symbol_form(0, 5.0, 6.0)), at(symbol_form(0, 0.0, 6.0)), at(AffineForm::default()));
     let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| symbol_form(1, low, high));
     for wanted in [&brakes, &either, &starts] {
         assert_eq!(step_follower(&moves, wanted, step).acceleration, *wanted);
@@ -207,8 +223,11 @@ fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
 fn a_step_by_a_law_is_the_closed_form() {
     let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
     let behind = law_follower(&law, point_form(16.0), point_form(8.0), &start_gap);
-    let at =
-        |distance, speed| VehicleState { distance: point_form(distance), speed: point_form(speed), acceleration: AffineForm::default() };
+    let at = |distance, speed| VehicleState {
+        distance: point_form(distance),
+        speed: point_form(speed),
+        acceleration: AffineForm::default(),
+    };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.advance(&own, &ego);
     let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::super::BoxDimension;
-use super::super::fixtures::{symbol_form, assert_bounds, constant_controller, interval, default_problem, point_box};
+use super::super::fixtures::{assert_bounds, constant_controller, default_problem, interval, point_box, symbol_form};
 use super::super::propagate::ReachProblem;
 use super::*;
 
@@ -46,7 +46,7 @@ proptest! {
         let t = f64::from(k) * STEP_S;
         if k == 0 {
             prop_assert!(distance.is_zero() && acceleration.is_zero());
-            prop_assert_eq!(speed, any(BoxDimension::LeaderSpeedMps as usize, v0, v1));
+            prop_assert_eq!(speed, symbol_form(BoxDimension::LeaderSpeedMps as usize, v0, v1));
             return Ok(());
         }
         assert_bounds(acceleration.range(), [-b, 0.0], 1e-10);

@@ -1,4 +1,6 @@
-use super::super::fixtures::{affine_controller, symbol_form, assert_bounds, constant_controller, point_form, default_problem, point_box};
+use super::super::fixtures::{
+    affine_controller, assert_bounds, constant_controller, default_problem, point_box, point_form, symbol_form,
+};
 use super::super::follower::{AccAebLaw, IdmLaw};
 use super::*;
 
@@ -95,8 +97,12 @@ fn an_instant_has_a_symbol_of_its_own() {
 fn a_decision_costs_what_is_stated() {
     let actor = constant_controller(0.0);
     for (limit, symbols) in [(None, 0), (Some(6.0), 24)] {
-        let scene =
-            ReachProblem { steps: 36, decision_steps: 3, leader_brakes_at_most_mps2: limit, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+        let scene = ReachProblem {
+            steps: 36,
+            decision_steps: 3,
+            leader_brakes_at_most_mps2: limit,
+            ..default_problem(&actor, point_box(DEFAULT_POINT))
+        };
         let cost = OPS_PER_DECISION + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
         let work = OpBudget::new(WorkLimit::from_operations(cost));
         let mut drive = analysis(&scene, &work);
@@ -120,7 +126,9 @@ fn a_departure_costs_a_law_at_each_step() {
     };
     actor.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
     let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
-    let work = OpBudget::new(WorkLimit::from_operations(OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64));
+    let work = OpBudget::new(WorkLimit::from_operations(
+        OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64,
+    ));
     let mut drive = analysis(&scene, &work);
     let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     assert!(drive.decide(0, &set).is_some());
@@ -134,7 +142,10 @@ fn accelerations_are_looked_at_one_by_one() {
     let scene = default_problem(&actor, point_box(DEFAULT_POINT));
     let mut set = analysis(&scene, &work).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     let seen = |set: &StateSet| -> Vec<_> {
-        set.split_cases().iter().map(|case| [ACCELERATION_AHEAD, ACCELERATION_BEHIND].map(|number| case.observation[number].centre())).collect()
+        set.split_cases()
+            .iter()
+            .map(|case| [ACCELERATION_AHEAD, ACCELERATION_BEHIND].map(|number| case.observation[number].centre()))
+            .collect()
     };
     set.acceleration_cases = [Vec::new(), Vec::new()];
     assert_eq!(seen(&set), [[0.0, 0.0]]);
@@ -152,7 +163,8 @@ fn what_is_too_wide_is_given_up() {
         let actor = affine_controller([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
         let scene = default_problem(&actor, point_box(DEFAULT_POINT));
         let mut drive = analysis(&scene, &work);
-        let set = drive.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
+        let set =
+            drive.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
         assert_eq!(drive.decide(0, &set).is_some(), goes_on);
         assert_eq!(drive.result.undecided, (!goes_on).then_some(Undecided::TooWide { step: 0 }));
     }
@@ -275,7 +287,13 @@ fn too_many_intervals_in_which_somebody_may_fire_are_given_up() {
     ranges.gap_behind_m = Interval::new(1.9, 3.0).unwrap();
     let most = MAX_INTERVALS as u32;
     // In steps so short that hardly anything changes, and that few windows are made of many.
-    let of = |steps| ReachProblem { step_s: 1e-5, steps, follower: LATCHED, stop_when_undecided: true, ..default_problem(&actor, ranges) };
+    let of = |steps| ReachProblem {
+        step_s: 1e-5,
+        steps,
+        follower: LATCHED,
+        stop_when_undecided: true,
+        ..default_problem(&actor, ranges)
+    };
     assert_eq!(reach(&of(most + 1)).undecided, Some(Undecided::TooManySets { step: most }));
     assert_eq!(reach(&of(most)).undecided, None);
 }

@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{symbol_form, assert_bounds, point_form};
+use super::super::fixtures::{assert_bounds, point_form, symbol_form};
 use super::*;
 
 const BOUNDS_MPS2: [f64; 2] = [-7.5, 3.0];
@@ -33,7 +33,10 @@ fn expected_acceleration(dead_zone: f64, action: f64, seen: [f64; 3]) -> f64 {
 
 fn enclose_acceleration(departure: &ResidualPolicy, action: &AffineForm, [gap, v, w]: [AffineForm; 3]) -> AffineForm {
     let closing = v.clone().minus(&w);
-    departure.acceleration(&Residual::new(departure, action, BOUNDS_MPS2), &LawInput::with_errors([gap, v, closing], [0.0; 3]))
+    departure.acceleration(
+        &Residual::new(departure, action, BOUNDS_MPS2),
+        &LawInput::with_errors([gap, v, closing], [0.0; 3]),
+    )
 }
 
 proptest! {
@@ -75,7 +78,11 @@ fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
     assert!(calm.terms()[..2].iter().all(|&term| term != 0.0) && calm.terms().get(3).is_none_or(|&term| term == 0.0));
     assert_bounds(calm.range(), [law_acceleration([20.0, 14.1, 15.0]), law_acceleration([20.1, 14.0, 15.0])], 1e-2);
     for (action, bound_mps2) in [(-1.0, BOUNDS_MPS2[0]), (1.0, BOUNDS_MPS2[1])] {
-        assert_bounds(enclose_acceleration(&residual_policy(0.4), &point_form(action), seen.clone()).range(), [bound_mps2; 2], 1e-9);
+        assert_bounds(
+            enclose_acceleration(&residual_policy(0.4), &point_form(action), seen.clone()).range(),
+            [bound_mps2; 2],
+            1e-9,
+        );
     }
 }
 
@@ -111,7 +118,11 @@ fn numbers_outside_the_ranges_of_the_simulator_are_refused() {
 #[test]
 fn a_step_is_enough_where_it_is_as_long_as_from_one_end_to_the_other() {
     let at = |rate_per_s| ResidualPolicy { rate_per_s, ..residual_policy(0.4) };
-    assert!(at(200.0).is_complete_in_one_step(0.01) && at(1000.0).is_complete_in_one_step(0.01) && at(4.0).is_complete_in_one_step(0.5));
+    assert!(
+        at(200.0).is_complete_in_one_step(0.01)
+            && at(1000.0).is_complete_in_one_step(0.01)
+            && at(4.0).is_complete_in_one_step(0.5)
+    );
     assert!(!at(199.0).is_complete_in_one_step(0.01) && !at(4.0).is_complete_in_one_step(0.49));
 }
 
@@ -121,7 +132,11 @@ fn rounding_is_allowed_for() {
     let largest_mps2 = 7.5;
     // A law at its bound, with an action that changes nothing of it, or everything.
     for (gap, action) in [(1e9, 1.0), (0.001, -1.0)] {
-        let form = enclose_acceleration(&residual_policy(0.4), &point_form(action), [point_form(gap), point_form(0.0), point_form(0.0)]);
+        let form = enclose_acceleration(
+            &residual_policy(0.4),
+            &point_form(action),
+            [point_form(gap), point_form(0.0), point_form(0.0)],
+        );
         assert!((REL_ROUNDING_ERROR * largest_mps2..1e-12).contains(&form.radius()), "{form:?}");
     }
 }

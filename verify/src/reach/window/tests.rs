@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{constant_controller, point_form, default_problem, point_box};
+use super::super::fixtures::{constant_controller, default_problem, point_box, point_form};
 use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0; 8];
@@ -96,7 +96,8 @@ fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
         (&[MotionMode::Moving, MotionMode::Standing], [true; 3]),
     ] {
         // Eleven, so that pairs become one; what fires first moves.
-        let windows = (0..11).map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] })).collect();
+        let windows =
+            (0..11).map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] })).collect();
         let first = merge_windows(windows, &scene).remove(0);
         assert!(first.may_fire() && first.instants == [0.0, 1.0]);
         assert_eq!(first.into_firing_sets().map(|members| members.is_some()), expected, "{later:?}");

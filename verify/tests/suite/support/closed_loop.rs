@@ -1,6 +1,9 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, FollowerModel, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
+use crumple_verify::reach::{
+    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
+    ReachProblem, ResidualPolicy,
+};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type InitialState = [f64; 8];
@@ -8,7 +11,8 @@ pub type InitialState = [f64; 8];
 /// The network's answer in single precision: an acceleration, or an action; products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
 pub fn controller_output(actor: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &ControllerInput| {
-        let sum = input.coefficients.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
+        let sum =
+            input.coefficients.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
         let value = input.absent_value.filter(|_| !is_followed).unwrap_or(sum);
         ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
     };
@@ -106,7 +110,11 @@ pub fn scripted_braking(&[.., brake, _, onset]: &InitialState) -> impl Fn(u32) -
 }
 
 /// The same with a leader that brakes at a rate of its own over each step.
-pub fn simulate_with_leader(scene: &ReachProblem<'_>, start: InitialState, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
+pub fn simulate_with_leader(
+    scene: &ReachProblem<'_>,
+    start: InitialState,
+    brake_l: impl Fn(u32) -> f64,
+) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_with_errors(scene, start, brake_l, |_| [0.0; 8])
 }
 

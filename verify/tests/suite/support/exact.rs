@@ -6,7 +6,10 @@
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, FollowerModel, IdmLaw, ControllerInput, FollowerLaw, LinearLayer, ReachProblem, NetworkLayer};
+use crumple_verify::reach::{
+    Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
+    ReachProblem, ResidualPolicy,
+};
 use num_bigint::BigInt;
 
 use super::closed_loop::InitialState;
@@ -196,7 +199,11 @@ impl Mul for FixedPointInterval {
 }
 
 /// What the network wants, in m/s², or its action, without any rounding.
-fn controller_output(actor: &NeuralController, seen: &[FixedPointInterval; 8], is_followed: bool) -> FixedPointInterval {
+fn controller_output(
+    actor: &NeuralController,
+    seen: &[FixedPointInterval; 8],
+    is_followed: bool,
+) -> FixedPointInterval {
     let input = |input: &ControllerInput| {
         let number = match input.absent_value.filter(|_| !is_followed) {
             Some(absent) => absent.into(),
@@ -204,7 +211,9 @@ fn controller_output(actor: &NeuralController, seen: &[FixedPointInterval; 8], i
                 .coefficients
                 .iter()
                 .zip(seen)
-                .fold(input.constant.into(), |sum: FixedPointInterval, (&factor, number)| sum + number.clone() * factor.into()),
+                .fold(input.constant.into(), |sum: FixedPointInterval, (&factor, number)| {
+                    sum + number.clone() * factor.into()
+                }),
         };
         (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
     };
@@ -278,7 +287,8 @@ fn residual_acceleration(
     step: &FixedPointInterval,
     seen: [&FixedPointInterval; 3],
 ) -> Result<FixedPointInterval, TooClose> {
-    let (zone, one, zero) = (FixedPointInterval::from(departure.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
+    let (zone, one, zero) =
+        (FixedPointInterval::from(departure.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
     let beyond = |size: FixedPointInterval| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
     let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
     let most = step.clone() * departure.rate_per_s.into();
@@ -299,7 +309,9 @@ fn law_acceleration(
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
         FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
-        FollowerLaw::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
+        FollowerLaw::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => {
+            (-brake.clone(), acc.max_accel_mps2)
+        }
         FollowerLaw::AccAeb(acc) => {
             let gain = of(acc.speed_gain_per_s);
             let cruise = gain.clone() * (set_speed.get_or_insert_with(|| v.clone()).clone() - v.clone());
@@ -320,7 +332,11 @@ struct StepMotion {
     held_mps2: FixedPointInterval,
 }
 
-fn advance(speed: &FixedPointInterval, wanted: &FixedPointInterval, step: &FixedPointInterval) -> Result<StepMotion, TooClose> {
+fn advance(
+    speed: &FixedPointInterval,
+    wanted: &FixedPointInterval,
+    step: &FixedPointInterval,
+) -> Result<StepMotion, TooClose> {
     let is_idle = speed.is_zero() && !FixedPointInterval::zero().is_below(wanted)?;
     let held = if is_idle { FixedPointInterval::zero() } else { wanted.clone() };
     let after = |time: FixedPointInterval| {
@@ -349,7 +365,8 @@ pub fn simulate_exactly(
     brake: Option<&dyn Fn(u32) -> f64>,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
     let ReachProblem { controller: actor, follower, steps, decision_steps: every, .. } = *scene;
-    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(FixedPointInterval::from);
+    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] =
+        start.map(FixedPointInterval::from);
     let (step, mut set_speed, mut so_far) = (FixedPointInterval::from(scene.step_s), None, FixedPointInterval::zero());
     let zero = FixedPointInterval::zero;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
@@ -383,7 +400,14 @@ pub fn simulate_exactly(
                 // What is seen at each step is off by an error of its own.
                 let error = error((k + steps) as usize);
                 let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
-                residual_acceleration(departure, &mut so_far, &answer, actor.action_bounds_mps2, &step, [&gap, &own, &other])?
+                residual_acceleration(
+                    departure,
+                    &mut so_far,
+                    &answer,
+                    actor.action_bounds_mps2,
+                    &step,
+                    [&gap, &own, &other],
+                )?
             }
         };
         let wants_r = match follower {
@@ -397,7 +421,10 @@ pub fn simulate_exactly(
         let brakes = match brake {
             Some(brake) => brake(k).into(),
             // The mean over the step it falls into.
-            None => brake_l.clone() * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero()),
+            None => {
+                brake_l.clone()
+                    * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero())
+            }
         };
         let leader = advance(&v_l, &-brakes, &step)?;
         let ego = advance(&v_e, &wants, &step)?;

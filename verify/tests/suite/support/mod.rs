@@ -256,7 +256,8 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
 
 /// A statement with the assumptions it needs.
 pub fn certificate(statement: Statement) -> Certificate {
-    let provenance = CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
+    let provenance =
+        CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
     Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
 }
 

@@ -1,6 +1,9 @@
 //! Networks that drive neither calmly nor sensibly, and the files of such.
 
-use crumple_verify::reach::{NeuralController, ResidualPolicy, Activation, NetworkFileFormat, ControllerInput, LinearLayer, NativePolicy, NetworkFileSource, NetworkLayer};
+use crumple_verify::reach::{
+    Activation, ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer,
+    NeuralController, ResidualPolicy,
+};
 use serde_json::{Value, json};
 
 use super::closed_loop::XorShiftRng;
@@ -19,7 +22,12 @@ pub fn native_network(widths: &[usize], gain: f64, seed: u64) -> NeuralControlle
 }
 
 /// The same, of which the action departs from a law.
-pub fn residual_network(widths: &[usize], gain: f64, seed: u64, departs_from: Option<ResidualPolicy>) -> NeuralController {
+pub fn residual_network(
+    widths: &[usize],
+    gain: f64,
+    seed: u64,
+    departs_from: Option<ResidualPolicy>,
+) -> NeuralController {
     let mut numbers = XorShiftRng(seed | 1);
     let sizes = [&[8], widths, &[1]].concat();
     NeuralController::from(NativePolicy {
@@ -57,11 +65,16 @@ pub fn any_network(seed: u64) -> NeuralController {
 pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
     let mut numbers = XorShiftRng(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
     let numbers = &mut numbers;
-    let (inputs, described): (Vec<ControllerInput>, Vec<Value>) = (0..2 + random_below(8, numbers)).map(|_| random_input(numbers)).unzip();
+    let (inputs, described): (Vec<ControllerInput>, Vec<Value>) =
+        (0..2 + random_below(8, numbers)).map(|_| random_input(numbers)).unzip();
     let (mut steps, width) = random_layers(inputs.len(), numbers);
     let is_bounded = random_below(2, numbers) == 0;
     if is_bounded {
-        let bounded = [Activation::Tanh, Activation::Sigmoid, Activation::Clip { low: vec![-1.0; width], high: vec![1.0; width] }];
+        let bounded = [
+            Activation::Tanh,
+            Activation::Sigmoid,
+            Activation::Clip { low: vec![-1.0; width], high: vec![1.0; width] },
+        ];
         steps.push(NetworkLayer::Activation(bounded[random_below(3, numbers)].clone()));
     }
     // A network that is bounded may need no cut.
@@ -115,7 +128,15 @@ fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
     let high = if random_below(2, numbers) == 0 { 1e6 } else { 1.2 };
     let Some(&(name, of, size)) = QUANTITIES.get(place) else {
         let nothing = [0.0; 8];
-        let plain = |constant, absent| ControllerInput { coefficients: nothing, constant, absent_value: absent, offset: 0.5, scale: 2.0, low, high };
+        let plain = |constant, absent| ControllerInput {
+            coefficients: nothing,
+            constant,
+            absent_value: absent,
+            offset: 0.5,
+            scale: 2.0,
+            low,
+            high,
+        };
         let described =
             |key: &str, value: Value| json!({ (key): value, "offset": 0.5, "scale": 2.0, "low": low, "high": high });
         return match place - QUANTITIES.len() {

@@ -22,7 +22,9 @@ fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
         match value.get_ref() {
             DeValue::Table(table) => collect_table(path, table, found),
             DeValue::Array(list) => {
-                list.iter().enumerate().for_each(|(index, value)| collect_value(&format!("{path}[{index}]"), value, found));
+                list.iter()
+                    .enumerate()
+                    .for_each(|(index, value)| collect_value(&format!("{path}[{index}]"), value, found));
             }
             _ => found.push((path.to_owned(), value.span())),
         }

@@ -92,7 +92,11 @@ fn checkpoints_of_another_training_are_refused() {
 fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
     let config = small_config();
     let source = |name| -> Arc<dyn ScenarioSource> {
-        Arc::new(CaseMixture::new(vec![crumple_world::scenario::built_in_scenario(name).unwrap()], 0.5, Arc::new(PaperSource)))
+        Arc::new(CaseMixture::new(
+            vec![crumple_world::scenario::built_in_scenario(name).unwrap()],
+            0.5,
+            Arc::new(PaperSource),
+        ))
     };
     let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
     trainer.run_episode().unwrap();

@@ -30,7 +30,8 @@ fn batch(seed: u64, count: usize) -> Batch {
     let mut batch = Batch::default();
     for _ in 0..count {
         let mut numbers = |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
-        let (state, next_state, privileged) = (numbers(STATE_WIDTH), numbers(STATE_WIDTH), numbers(2 * PRIVILEGED_WIDTH));
+        let (state, next_state, privileged) =
+            (numbers(STATE_WIDTH), numbers(STATE_WIDTH), numbers(2 * PRIVILEGED_WIDTH));
         batch.push(&Transition {
             state: &state,
             next_state: &next_state,
@@ -111,7 +112,8 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     let value = |parameters: &[f64], state: &[f64], besides: &[f32], action: f64| {
         forward(critic_sizes, parameters, &[state, &to_f64(besides), &[action]].concat())
     };
-    let [besides, next_besides] = [&batch.privileged, &batch.next_privileged].map(|all| all.chunks_exact(PRIVILEGED_WIDTH));
+    let [besides, next_besides] =
+        [&batch.privileged, &batch.next_privileged].map(|all| all.chunks_exact(PRIVILEGED_WIDTH));
     let td_targets: Vec<f64> = rows(&batch.next_states)
         .zip(next_besides)
         .zip(batch.rewards.iter().zip(&batch.continues))

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use serde::{Deserialize, Serialize};
 
-use super::{AssuranceClaim, Domain, Evidence, Property, InferenceRule, Strength};
+use super::{AssuranceClaim, Domain, Evidence, InferenceRule, Property, Strength};
 
 /// All evidence of an assessment.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -95,7 +95,11 @@ impl Ledger {
     #[must_use]
     pub fn claim_status(&self, claim: &AssuranceClaim) -> ClaimStatus {
         let read = |(place, evidence)| {
-            InferenceRule::apply(evidence, claim).map(|(rule, strength)| SecondaryEvidence { strength, rule, evidence: place })
+            InferenceRule::apply(evidence, claim).map(|(rule, strength)| SecondaryEvidence {
+                strength,
+                rule,
+                evidence: place,
+            })
         };
         let mut all: Vec<SecondaryEvidence> = self.evidence.iter().enumerate().filter_map(read).collect();
         let united = self.combine_partial_proofs(claim);
@@ -159,7 +163,10 @@ impl Ledger {
             let domain = Domain::Scenarios { about: about.clone(), all: vec![scenario] };
             let part = AssuranceClaim { domain, ..claim.clone() };
             let proves = |evidence: &Evidence| {
-                matches!(InferenceRule::apply(evidence, &part), Some((InferenceRule::Direct | InferenceRule::ProofCovers, Strength::Proved { .. })))
+                matches!(
+                    InferenceRule::apply(evidence, &part),
+                    Some((InferenceRule::Direct | InferenceRule::ProofCovers, Strength::Proved { .. }))
+                )
             };
             self.evidence.iter().position(proves)
         };

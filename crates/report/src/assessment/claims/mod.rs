@@ -6,8 +6,8 @@
 //! evidence of an assessment and is the only one to say how a claim stands.
 
 mod evidence;
-mod ledger;
 mod inference_rule;
+mod ledger;
 mod strength;
 
 use crumple_core::digest::sha256;
@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Rounded;
 pub use evidence::{Evidence, EvidenceSource};
-pub use ledger::{SecondaryEvidence, Ledger, ClaimStatus};
 pub use inference_rule::InferenceRule;
+pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
 /// Something with a name for readers and a hash to compare by.

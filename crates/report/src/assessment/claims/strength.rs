@@ -156,7 +156,12 @@ impl Strength {
     /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
     /// is a failure (`refutes`); of one about how it drives, nothing to go by.
     #[must_use]
-    pub(crate) fn from_counts_with_unanswered(failures: u64, runs: u64, unanswered: Option<&FailedControllerRuns>, refutes: bool) -> Self {
+    pub(crate) fn from_counts_with_unanswered(
+        failures: u64,
+        runs: u64,
+        unanswered: Option<&FailedControllerRuns>,
+        refutes: bool,
+    ) -> Self {
         match unanswered {
             None => Self::from_counts(failures, runs),
             Some(FailedControllerRuns { runs: unanswered, because }) => {
@@ -168,7 +173,11 @@ impl Strength {
     /// Of the claim that it fails in fewer of the same runs than another: how often each did, and how many of its runs were cut
     /// short, of which it is not known how they would have ended.
     #[must_use]
-    pub(crate) fn from_paired_counts([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
+    pub(crate) fn from_paired_counts(
+        [own, own_cut_short]: [u64; 2],
+        [other, other_cut_short]: [u64; 2],
+        runs: u64,
+    ) -> Self {
         let (own_most, other_most) = (own + own_cut_short, other + other_cut_short);
         if own_cut_short + other_cut_short == 0 {
             Self::Compared { own, other, runs }

@@ -4,8 +4,8 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
-use super::{AssessmentLimits, ScenarioCases, FailureSearches, ClaimSummary, UsefulnessReport};
-use crate::assessment::claims::{AssuranceClaim, Domain, Property, InferenceRule, ClaimStatus, Strength};
+use super::{AssessmentLimits, ClaimSummary, FailureSearches, ScenarioCases, UsefulnessReport};
+use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Domain, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
@@ -68,7 +68,8 @@ impl FirstPage {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut claims: Vec<(&str, &AssuranceClaim, &ClaimStatus)> = Vec::new();
         for row in &summary.claims {
-            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject_index), row.statuses.get(plan.subject_index))
+            if let (Some(Some(claim)), Some(standing)) =
+                (row.claims.get(plan.subject_index), row.statuses.get(plan.subject_index))
             {
                 claims.push((&row.claim, claim, standing));
             }
@@ -97,14 +98,20 @@ impl FirstPage {
             Some(first) if plan.subject_index != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
         };
-        let question =
-            format!("Does `{subject}`, {}, keep off the vehicles around it{compared}?", describe_estimator(plan.config.estimator));
+        let question = format!(
+            "Does `{subject}`, {}, keep off the vehicles around it{compared}?",
+            describe_estimator(plan.config.estimator)
+        );
         Self {
             question,
             answer,
-            answer_text: format!("{} {}", answer.describe(plan, subject, &claims, &against), describe_comparison(plan, &claims))
-                .trim_end()
-                .to_owned(),
+            answer_text: format!(
+                "{} {}",
+                answer.describe(plan, subject, &claims, &against),
+                describe_comparison(plan, &claims)
+            )
+            .trim_end()
+            .to_owned(),
             against,
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
@@ -206,7 +213,10 @@ impl SafetyAnswer {
                         && standing.strength.is_refutation()
                         && standing.rule != Some(InferenceRule::RefutedInPart)
                 };
-                let why = claims.iter().find(is_why).map(|(words, claim, standing)| describe_refutation(words, claim, standing));
+                let why = claims
+                    .iter()
+                    .find(is_why)
+                    .map(|(words, claim, standing)| describe_refutation(words, claim, standing));
                 let why = why.unwrap_or_else(|| "a run of a part that refutes the whole".to_owned());
                 format!("Not safe: `{subject}` fails in runs of this report, as in {why}.")
             }
@@ -276,7 +286,10 @@ impl FirstPage {
         let words = |gate: &GateResult| format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
         ReportTable::from_items(
             &self.gates,
-            &[("gate", &|gate| ReportCell::text(&gate.gate)), ("result", &|gate| ReportCell::with_verdict(words(gate), gate.holds))],
+            &[
+                ("gate", &|gate| ReportCell::text(&gate.gate)),
+                ("result", &|gate| ReportCell::with_verdict(words(gate), gate.holds)),
+            ],
         )
     }
 }

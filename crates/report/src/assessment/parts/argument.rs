@@ -9,8 +9,8 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
-use super::{ClaimRow, AssessmentLimits, ClaimSummary};
-use crate::assessment::claims::{AssuranceClaim, Property, ClaimStatus, Strength};
+use super::{AssessmentLimits, ClaimRow, ClaimSummary};
+use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
@@ -200,7 +200,10 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
         |property| {
             matches!(
                 property,
-                Property::NoUnnecessaryBraking | Property::KeepsUp | Property::StringStable | Property::Satisfies { .. }
+                Property::NoUnnecessaryBraking
+                    | Property::KeepsUp
+                    | Property::StringStable
+                    | Property::Satisfies { .. }
             )
         },
     ),
@@ -224,7 +227,8 @@ impl Argument {
             .claims
             .iter()
             .filter_map(|row| {
-                let (claim, standing) = (row.claims.get(plan.subject_index)?.as_ref()?, row.statuses.get(plan.subject_index)?);
+                let (claim, standing) =
+                    (row.claims.get(plan.subject_index)?.as_ref()?, row.statuses.get(plan.subject_index)?);
                 Some(Proposition { row, claim, status: standing })
             })
             .collect();
@@ -346,7 +350,11 @@ impl Argument {
             _ => "",
         };
         let words = format!(" {sign}{}", element.text);
-        entries.push((depth, Inline::strong(&element.id).and_prose(&words), html! { b { (element.id) } (prose_to_html(&words)) }));
+        entries.push((
+            depth,
+            Inline::strong(&element.id).and_prose(&words),
+            html! { b { (element.id) } (prose_to_html(&words)) },
+        ));
         let below = element.supported_by.iter().chain(&element.in_context_of).filter_map(|id| self.find(id));
         for next in below.chain(self.challenges_to(&element.id)) {
             self.push_outline(next, depth + 1, entries);

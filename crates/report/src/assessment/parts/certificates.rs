@@ -1,21 +1,21 @@
 //! Certificates of an assessment: those of kernels, those counted for it, those that were given.
 
 use crumple_verify::reach::InitialRanges;
-use crumple_verify::{ProvedClaim, Assumption, Certificate, RateClaim, ReachClaim, Registration, Statement, WorkLimit};
+use crumple_verify::{Assumption, Certificate, ProvedClaim, RateClaim, ReachClaim, Registration, Statement, WorkLimit};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{
-    AssuranceClaim, Domain, Evidence, ContentId, MIN_CONFIDENCE_PERCENT, Property, EvidenceSource, Strength, Subject,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength, Subject,
 };
-use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
+use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crumple_core::digest::sha256;
 use crumple_evidence::{
-    CertificateReport, RateInterval, checker_file, kernel_certificate, check_covers_scenario, shipped_kernels,
+    CertificateReport, RateInterval, check_covers_scenario, checker_file, kernel_certificate, shipped_kernels,
 };
-use crumple_world::control::{ViabilityKernel, MIN_MARGIN_M, ShieldSettings};
+use crumple_world::control::{MIN_MARGIN_M, ShieldSettings, ViabilityKernel};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -137,7 +137,10 @@ impl CertificateStatus {
             Ok(accepted) => accepted,
             Err(reason) => return Self::Rejected { reason },
         };
-        Self::Accepted { shown: describe_accepted(&accepted), strength: accepted_strength(&accepted, &certificate.statement, counts_others) }
+        Self::Accepted {
+            shown: describe_accepted(&accepted),
+            strength: accepted_strength(&accepted, &certificate.statement, counts_others),
+        }
     }
 }
 
@@ -161,7 +164,9 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
         ProvedClaim::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
         }
-        ProvedClaim::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
+        ProvedClaim::Reach { verified_share, .. } if *verified_share >= 1.0 => {
+            Some(Strength::Proved { certificates: 1 })
+        }
         ProvedClaim::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
             .filter(|percent| percent.value() > 0.0)
             .map(|share_percent| Strength::PartlyProved { share_percent }),
@@ -175,7 +180,9 @@ pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool)
     let Registration { runs, confidence, .. } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
     Strength::Between {
-        lower_percent: Rounded::down(100.0 * RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0).lower),
+        lower_percent: Rounded::down(
+            100.0 * RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0).lower,
+        ),
         upper_percent: Rounded::up(100.0 * at_most),
         confidence_percent: Rounded::down(100.0 * confidence),
         runs,
@@ -192,7 +199,8 @@ impl CheckedCertificate {
     /// What it says of whom, if the checker accepted it and it speaks of somebody here.
     fn evidence(&self) -> Vec<Evidence> {
         let (
-            CertificateStatus::Accepted { strength: Some(strength), .. } | CertificateStatus::NothingShown { strength, .. },
+            CertificateStatus::Accepted { strength: Some(strength), .. }
+            | CertificateStatus::NothingShown { strength, .. },
             CertificateSubject::Claim(claim),
         ) = (&self.status, &self.subject)
         else {
@@ -235,7 +243,13 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
             };
             format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
         }
-        ProvedClaim::Reach { verified_share, min_gap_m: smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
+        ProvedClaim::Reach {
+            verified_share,
+            min_gap_m: smallest_gap_m,
+            horizon_s,
+            leader_brakes_at_most_mps2: limit,
+            ..
+        } => {
             format!(
                 "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
                 down(100.0 * verified_share),
@@ -266,8 +280,9 @@ pub(super) fn gather_certificates<'a>(
         .into_iter()
         .map(|(name, certificate)| check_certificate(plan, name, &certificate, None))
         .collect::<Result<Vec<_>, _>>()?;
-    let scenes =
-        scenes.map(|(scenario, certificate)| check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None));
+    let scenes = scenes.map(|(scenario, certificate)| {
+        check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None)
+    });
     proofs.extend(scenes.collect::<Result<Vec<_>, _>>()?);
     proofs.extend(super::rate_certificates::gather_rate_certificates(plan, work)?);
     let given = plan.certificates.par_iter();
@@ -352,7 +367,12 @@ fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
     words.chain(led.map(|limit_mps2| format!("leader brakes as it likes, at up to {limit_mps2} m/s²"))).collect()
 }
 
-fn certificate_subject(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> CertificateSubject {
+fn certificate_subject(
+    plan: &AssessmentPlan,
+    name: &str,
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+) -> CertificateSubject {
     match &certificate.statement {
         Statement::Rate(rate) => registered_subject(plan, &rate.registration),
         Statement::Comparison(two) => registered_subject(plan, &two.registration),
@@ -396,8 +416,8 @@ fn initial_states_id(
     let horizon_s = reach.step_s * f64::from(reach.steps);
     let is_inside = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
     let built_in = built_in_scenario_names().iter().filter_map(|(name, _)| built_in_scenario(name)).find(is_inside);
-    let inside =
-        built_in.or_else(|| plan.file_scenarios.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
+    let inside = built_in
+        .or_else(|| plan.file_scenarios.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
     let around = match inside {
         Some(scenario) => format!("around `{}`", scenario.spec().name),
         None => format!("of certificate `{certificate_name}`"),
@@ -443,10 +463,9 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
         let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
         // What was counted as a failure must be what is one here.
         let place = plan.controllers.iter().position(is_it)?;
-        let counts = plan
-            .controllers
-            .get(place)
-            .is_some_and(|one| [one.failure_description(), "vehicles touch, or a controller fails"].contains(&of("failure")));
+        let counts = plan.controllers.get(place).is_some_and(|one| {
+            [one.failure_description(), "vehicles touch, or a controller fails"].contains(&of("failure"))
+        });
         plan.claim_subject(place, estimator).filter(|_| counts)
     };
     let Some(subject) = find("controller") else {
@@ -499,7 +518,9 @@ pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKerne
     }
     let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
     let ahead: Vec<f64> = ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
-    let of = |own_brake_mps2| ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel { own_brake_mps2, ahead_brake_mps2 });
+    let of = |own_brake_mps2| {
+        ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel { own_brake_mps2, ahead_brake_mps2 })
+    };
     limits.flat_map(of).collect()
 }
 

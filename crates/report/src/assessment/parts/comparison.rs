@@ -201,7 +201,10 @@ impl EvidenceView {
                 // What was not tried is neither better nor worse than anything: it is not there.
                 if strength != Strength::Untried {
                     let is_failure = strength.is_refutation();
-                    facts.insert((what, domain), Fact { score: score(&strength), description: strength.describe(), is_failure });
+                    facts.insert(
+                        (what, domain),
+                        Fact { score: score(&strength), description: strength.describe(), is_failure },
+                    );
                 }
             }
         }
@@ -422,7 +425,8 @@ mod tests {
     #[test]
     fn everything_falls_into_one_place() {
         let before = earlier(&[("a", 1.0), ("b", 1.0), ("c", 1.0), ("d", 1.0)]);
-        let found = AssessmentComparison::from_facts(&before, &facts_of(&[("a", 2.0), ("b", 0.0), ("c", 1.0), ("e", 1.0)]));
+        let found =
+            AssessmentComparison::from_facts(&before, &facts_of(&[("a", 2.0), ("b", 0.0), ("c", 1.0), ("e", 1.0)]));
         let names = |changes: &[AssessmentChange]| changes.iter().map(|change| change.what.clone()).collect::<String>();
         let all = [&found.better, &found.worse, &found.new, &found.gone].map(|changes| names(changes));
         assert_eq!((all, found.unchanged), (["a", "b", "e", "d"].map(str::to_owned), 1));

@@ -9,7 +9,7 @@ use super::failure_searches::CounterexampleFiles;
 use crate::assessment::{CrumpleCommand, Rounded};
 use crate::export::openscenario::{OpenScenario, export_trajectories};
 use crumple_core::digest::sha256;
-use crumple_search::falsify::campaign::{MethodSummary, CampaignSummary};
+use crumple_search::falsify::campaign::{CampaignSummary, MethodSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter, Counterexample};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
@@ -40,7 +40,10 @@ pub struct MethodResult {
 impl MethodResult {
     /// Of scenarios like `nominal`.
     pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
-        let own = all.failures.iter().filter(|kind| involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal));
+        let own = all
+            .failures
+            .iter()
+            .filter(|kind| involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal));
         let silent = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
         let silent = silent.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
         let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
@@ -179,14 +182,19 @@ impl DistinctFailure {
     }
 
     /// Simulates it anew for what stands beside its file: what happened, for other simulators.
-    pub(super) fn with_simulator_files(mut self, controller: &NamedController, estimator: EstimatorKind) -> Result<Self, RunError> {
+    pub(super) fn with_simulator_files(
+        mut self,
+        controller: &NamedController,
+        estimator: EstimatorKind,
+    ) -> Result<Self, RunError> {
         // What a campaign wrote and read back can be read again.
         let Ok(scenario) = file::from_toml(&self.text, Path::new(&self.file)) else { return Ok(self) };
         let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
         let trace = simulate(&run, RecordingLevel::Trace).trace;
         let road = format!("{}.{ROAD_EXTENSION}", self.short_name());
         // None of a run that is too long for such a file, or in which vehicles change lanes.
-        self.openscenario = trace.and_then(|trace| export_trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
+        self.openscenario =
+            trace.and_then(|trace| export_trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
         Ok(self)
     }
 

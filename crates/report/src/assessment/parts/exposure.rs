@@ -1,12 +1,14 @@
 //! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
 
 use super::sampling::{SpaceSample, run_samples};
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan};
 use crumple_core::digits::format_rounded;
-use crumple_evidence::exposure::{RatePerExposure, IntervalEstimate, FailureProbability, WithDataUncertainty, count_on_resamples};
+use crumple_evidence::exposure::{
+    FailureProbability, IntervalEstimate, RatePerExposure, WithDataUncertainty, count_on_resamples,
+};
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 
@@ -48,8 +50,11 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
     if let Some(why) = &first.data_uncertainty_missing {
         words += &format!(" The data's uncertainty is not stated: {why}.");
     }
-    let interval = |figure: IntervalEstimate| format!("{} – {}", format_rounded(figure.lower, 3), format_rounded(figure.upper, 3));
-    let shown = |figure: IntervalEstimate| ReportCell::number(format!("{} ({})", format_rounded(figure.estimate, 3), interval(figure)));
+    let interval =
+        |figure: IntervalEstimate| format!("{} – {}", format_rounded(figure.lower, 3), format_rounded(figure.upper, 3));
+    let shown = |figure: IntervalEstimate| {
+        ReportCell::number(format!("{} ({})", format_rounded(figure.estimate, 3), interval(figure)))
+    };
     let data = |rate: &RatePerExposure, of: fn(&WithDataUncertainty) -> IntervalEstimate| {
         ReportCell::optional(rate.with_data_uncertainty.map(|data| interval(of(&data))))
     };
@@ -65,7 +70,9 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
             ("with data", &|(_, rate)| data(rate, |data| data.rates.per_hour)),
             ("failures per 1000 km", &|(_, rate)| shown(rate.fitted.per_1000_km)),
             ("with data", &|(_, rate)| data(rate, |data| data.rates.per_1000_km)),
-            ("deviation by count, data, runs", &|(_, rate)| ReportCell::optional(rate.with_data_uncertainty.map(parts))),
+            ("deviation by count, data, runs", &|(_, rate)| {
+                ReportCell::optional(rate.with_data_uncertainty.map(parts))
+            }),
         ],
     );
     Some((words, table))

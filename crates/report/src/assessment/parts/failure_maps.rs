@@ -4,13 +4,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::map_cell::{MapCell, MapRow};
-use super::map_grid::{FixedParameter, FailureMapAxis, fixed_parameters, grid_scenarios};
 use super::failure_maps_figure;
+use super::map_cell::{MapCell, MapRow};
+use super::map_grid::{FailureMapAxis, FixedParameter, fixed_parameters, grid_scenarios};
 use crate::assessment::avoidance::RoundedAvoidance;
 use crate::assessment::document::ReportDocument;
-use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
@@ -61,7 +61,10 @@ pub struct FailureMap {
 
 impl FailureMaps {
     /// None if the plan leaves the paper out.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         if !plan.config.paper {
             return Ok(None);
         }
@@ -78,13 +81,17 @@ impl FailureMaps {
         let space = space.with_noise_seed(plan.config.seed);
         let find = |name: &str| space.parameters().iter().find(|parameter| parameter.name() == name);
         let (Some(across), Some(up)) = (find(named[0].0), find(named[1].0)) else { return Ok(None) };
-        let axes = (FailureMapAxis::new(&space, across, named[0].1, cells.0), FailureMapAxis::new(&space, up, named[1].1, cells.1));
+        let axes = (
+            FailureMapAxis::new(&space, across, named[0].1, cells.0),
+            FailureMapAxis::new(&space, up, named[1].1, cells.1),
+        );
         let scenarios = grid_scenarios(&space, (across, up), &axes)?;
 
         let touched = simulate_contacts(plan, &scenarios)?;
         let survives = |cell: usize| touched.iter().any(|cells| cells.get(cell) == Some(&false));
         let survived: Vec<bool> = (0..scenarios.len()).map(survives).collect();
-        let fates: Vec<MapCell> = scenarios.par_iter().zip(&survived).map(|(s, &survived)| classify_cell(s, survived)).collect();
+        let fates: Vec<MapCell> =
+            scenarios.par_iter().zip(&survived).map(|(s, &survived)| classify_cell(s, survived)).collect();
 
         let of = |(controller, touched): (&NamedController, &Vec<bool>)| FailureMap {
             controller: controller.name.clone(),
@@ -145,7 +152,8 @@ impl FailureMap {
 
 impl FailureMaps {
     fn introduction(&self) -> String {
-        let held: Vec<_> = self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
+        let held: Vec<_> =
+            self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
         format!(
             "The scenarios of the space {} over two of its parameters, {} and {}, with the others held at their nominal values \
              ({}). These two are shown because they decide how much room is left: how hard the leader brakes, and how hard \
@@ -176,7 +184,9 @@ impl FailureMaps {
             let survived = map.count(MapCell::NoContact);
             let counts = MapCell::ALL.map(|kind| ReportCell::number(share(map.count(kind), cells)));
             let of_avoidable = ReportCell::number(share(survived, survived + map.count(MapCell::Avoidable)));
-            table.push_row(std::iter::once(ReportCell::text(&map.controller)).chain(counts).chain([of_avoidable]).collect());
+            table.push_row(
+                std::iter::once(ReportCell::text(&map.controller)).chain(counts).chain([of_avoidable]).collect(),
+            );
         }
         table
     }

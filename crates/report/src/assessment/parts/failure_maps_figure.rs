@@ -4,10 +4,10 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
-use super::{FailureMap, FailureMaps, FailureMapAxis, MapCell};
+use super::{FailureMap, FailureMapAxis, FailureMaps, MapCell};
 use crate::draw::{
-    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Panel, SMALL_TEXT_SIZE, Stroke, Svg, Ticks,
-    grid_rects, format_number, draw_text,
+    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, LegendEntry, Panel, PixelRect,
+    SMALL_TEXT_SIZE, Stroke, Svg, Ticks, draw_text, format_number, grid_rects,
 };
 
 /// Width of the line around what is unavoidable.
@@ -33,11 +33,19 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
     let row_height = HEADING_HEIGHT + plot.1 + BOTTOM_MARGIN;
     let panel = |(index, map): (usize, &FailureMap)| {
         let (column, row) = (index % columns, index / columns);
-        let (left, top) = (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
+        let (left, top) =
+            (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
         let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
         let (x, y) = (parameter_axis(&maps.across, &maps.across.title), parameter_axis(&maps.up, ""));
         let mut panel = Panel::new(frame, &map.controller, x, y);
-        panel.add_overlay(draw_text((left - LEFT_MARGIN, top - 8.0), Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
+        panel.add_overlay(draw_text(
+            (left - LEFT_MARGIN, top - 8.0),
+            Anchor::Start,
+            &maps.up.title,
+            SMALL_TEXT_SIZE,
+            Ink::Muted,
+            false,
+        ));
         panel.add_overlay(draw_map_cells(map, frame));
         panel.draw(&Svg::id(prefix, &map.controller))
     };

@@ -13,22 +13,24 @@ use serde_json::{Value, json};
 use super::ScenarioCases;
 use super::distinct_failure::{DistinctFailure, MethodResult, involves_vehicle_under_test};
 use crate::assessment::case::{MotionRetention, largest, run_cases};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
+};
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::markdown::Inline;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded, CacheError};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart, Rounded};
 use crumple_evidence::RateInterval;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, CampaignSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_store::disk::DiskError;
 use crumple_world::scenario::file;
-use crumple_world::sim::{NamedController, FailedControllerRuns};
+use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
 const MAX_SHOWN: usize = 100;
@@ -85,7 +87,8 @@ impl FailureSearches {
             .iter()
             .flat_map(|space| plan.controllers.iter().enumerate().map(move |one| (space, one)))
             .collect();
-        let found = pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(plan, space, controller, work));
+        let found =
+            pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(plan, space, controller, work));
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
         let spaces = plan.spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
@@ -99,8 +102,8 @@ impl FailureSearches {
     /// The severest failures of a controller over all spaces, drawn, each under a name of its own.
     pub(in crate::assessment) fn worst_failures(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
         let own = self.spaces.iter().filter_map(|space| Some((space, space.find(controller)?)));
-        let drawn =
-            own.flat_map(|(space, search)| search.failures.iter().zip(&search.drawn_cases).map(move |one| (space, one)));
+        let drawn = own
+            .flat_map(|(space, search)| search.failures.iter().zip(&search.drawn_cases).map(move |one| (space, one)));
         let mut drawn: Vec<_> = drawn.collect();
         drawn.sort_by(|(_, (a, _)), (_, (b, _))| {
             let severity = |failure: &DistinctFailure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
@@ -122,11 +125,17 @@ impl FailureSearches {
             .flat_map(|space| plan.claim_subjects().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
             let strength = match search.distinct_count() {
-                0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), search.conclusive_evaluations()),
+                0 => Strength::from_counts(
+                    search.methods.iter().map(|reached| reached.failures).sum(),
+                    search.conclusive_evaluations(),
+                ),
                 // Nothing but that: no contact was found.
-                failures if failures == search.unanswered_failures().count() => {
-                    Strength::from_counts_with_unanswered(0, search.conclusive_evaluations(), search.unanswered().as_ref(), true)
-                }
+                failures if failures == search.unanswered_failures().count() => Strength::from_counts_with_unanswered(
+                    0,
+                    search.conclusive_evaluations(),
+                    search.unanswered().as_ref(),
+                    true,
+                ),
                 failures => Strength::Falsified {
                     failures,
                     avoidable: search.count(AvoidabilityClass::Avoidable),
@@ -170,14 +179,18 @@ impl SpaceSearches {
             &self.controllers,
             &[
                 ("controller", &|search| ReportCell::text(&search.controller)),
-                ("distinct failures", &|search| ReportCell::with_verdict(search.distinct_count(), search.distinct_count() == 0)),
+                ("distinct failures", &|search| {
+                    ReportCell::with_verdict(search.distinct_count(), search.distinct_count() == 0)
+                }),
                 ("avoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Avoidable))),
                 ("unavoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Unavoidable))),
                 ("undecided", &|search| ReportCell::number(search.count(AvoidabilityClass::Undecided))),
                 ("severest impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
                 ("first after (runs)", &|search| first(search.methods.first())),
                 ("uniform: first after", &|search| first(search.method_result(Method::Uniform))),
-                ("share failing", &|search| ReportCell::optional(search.uniform_failure_percent().map(|share| format!("{share} %")))),
+                ("share failing", &|search| {
+                    ReportCell::optional(search.uniform_failure_percent().map(|share| format!("{share} %")))
+                }),
                 ("Halton: first after", &|search| first(search.method_result(Method::Halton))),
             ],
         )
@@ -205,13 +218,16 @@ impl FailureSearch {
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
         let replay = |file: &str| {
-            let simulate = CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?]).with_args(seeing.clone());
+            let simulate =
+                CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?]).with_args(seeing.clone());
             Some(simulate.with_args(["--expect", "collision"]))
         };
         let nominal = space.scenario(&space.nominal())?;
-        let is_own = |found: &&Counterexample| involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal);
+        let is_own =
+            |found: &&Counterexample| involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal);
         let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
-        let failures: Vec<_> = found.map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay)).collect();
+        let failures: Vec<_> =
+            found.map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay)).collect();
         let exported = failures.into_par_iter().map(|one| one.with_simulator_files(controller, plan.config.estimator));
         let failures = exported.collect::<Result<Vec<_>, _>>()?;
         let classes = [
@@ -229,7 +245,11 @@ impl FailureSearch {
                 ["falsify", "--controller", word, "--space", &named.to_arg(), "--budget", &budget, "--seed", &seed];
             CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
         });
-        let drawn = if is_drawn(plan, index, controller) { simulate_failures(plan, controller, &failures)? } else { Vec::new() };
+        let drawn = if is_drawn(plan, index, controller) {
+            simulate_failures(plan, controller, &failures)?
+        } else {
+            Vec::new()
+        };
         Ok(Self {
             controller: controller.name.clone(),
             command,
@@ -419,7 +439,8 @@ fn simulate_failures(
         let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&named], one, plan.config.estimator, MotionRetention::Keep)?;
-        let replay = CrumpleCommand::new(["simulate", failure.file.as_str()]).with_args(plan.estimator_args().iter().copied());
+        let replay =
+            CrumpleCommand::new(["simulate", failure.file.as_str()]).with_args(plan.estimator_args().iter().copied());
         drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, replay.clone(), cases)));
     }
     Ok(drawn)

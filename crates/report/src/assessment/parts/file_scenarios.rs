@@ -5,13 +5,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenario_cases};
-use crate::assessment::avoidance::{RoundedAvoidance, CertifiedAvoidance, REGRET_EXPLANATION};
+use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION, RoundedAvoidance};
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::RunError;
@@ -36,7 +36,10 @@ pub struct FileScenarios {
 }
 
 impl FileScenarios {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
@@ -56,10 +59,14 @@ impl FileScenarios {
         let closest_first = closest_scenarios(&scenarios);
         work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
         let best = |&index: &usize| {
-            plan.file_scenarios.get(index).map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work)).transpose()
+            plan.file_scenarios
+                .get(index)
+                .map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work))
+                .transpose()
         };
         let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
-        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, MotionRetention::Keep)?).zip(bests) {
+        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, MotionRetention::Keep)?).zip(bests)
+        {
             scenarios[index] = match best {
                 Some(best) => drawn.with_avoidance(best),
                 None => drawn,

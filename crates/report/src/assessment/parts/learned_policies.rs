@@ -7,7 +7,7 @@ use crate::assessment::case::CaseResult;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart, Rounded};
-use crate::draw::{Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, TaggedLine};
+use crate::draw::{Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg, TaggedLine};
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{CurvePoint, LearningCurve, Policy};
 use crumple_world::sim::{Trace, Track};
@@ -110,7 +110,9 @@ impl LearnedPolicies {
                 ("leader brakes (s)", &|one| ReportCell::optional(one.leader_brakes_s)),
                 ("ego brakes (s)", &|one| ReportCell::optional(one.ego_brakes_s)),
                 ("follower's AEB fires (s)", &|one| ReportCell::optional(one.follower_brakes_s)),
-                ("ego's peak brake in the second before (m/s²)", &|one| ReportCell::optional(one.ego_brake_before_mps2)),
+                ("ego's peak brake in the second before (m/s²)", &|one| {
+                    ReportCell::optional(one.ego_brake_before_mps2)
+                }),
                 ("ego's peak acceleration after (m/s²)", &|one| ReportCell::optional(one.ego_acceleration_after_mps2)),
             ],
         )
@@ -184,7 +186,13 @@ fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     panel.add_tags(&tags);
     let prefix = format!("acceleration-{name}");
     let description = "Acceleration of every vehicle over time, numbered from the front.";
-    Svg::new(&prefix, (width, HEADING_HEIGHT + height + BOTTOM_MARGIN), name, description, panel.draw(&Svg::id(&prefix, "panel")))
+    Svg::new(
+        &prefix,
+        (width, HEADING_HEIGHT + height + BOTTOM_MARGIN),
+        name,
+        description,
+        panel.draw(&Svg::id(&prefix, "panel")),
+    )
 }
 
 const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which fires the follower's \

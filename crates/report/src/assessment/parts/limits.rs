@@ -104,7 +104,9 @@ impl ReportPart for AssessmentLimits {
         out.push_html(
             html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },
         );
-        let line = |limit: &LimitingAssumption| Inline::strong(&format!("{}.", limit.assumed)).and_prose(&format!(" {}", limit.meaning));
+        let line = |limit: &LimitingAssumption| {
+            Inline::strong(&format!("{}.", limit.assumed)).and_prose(&format!(" {}", limit.meaning))
+        };
         out.markdown_mut().list(self.assumptions.iter().map(line));
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::{AssessError, Rounded};
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
+use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 
 /// A parameter that varies over a map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -91,7 +91,10 @@ pub(super) fn grid_scenarios(
 }
 
 /// What does not vary.
-pub(super) fn fixed_parameters(space: &ScenarioSpace, varied: (&SpaceParameter, &SpaceParameter)) -> Vec<FixedParameter> {
+pub(super) fn fixed_parameters(
+    space: &ScenarioSpace,
+    varied: (&SpaceParameter, &SpaceParameter),
+) -> Vec<FixedParameter> {
     let others = space.parameters().iter().filter(|p| p.name() != varied.0.name() && p.name() != varied.1.name());
     let one = |parameter: &SpaceParameter| {
         let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.format_value(value)).collect();

@@ -35,12 +35,18 @@ impl PaperScenarios {
     /// Those of the paper, by the seed of the plan; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
-        let known = built_in_scenario_names().into_iter().filter(|_| plan.config.paper).filter_map(|(name, _)| built_in_scenario(name));
+        let known = built_in_scenario_names()
+            .into_iter()
+            .filter(|_| plan.config.paper)
+            .filter_map(|(name, _)| built_in_scenario(name));
         Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
     }
 
     /// None if the plan leaves the paper out.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         if !plan.config.paper {
             return Ok(None);
         }
@@ -48,8 +54,10 @@ impl PaperScenarios {
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, MotionRetention::Keep)?;
         work.add_runs((all.len() * plan.controllers.len()) as u64)?;
-        let bests =
-            all.par_iter().map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work)).collect::<Result<Vec<_>, _>>()?;
+        let bests = all
+            .par_iter()
+            .map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work))
+            .collect::<Result<Vec<_>, _>>()?;
         let scenarios = scenarios
             .iter()
             .zip(cases)

@@ -5,11 +5,11 @@ use maud::html;
 use serde::Serialize;
 
 use super::ScenarioCases;
-use super::certificates::{self, CheckedCertificate, CertificateStatus, CertificateSubject};
+use super::certificates::{self, CertificateStatus, CertificateSubject, CheckedCertificate};
 use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, Strength};
 use crate::assessment::document::ReportDocument;
-use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
 use crumple_world::control::ViabilityKernel;
 use crumple_world::scenario::VehicleClass;
@@ -61,7 +61,11 @@ impl Proofs {
         let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::new(own, ahead)).collect(),
-            certificates: certificates::gather_certificates(plan, work, scenarios.filter_map(ScenarioCases::named_certificate))?,
+            certificates: certificates::gather_certificates(
+                plan,
+                work,
+                scenarios.filter_map(ScenarioCases::named_certificate),
+            )?,
             conditions: CONDITIONS,
         })
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, ReportPart, EvidenceCache};
+use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash, ReportPart};
 use crumple_core::digest::sha256;
 
 /// When, by what and where an assessment was made. No evidence depends on it.
@@ -78,7 +78,11 @@ impl AssessmentProvenance {
             ("seed", self.config.seed.to_string()),
             (
                 "searches",
-                format!("{}, {} evaluations a method", self.config.search_spaces().join(", "), self.config.search.budget),
+                format!(
+                    "{}, {} evaluations a method",
+                    self.config.search_spaces().join(", "),
+                    self.config.search.budget
+                ),
             ),
             (
                 "counted runs",

@@ -2,11 +2,11 @@
 
 use crumple_verify::{Certificate, Registration, Statement};
 
-use super::certificates::{CheckedCertificate, CertificateStatus, rate_strength, includes_others, check_certificate};
+use super::certificates::{CertificateStatus, CheckedCertificate, check_certificate, includes_others, rate_strength};
 use crate::assessment::claims::Strength;
-use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
+use crate::assessment::plan::{NamedSpace, file_stem};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::sim::NamedController;
 
@@ -56,7 +56,10 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     counted
 }
 
-pub(super) fn gather_rate_certificates(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Vec<CheckedCertificate>, AssessError> {
+pub(super) fn gather_rate_certificates(
+    plan: &AssessmentPlan,
+    work: &GatherContext<'_>,
+) -> Result<Vec<CheckedCertificate>, AssessError> {
     let proofs = planned_rate_counts(plan).into_iter().map(|counted| count_rate(plan, work, counted));
     proofs.collect()
 }
@@ -67,12 +70,20 @@ pub(in crate::assessment) fn rate_count_names(plan: &AssessmentPlan) -> Vec<Stri
 }
 
 /// That of a name.
-pub(in crate::assessment) fn gather_rate_certificate(plan: &AssessmentPlan, name: &str, work: &GatherContext<'_>) -> Result<(), AssessError> {
+pub(in crate::assessment) fn gather_rate_certificate(
+    plan: &AssessmentPlan,
+    name: &str,
+    work: &GatherContext<'_>,
+) -> Result<(), AssessError> {
     let named = planned_rate_counts(plan).into_iter().find(|counted| counted.name == name);
     named.map_or(Ok(()), |counted| count_rate(plan, work, counted).map(drop))
 }
 
-fn count_rate(plan: &AssessmentPlan, work: &GatherContext<'_>, counted: PlannedRateCount<'_>) -> Result<CheckedCertificate, AssessError> {
+fn count_rate(
+    plan: &AssessmentPlan,
+    work: &GatherContext<'_>,
+    counted: PlannedRateCount<'_>,
+) -> Result<CheckedCertificate, AssessError> {
     let PlannedRateCount { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
         against,
@@ -99,7 +110,9 @@ fn count_rate(plan: &AssessmentPlan, work: &GatherContext<'_>, counted: PlannedR
     let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     let mut proof = check_certificate(plan, name, &certificate, None)?;
     let counts_others = includes_others(plan, &certificate.statement);
-    if let Some(status) = not_shown_status(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted()) {
+    if let Some(status) =
+        not_shown_status(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted())
+    {
         proof.status = status;
     }
     Ok(proof)

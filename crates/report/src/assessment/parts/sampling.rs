@@ -3,20 +3,20 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::exposure::{rate_per_exposure, exposure_table};
+use super::exposure::{exposure_table, rate_per_exposure};
 use crate::assessment::case::{CaseVerdict, smallest};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
 use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
-use crate::draw::{Axis, PixelRect, Ink, Marker, Panel, Stroke, Svg, text_width};
+use crate::draw::{Axis, Ink, Marker, Panel, PixelRect, Stroke, Svg, text_width};
 use crumple_evidence::RateInterval;
-use crumple_evidence::exposure::{RatePerExposure, FailureProbability};
+use crumple_evidence::exposure::{FailureProbability, RatePerExposure};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, FailedControllerRuns, simulate_batch,
+    FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
 
 /// Confidence of the intervals.
@@ -189,7 +189,12 @@ impl SpaceSamples {
                     all.push(Evidence { claim, strength, source: source() });
                 };
                 let telling = drawn.draws - sampled.cut_short;
-                let touching = Strength::from_counts_with_unanswered(sampled.collisions, telling, sampled.unanswered.as_ref(), true);
+                let touching = Strength::from_counts_with_unanswered(
+                    sampled.collisions,
+                    telling,
+                    sampled.unanswered.as_ref(),
+                    true,
+                );
                 add(Property::NoContact, draws(), touching);
                 add(Property::OthersKeepClear, draws(), Strength::from_counts(sampled.cut_short, drawn.draws));
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.rate_strength(drawn));
@@ -223,7 +228,8 @@ impl SpaceSample {
             let mut first: Vec<SampleOutcome> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let draws = run_samples(&scenarios, controller, plan)?;
-                let fared: Vec<SampleOutcome> = draws.iter().map(|draw| SampleOutcome::from_verdict(&draw.verdict)).collect();
+                let fared: Vec<SampleOutcome> =
+                    draws.iter().map(|draw| SampleOutcome::from_verdict(&draw.verdict)).collect();
                 if first.is_empty() {
                     first.clone_from(&fared);
                 }
@@ -285,7 +291,11 @@ impl SpaceSample {
     fn unanswered_notes(&self) -> Vec<String> {
         let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
         let words = silent.map(|(sampled, silent)| {
-            format!("{} {}. That is a failure of it, and no collision.", sampled.controller, silent.describe(self.draws))
+            format!(
+                "{} {}. That is a failure of it, and no collision.",
+                sampled.controller,
+                silent.describe(self.draws)
+            )
         });
         words.collect()
     }
@@ -322,7 +332,9 @@ pub(super) fn run_samples(
 ) -> Result<Vec<SampledRun>, RunError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| SampledRun::new(runs[index].scenario(), &simulated)))
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| {
+        SampledRun::new(runs[index].scenario(), &simulated)
+    }))
 }
 
 impl SampledRun {
@@ -392,7 +404,10 @@ impl SampleTally {
         }
         for (first, this) in with_first {
             match (first, this) {
-                (SampleOutcome::Fails | SampleOutcome::Unanswered, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.both += 1,
+                (
+                    SampleOutcome::Fails | SampleOutcome::Unanswered,
+                    SampleOutcome::Fails | SampleOutcome::Unanswered,
+                ) => self.paired.both += 1,
                 (SampleOutcome::Fails, SampleOutcome::Passes) => self.paired.only_first += 1,
                 (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.only_this += 1,
                 // What the first gave no answer in does not count in favour of this one.

@@ -6,11 +6,16 @@ use serde::Serialize;
 
 use crate::assessment::avoidance::CertifiedAvoidance;
 use crate::assessment::case::{CaseResult, CaseVerdict};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject, UncomparedText};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject, UncomparedText,
+};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, RoundedAvoidance, CrumpleCommand};
-use crate::draw::{MotionFigure, Svg, draw_animation, draw_motions_side_by_side, draw_motion_columns, draw_motion_responsive, vehicle_names};
+use crate::assessment::{AssessmentPlan, CrumpleCommand, RoundedAvoidance};
+use crate::draw::{
+    MotionFigure, Svg, draw_animation, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
+    vehicle_names,
+};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 
@@ -50,7 +55,8 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
         let touches = |verdict: &&&CaseVerdict| verdict.is_failure() && verdict.unanswered().is_none();
         let failures = counted.iter().filter(touches).count();
         let claim = AssuranceClaim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
-        let strength = Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, silent.as_ref(), true);
+        let strength =
+            Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, silent.as_ref(), true);
         Evidence { claim, strength, source: EvidenceSource::from_part(part, format!("{} runs", counted.len())) }
     };
     plan.claim_subjects().into_iter().enumerate().map(of).collect()
@@ -82,7 +88,10 @@ impl ScenarioCases {
     }
 
     /// With the best that a driver could have made of the scenario, and each controller's regret.
-    pub(in crate::assessment) fn with_avoidance(mut self, CertifiedAvoidance { avoidance: best, certificate }: CertifiedAvoidance) -> Self {
+    pub(in crate::assessment) fn with_avoidance(
+        mut self,
+        CertifiedAvoidance { avoidance: best, certificate }: CertifiedAvoidance,
+    ) -> Self {
         for case in &mut self.cases {
             case.regret_m = best.regret_m(case);
         }
@@ -114,7 +123,9 @@ impl ScenarioCases {
                 ("peak brake (m/s²)", &|case| ReportCell::optional(case.peak_brake_mps2)),
                 ("imposed behind (m/s²)", &|case| ReportCell::optional(case.induced_brake_mps2)),
                 ("pile-up (vehicles)", &|case| ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
-                ("max delta-v (m/s)", &|case| ReportCell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+                ("max delta-v (m/s)", &|case| {
+                    ReportCell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))
+                }),
             ],
         )
     }

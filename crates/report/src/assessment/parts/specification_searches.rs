@@ -6,19 +6,19 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::failure_searches::{CounterexampleFiles, run_campaign};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::markdown::Inline;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::campaign::{Campaign, CampaignSummary};
 use crumple_search::falsify::counterexample::Counterexample;
 use crumple_world::measure::{DrivingRule, Specification};
-use crumple_world::sim::{NamedController, FailedControllerRuns};
+use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "rules";
@@ -97,7 +97,11 @@ impl<'p> SpecificationSearchPlan<'p> {
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
         plan.spaces.iter().flat_map(move |space| {
             plan.config.search.specifications.iter().flat_map(move |rule| {
-                plan.controllers.iter().enumerate().map(move |controller| Self { space, specification: rule, controller })
+                plan.controllers.iter().enumerate().map(move |controller| Self {
+                    space,
+                    specification: rule,
+                    controller,
+                })
             })
         })
     }
@@ -122,36 +126,54 @@ impl<'p> SpecificationSearchPlan<'p> {
             ..Campaign::new(controller.clone(), space.clone())
         };
         let item = self.name();
-        let inputs = json!([plan.identity(controller), self.space.text, self.specification, campaign.budget, campaign.seed]);
+        let inputs =
+            json!([plan.identity(controller), self.space.text, self.specification, campaign.budget, campaign.seed]);
         run_campaign(&campaign, (&item, &inputs), 1, work)
     }
 
-    fn summarize(&self, plan: &AssessmentPlan, (summary, texts): (CampaignSummary, Vec<CounterexampleFiles>)) -> SpecificationSearch {
+    fn summarize(
+        &self,
+        plan: &AssessmentPlan,
+        (summary, texts): (CampaignSummary, Vec<CounterexampleFiles>),
+    ) -> SpecificationSearch {
         let (index, controller) = self.controller;
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
-        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.specification), plan.controller_slug(index));
+        let stem = format!(
+            "{}/{}/{}",
+            file_stem(self.space.space.name()),
+            file_stem(self.specification),
+            plan.controller_slug(index)
+        );
         let is_silent = |found: &&Counterexample| found.because.is_some();
         let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
-        let worst = severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
-            let file = format!("counterexamples/rules/{stem}.toml");
-            let replay = word.as_deref().map(|word| {
-                let simulate = CrumpleCommand::new(["simulate", file.as_str(), "--controller", word, "--spec", self.specification]);
-                simulate.with_args(seeing.clone()).with_args(["--expect", "violated"])
+        let worst =
+            severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
+                let file = format!("counterexamples/rules/{stem}.toml");
+                let replay = word.as_deref().map(|word| {
+                    let simulate = CrumpleCommand::new([
+                        "simulate",
+                        file.as_str(),
+                        "--controller",
+                        word,
+                        "--spec",
+                        self.specification,
+                    ]);
+                    simulate.with_args(seeing.clone()).with_args(["--expect", "violated"])
+                });
+                let changed = found.changed.iter().map(|one| match one.unit.as_str() {
+                    "1" => format!("{} {}", one.parameter, one.value),
+                    unit => format!("{} {} {unit}", one.parameter, one.value),
+                });
+                SpecificationViolation {
+                    sha256: sha256(&text),
+                    robustness: Rounded::new(found.robustness),
+                    changed: changed.collect(),
+                    file,
+                    replay,
+                    text,
+                }
             });
-            let changed = found.changed.iter().map(|one| match one.unit.as_str() {
-                "1" => format!("{} {}", one.parameter, one.value),
-                unit => format!("{} {} {unit}", one.parameter, one.value),
-            });
-            SpecificationViolation {
-                sha256: sha256(&text),
-                robustness: Rounded::new(found.robustness),
-                changed: changed.collect(),
-                file,
-                replay,
-                text,
-            }
-        });
         let [budget, seed] = [plan.config.search.budget, plan.config.seed].map(|number| number.to_string());
         let out = format!("searches/rules/{stem}");
         let command = word.as_deref().map(|word| {
@@ -182,7 +204,10 @@ impl<'p> SpecificationSearchPlan<'p> {
 
 impl SpecificationSearches {
     /// None if the plan has no rules.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let mut searches: Vec<SpaceSpecificationSearches> = Vec::new();
         for one in SpecificationSearchPlan::from_plan(plan) {
             let found = one.summarize(plan, one.gather(plan, work)?);
@@ -247,7 +272,9 @@ impl SpaceSpecificationSearches {
     }
 
     fn table(&self) -> ReportTable {
-        let worst = |search: &SpecificationSearch, words: fn(&SpecificationViolation) -> String| search.worst.as_ref().map(words);
+        let worst = |search: &SpecificationSearch, words: fn(&SpecificationViolation) -> String| {
+            search.worst.as_ref().map(words)
+        };
         ReportTable::from_items(
             &self.controllers,
             &[

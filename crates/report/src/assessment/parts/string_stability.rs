@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
 use crate::assessment::claims::Strength;
-use crate::assessment::table::{ReportCell, CellMark};
+use crate::assessment::table::{CellMark, ReportCell};
 use crumple_world::measure::SpeedAmplification;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, FailedControllerRuns, simulate};
+use crumple_world::sim::{FailedControllerRuns, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// What a line of vehicles makes of a disturbance of its leader.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

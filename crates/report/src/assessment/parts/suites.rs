@@ -7,18 +7,18 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::distinct_failure::EscapeFile;
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
-use crate::assessment::planned_suite::PlannedSuite;
-use crate::assessment::table::{ReportCell, CellMark, ReportTable};
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, CacheError};
+use crate::assessment::planned_suite::PlannedSuite;
+use crate::assessment::table::{CellMark, ReportCell, ReportTable};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart};
 use crate::suite::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
 use crumple_core::digest::sha256;
-use crumple_suites::{FailedPoint, DISCLAIMER, TestVerdict, ControllerResult, run};
+use crumple_suites::{ControllerResult, DISCLAIMER, FailedPoint, TestVerdict, run};
 use crumple_world::scenario::file;
-use crumple_world::sim::{NamedController, FailedControllerRuns};
+use crumple_world::sim::{FailedControllerRuns, NamedController};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "suites";
@@ -151,7 +151,10 @@ pub(in crate::assessment) struct SuiteCacheEntry {
 
 impl Suites {
     /// None if the plan has no suites.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         if plan.suites.is_empty() {
             return Ok(None);
         }
@@ -233,7 +236,8 @@ impl Suites {
 
 fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
     let claim = |place: usize| {
-        let subject = plan.claim_subject(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
+        let subject =
+            plan.claim_subject(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
         let domain = Domain::Suite { suite: planned.content_id.clone() };
         Some(AssuranceClaim { subject, property: Property::PassesTests, domain })
     };
@@ -241,7 +245,11 @@ fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<Assurance
 }
 
 /// Runs a suite.
-fn run_planned_suite(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[NamedController]) -> Result<SuiteCacheEntry, AssessError> {
+fn run_planned_suite(
+    plan: &AssessmentPlan,
+    planned: &PlannedSuite,
+    tested: &[NamedController],
+) -> Result<SuiteCacheEntry, AssessError> {
     let result = run(&planned.suite, tested, plan.config.estimator)?;
     let mut files = BTreeMap::new();
     let mut tests = Vec::new();
@@ -313,7 +321,10 @@ impl SuiteOutcome {
         if silent > 0 {
             words += &format!("; no answer in {silent} of {} runs", self.runs);
         }
-        ReportCell::with_mark(words, self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad }))
+        ReportCell::with_mark(
+            words,
+            self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad }),
+        )
     }
 }
 

@@ -3,9 +3,12 @@
 use maud::html;
 use serde::Serialize;
 
-use super::certificates::{kernel_domain, shield_kernels, describe_estimator};
-use super::{SpaceSamples, PaperScenarios, Proofs, SpecificationSearches, FailureSearches, Suites, FileScenarios, UsefulnessReport, WorstProfiles};
-use crate::assessment::claims::{AssuranceClaim, Domain, ContentId, Ledger, Property, InferenceRule, ClaimStatus};
+use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
+use super::{
+    FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, SpecificationSearches, Suites,
+    UsefulnessReport, WorstProfiles,
+};
+use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult, ReportPart, Rounded};
@@ -96,10 +99,19 @@ impl ClaimSummary {
         let rows = claim_rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
-            index == 0 || index == plan.subject_index || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
+            index == 0
+                || index == plan.subject_index
+                || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self { subject, controllers, named: explain_names(plan, found), claims: rows, gates: Vec::new(), main_columns: asked }
+        Self {
+            subject,
+            controllers,
+            named: explain_names(plan, found),
+            claims: rows,
+            gates: Vec::new(),
+            main_columns: asked,
+        }
     }
 
     fn table(&self, columns: &[usize]) -> ReportTable {
@@ -118,7 +130,10 @@ impl ClaimSummary {
     }
 
     fn name_table(&self) -> ReportTable {
-        ReportTable::from_items(&self.named, &[("name", &|one| ReportCell::text(&one.name)), ("what it is", &|one| ReportCell::text(&one.what))])
+        ReportTable::from_items(
+            &self.named,
+            &[("name", &|one| ReportCell::text(&one.name)), ("what it is", &|one| ReportCell::text(&one.what))],
+        )
     }
 
     /// Those the question is about, and the others.
@@ -129,8 +144,10 @@ impl ClaimSummary {
 
 /// The controllers, and the spaces that claims are about.
 fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<NameExplanation> {
-    let controllers =
-        plan.controllers.iter().map(|one| NameExplanation { name: one.name.clone(), what: describe_controller(&one.kind) });
+    let controllers = plan
+        .controllers
+        .iter()
+        .map(|one| NameExplanation { name: one.name.clone(), what: describe_controller(&one.kind) });
     let mut all: Vec<NameExplanation> = controllers.collect();
     let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
     let own = plan.distributions.iter().chain(&plan.spaces);
@@ -188,8 +205,9 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
             return;
         }
         let claim = words.unwrap_or_else(|| first.describe());
-        let standing =
-            |claim: &Option<AssuranceClaim>| claim.as_ref().map_or_else(ClaimStatus::default, |one| ledger.claim_status(one));
+        let standing = |claim: &Option<AssuranceClaim>| {
+            claim.as_ref().map_or_else(ClaimStatus::default, |one| ledger.claim_status(one))
+        };
         let standings = claims.iter().map(standing).collect();
         rows.push(ClaimRow { claim, part, claims, statuses: standings });
     };

@@ -4,21 +4,25 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::sampling::{SampledRun, run_samples};
-use super::{StringStabilityVerdict, PercentInterval};
+use super::{PercentInterval, StringStabilityVerdict};
 use crate::assessment::case::CaseVerdict;
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, UncomparedText};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, UncomparedText,
+};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gate::SpaceTally;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::gather_context::GatherContext;
-use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded, CacheError};
-use crate::draw::{Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, text_width};
+use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
+use crate::draw::{
+    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, text_width,
+};
 use crumple_world::measure::{self, FollowingMeasures, UNNECESSARY_MARGIN_MPS2};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, FailedControllerRuns, simulate_batch,
+    FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
 
 /// The part's anchor in the page.
@@ -124,7 +128,10 @@ struct EverydayDrive {
 impl UsefulnessReport {
     /// None if the plan makes no such drives. The motion of each is looked at: these are slower than draws whose contacts
     /// alone are counted.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         if plan.config.everyday_draws == 0 {
             return Ok(None);
         }
@@ -136,11 +143,12 @@ impl UsefulnessReport {
     fn run(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
         let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else { return Ok(None) };
-        let spaces =
-            [&traffic, &high_risk].map(|space| space_file::to_toml(space).map(|text| ContentId::new(space.name(), text)));
+        let spaces = [&traffic, &high_risk]
+            .map(|space| space_file::to_toml(space).map(|text| ContentId::new(space.name(), text)));
         let [traffic_known, high_risk_known] = spaces;
         let spaces = [traffic_known.map_err(CacheError::encoding)?, high_risk_known.map_err(CacheError::encoding)?];
-        let draws = |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
+        let draws =
+            |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
         let known_line = ContentId::from_scenario("a line of five vehicles behind a leader that slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
@@ -203,7 +211,11 @@ impl UsefulnessReport {
                 (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
                 (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
             ];
-            let line = AssuranceClaim { subject: subject.clone(), property: Property::StringStable, domain: self.platoon_domain() };
+            let line = AssuranceClaim {
+                subject: subject.clone(),
+                property: Property::StringStable,
+                domain: self.platoon_domain(),
+            };
             let source = EvidenceSource::from_part(ANCHOR, "one run of a line");
             all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
             all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
@@ -239,7 +251,9 @@ impl UsefulnessReport {
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 17] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("fails in traffic", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
-            ("no answer in traffic, high-risk", &|one| ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])),
+            ("no answer in traffic, high-risk", &|one| {
+                ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
+            }),
             ("brakes without cause %", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
                 // What was not driven was not driven without needless braking.
                 (0, [silent, _]) if silent > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
@@ -330,7 +344,8 @@ impl EverydayDrive {
         let usefulness = simulated.trace.as_ref().zip(ego);
         Self {
             verdict: CaseVerdict::new(simulated, scenario),
-            usefulness: usefulness.and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)),
+            usefulness: usefulness
+                .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)),
         }
     }
 }
@@ -342,7 +357,12 @@ impl ControllerUsefulness {
         self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
     }
 
-    fn new(controller: &NamedController, drives: &[EverydayDrive], danger: &[SampledRun], line: StringStabilityVerdict) -> Self {
+    fn new(
+        controller: &NamedController,
+        drives: &[EverydayDrive],
+        danger: &[SampledRun],
+        line: StringStabilityVerdict,
+    ) -> Self {
         // A drive that its controller ended by giving no answer shows neither how it drives nor that it is not left behind.
         let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
         let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
@@ -370,7 +390,11 @@ impl ControllerUsefulness {
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
-            unnecessary_braking_percent: PercentInterval::clopper_pearson([needless, silent], drives.len() as u64, CONFIDENCE),
+            unnecessary_braking_percent: PercentInterval::clopper_pearson(
+                [needless, silent],
+                drives.len() as u64,
+                CONFIDENCE,
+            ),
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
@@ -439,7 +463,12 @@ mod tests {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-        let found = UsefulnessReport::gather(&plan, &GatherContext::new(&EvidenceCache::disabled(), ProgressCounter::new(&Quiet, None))).unwrap().unwrap();
+        let found = UsefulnessReport::gather(
+            &plan,
+            &GatherContext::new(&EvidenceCache::disabled(), ProgressCounter::new(&Quiet, None)),
+        )
+        .unwrap()
+        .unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
         assert_eq!((idm.failures, idm.unnecessary_braking, idm.hard_braking, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.unnecessary_braking > found.draws / 2 && retrained.progress < idm.progress);
@@ -448,10 +477,16 @@ mod tests {
             assert_eq!(useful.hit[1] + useful.was_hit[1], useful.high_risk_failures, "whoever fails touches");
         }
         assert!(idm.was_hit[1] > 0 || idm.hit[1] > 0);
-        assert!(matches!(idm.string_stability, StringStabilityVerdict::Damps { gain } if gain.value() < 1.0), "{:?}", idm.string_stability);
+        assert!(
+            matches!(idm.string_stability, StringStabilityVerdict::Damps { gain } if gain.value() < 1.0),
+            "{:?}",
+            idm.string_stability
+        );
         assert_eq!(retrained.string_stability, StringStabilityVerdict::DoesNotSettle);
         let json = serde_json::to_string(&found).unwrap();
         assert_eq!(serde_json::to_string(&serde_json::from_str::<UsefulnessReport>(&json).unwrap()).unwrap(), json);
-        assert!(found.to_markdown().into_string().contains("| idm |") && found.to_html().into_string().contains("<svg"));
+        assert!(
+            found.to_markdown().into_string().contains("| idm |") && found.to_html().into_string().contains("<svg")
+        );
     }
 }

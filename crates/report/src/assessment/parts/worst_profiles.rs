@@ -6,15 +6,17 @@ use serde::{Deserialize, Serialize};
 use super::worst_profiles_figure;
 use crate::assessment::avoidance::RoundedAvoidance;
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, PileUp, run_cases};
-use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
+};
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::markdown::Inline;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::observer::Quiet;
-use crumple_search::worst_case::{AttackObjective, Attack, AttackMethod, AttackResult, Envelope, attack};
+use crumple_search::worst_case::{Attack, AttackMethod, AttackObjective, AttackResult, Envelope, attack};
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RunOptions};
 
@@ -95,7 +97,10 @@ impl WorstProfiles {
     }
 
     /// None if the scenario is not shipped.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        work: &GatherContext<'_>,
+    ) -> Result<Option<Self>, AssessError> {
         let Some((scenario, envelope)) = Self::scenario(plan)? else { return Ok(None) };
         let known = ContentId::from_scenario(SCENARIO, &scenario);
         let against =
@@ -123,7 +128,11 @@ impl WorstProfiles {
                 None => Strength::from_counts(0, profile.evaluations as u64),
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: self.domain() };
-            Evidence { claim, strength, source: EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations)) }
+            Evidence {
+                claim,
+                strength,
+                source: EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations)),
+            }
         };
         plan.claim_subjects().into_iter().zip(&self.profiles).map(of).collect()
     }
@@ -149,8 +158,12 @@ impl WorstProfiles {
                 ("controller", &|(controller, _)| ReportCell::text(controller)),
                 ("peak of the leader (m/s²)", &|(_, mildest)| ReportCell::number(mildest.peak_brake_mps2)),
                 ("∫a² (m²/s³)", &|(_, mildest)| ReportCell::number(mildest.effort_m2ps3)),
-                ("what follows", &|(_, mildest)| ReportCell::with_mark(mildest.verdict.describe(), mildest.verdict.mark())),
-                ("pile-up (vehicles)", &|(_, mildest)| ReportCell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("what follows", &|(_, mildest)| {
+                    ReportCell::with_mark(mildest.verdict.describe(), mildest.verdict.mark())
+                }),
+                ("pile-up (vehicles)", &|(_, mildest)| {
+                    ReportCell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))
+                }),
                 ("gap of the best escape found", &|(_, mildest)| ReportCell::text(mildest.avoidance.label())),
                 ("margin predicted (m)", &|(_, mildest)| ReportCell::optional(mildest.predicted_margin_m)),
                 ("simulated (m)", &|(_, mildest)| ReportCell::optional(mildest.margin_m)),
@@ -245,7 +258,11 @@ impl WorstProfile {
 }
 
 impl MildestAttack {
-    fn from_attack(attack: Attack, controller: &NamedController, plan: &AssessmentPlan) -> Result<Option<Self>, AssessError> {
+    fn from_attack(
+        attack: Attack,
+        controller: &NamedController,
+        plan: &AssessmentPlan,
+    ) -> Result<Option<Self>, AssessError> {
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, MotionRetention::Drop)?;
         let Some(CaseResult { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::MildestAttack;
 use crate::assessment::CaseVerdict;
-use crate::draw::{Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg};
+use crate::draw::{Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg};
 use crumple_world::scenario::PiecewiseAcceleration;
 
 const HEIGHT: f64 = 96.0;
@@ -13,7 +13,10 @@ const HEIGHT: f64 = 96.0;
 const TIME_AFTER_CONTACT_S: f64 = 1.0;
 
 /// Both arrangements, of which the page shows the one that fits.
-pub(super) fn draw_responsive<'a>(profiles: impl Iterator<Item = (&'a str, &'a MildestAttack)>, duration_s: f64) -> Markup {
+pub(super) fn draw_responsive<'a>(
+    profiles: impl Iterator<Item = (&'a str, &'a MildestAttack)>,
+    duration_s: f64,
+) -> Markup {
     let profiles: Vec<_> = profiles.collect();
     html! {
         div.draw-wide { (draw(&profiles, duration_s, "worst-profiles-wide", 720.0, 2)) }

@@ -7,7 +7,7 @@ use std::io;
 
 use super::polyline::simplify_polyline;
 use super::storyboard::{VehicleManeuver, write_speed_action};
-use super::{OpenScenarioError, Xml, write_empty_element, format_number, write_element};
+use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -35,13 +35,19 @@ enum ScriptedAction {
 /// One move a scripted vehicle.
 pub(super) fn scripted_vehicles(scenario: &Scenario) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
     let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
-        Driver::Profile(profile) => Some(scripted_action(scenario, index, profile).map(|action| ScriptedVehicle { index, action })),
+        Driver::Profile(profile) => {
+            Some(scripted_action(scenario, index, profile).map(|action| ScriptedVehicle { index, action }))
+        }
         _ => None,
     };
     scenario.vehicles().iter().enumerate().filter_map(scripted).collect()
 }
 
-fn scripted_action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> Result<ScriptedAction, OpenScenarioError> {
+fn scripted_action(
+    scenario: &Scenario,
+    index: usize,
+    profile: &LeadProfile,
+) -> Result<ScriptedAction, OpenScenarioError> {
     let usable_mps2 = scenario.usable_brake_mps2(index);
     let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
     let brake = |onset_s, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
@@ -83,8 +89,12 @@ fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String
         let Some(mut scripted) = spec.vehicles.get(index).cloned() else { return };
         scripted.acceleration_noise_mps2 = 0.0;
         scripted.position_m = 0.0;
-        let mut standing =
-            VehicleSpec::new(scripted.class, DUMMY_FOLLOWER_POSITION_M, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
+        let mut standing = VehicleSpec::new(
+            scripted.class,
+            DUMMY_FOLLOWER_POSITION_M,
+            0.0,
+            Driver::Profile(LeadProfile::ConstantSpeed),
+        );
         standing.length_m = scripted.length_m;
         spec.vehicles = vec![scripted, standing];
     });
@@ -125,11 +135,17 @@ impl VehicleManeuver for ScriptedVehicle {
             ScriptedAction::Brake { rate_mps2, final_speed_mps, .. } => {
                 write_speed_action(xml, ("linear", "rate", *rate_mps2), *final_speed_mps)
             }
-            ScriptedAction::Profile(entries) => write_element(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
-                entries.iter().try_for_each(|&(after_s, mps)| {
-                    write_empty_element(xml, "SpeedProfileEntry", &[("time", &format_number(after_s)), ("speed", &format_number(mps))])
+            ScriptedAction::Profile(entries) => {
+                write_element(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
+                    entries.iter().try_for_each(|&(after_s, mps)| {
+                        write_empty_element(
+                            xml,
+                            "SpeedProfileEntry",
+                            &[("time", &format_number(after_s)), ("speed", &format_number(mps))],
+                        )
+                    })
                 })
-            }),
+            }
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::{Xml, entity_name, write_empty_element, format_number, attribute_text, write_element};
+use super::{Xml, attribute_text, entity_name, format_number, write_element, write_empty_element};
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
 /// The rear axle's distance from the rear bumper, as a share of the length. The front axle has the same from the front.
@@ -41,7 +41,9 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
                 write_vehicle(xml, vehicle)?;
                 match controller_name(vehicle) {
                     Some(name) if with_controllers => write_element(xml, "ObjectController", &[], |xml| {
-                        write_element(xml, "Controller", &[("name", &attribute_text(name))], |xml| write_empty_element(xml, "Properties", &[]))
+                        write_element(xml, "Controller", &[("name", &attribute_text(name))], |xml| {
+                            write_empty_element(xml, "Properties", &[])
+                        })
                     }),
                     _ => Ok(()),
                 }
@@ -76,7 +78,11 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
             axle(xml, "RearAxle", "0", "0")
         })?;
         write_element(xml, "Properties", &[], |xml| {
-            write_empty_element(xml, "Property", &[("name", "driver"), ("value", &attribute_text(vehicle.driver.name()))])
+            write_empty_element(
+                xml,
+                "Property",
+                &[("name", "driver"), ("value", &attribute_text(vehicle.driver.name()))],
+            )
         })
     })
 }

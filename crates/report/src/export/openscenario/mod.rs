@@ -87,11 +87,15 @@ pub fn export_trajectories(
     road: &str,
 ) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
-    let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertex_indices(&trace.time_s, track)).collect();
+    let kept: Vec<Vec<usize>> =
+        trace.vehicles.iter().map(|track| polyline::vertex_indices(&trace.time_s, track)).collect();
     let vertices = check_vertex_count(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
-    let moves: Vec<_> =
-        kept.iter().enumerate().map(|(index, kept)| polyline::Trajectory { index, trace, vertex_indices: kept, end_s }).collect();
+    let moves: Vec<_> = kept
+        .iter()
+        .enumerate()
+        .map(|(index, kept)| polyline::Trajectory { index, trace, vertex_indices: kept, end_s })
+        .collect();
     let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
     let about = &format!("what every vehicle did{under}, as trajectories");
     let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: false };

@@ -5,7 +5,7 @@ use std::io;
 use quick_xml::events::{BytesText, Event};
 
 use super::storyboard::VehicleManeuver;
-use super::{Xml, write_empty_element, format_number, reference_point_m, write_element};
+use super::{Xml, format_number, reference_point_m, write_element, write_empty_element};
 use crumple_world::sim::{Trace, Track};
 
 /// How far a polyline may be from where the vehicle was, in metres.
@@ -89,7 +89,11 @@ impl VehicleManeuver for Trajectory<'_> {
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
         let following = |xml: &mut Xml| {
             write_element(xml, "TimeReference", &[], |xml| {
-                write_empty_element(xml, "Timing", &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")])
+                write_empty_element(
+                    xml,
+                    "Timing",
+                    &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")],
+                )
             })?;
             write_empty_element(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
         };
@@ -98,7 +102,9 @@ impl VehicleManeuver for Trajectory<'_> {
             write_element(xml, "FollowTrajectoryAction", &[], |xml| {
                 write_element(xml, "TrajectoryRef", &[], |xml| {
                     write_element(xml, "Trajectory", &[("name", &name), ("closed", "false")], |xml| {
-                        write_element(xml, "Shape", &[], |xml| write_element(xml, "Polyline", &[], |xml| self.write_vertices(xml)))
+                        write_element(xml, "Shape", &[], |xml| {
+                            write_element(xml, "Polyline", &[], |xml| self.write_vertices(xml))
+                        })
                     })
                 })?;
                 following(xml)
@@ -111,8 +117,10 @@ impl Trajectory<'_> {
     /// As text, a line a vertex: numbers alone need no escapes, and a simulation makes thousands.
     fn write_vertices(&self, xml: &mut Xml) -> io::Result<()> {
         let Some(track) = self.trace.vehicles.get(self.index) else { return Ok(()) };
-        let samples =
-            self.vertex_indices.iter().filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
+        let samples = self
+            .vertex_indices
+            .iter()
+            .filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
         let held = track.position_m.last().map(|&front_m| (self.end_s + HOLD_S, front_m));
         let mut lines = String::from("\n");
         for (time_s, front_m) in samples.chain(held) {

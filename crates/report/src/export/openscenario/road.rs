@@ -2,7 +2,9 @@
 
 use std::io;
 
-use super::{OpenScenarioError, Xml, write_document, write_empty_element, format_number, attribute_text, write_element};
+use super::{
+    OpenScenarioError, Xml, attribute_text, format_number, write_document, write_element, write_empty_element,
+};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 
@@ -42,7 +44,11 @@ fn straight_road(
 
 fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()> {
     write_element(xml, "OpenDRIVE", &[], |xml| {
-        write_empty_element(xml, "header", &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")])?;
+        write_empty_element(
+            xml,
+            "header",
+            &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")],
+        )?;
         // An identity that is a number: tools want one.
         write_element(
             xml,

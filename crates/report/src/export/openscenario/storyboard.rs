@@ -2,7 +2,9 @@
 
 use std::io;
 
-use super::{Xml, describe_scenario, entities, entity_name, write_empty_element, format_number, reference_point_m, write_element};
+use super::{
+    Xml, describe_scenario, entities, entity_name, format_number, reference_point_m, write_element, write_empty_element,
+};
 use crumple_world::scenario::Scenario;
 
 /// The file that moves are written into.
@@ -37,7 +39,9 @@ impl OpenScenarioFile<'_> {
             write_empty_element(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
             write_empty_element(xml, "ParameterDeclarations", &[])?;
             write_empty_element(xml, "CatalogLocations", &[])?;
-            write_element(xml, "RoadNetwork", &[], |xml| write_empty_element(xml, "LogicFile", &[("filepath", self.road)]))?;
+            write_element(xml, "RoadNetwork", &[], |xml| {
+                write_empty_element(xml, "LogicFile", &[("filepath", self.road)])
+            })?;
             entities::write_entities(xml, self.scenario, self.uses_controllers)?;
             write_element(xml, "Storyboard", &[], |xml| {
                 write_element(xml, "Init", &[], |xml| write_element(xml, "Actions", &[], |xml| self.write_init(xml)))?;
@@ -64,14 +68,20 @@ impl OpenScenarioFile<'_> {
                     })
                 })?;
                 write_element(xml, "PrivateAction", &[], |xml| {
-                    write_element(xml, "LongitudinalAction", &[], |xml| write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps))
+                    write_element(xml, "LongitudinalAction", &[], |xml| {
+                        write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
+                    })
                 })?;
                 if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
                     return Ok(());
                 }
                 write_element(xml, "PrivateAction", &[], |xml| {
                     write_element(xml, "ControllerAction", &[], |xml| {
-                        write_empty_element(xml, "ActivateControllerAction", &[("longitudinal", "true"), ("lateral", "true")])
+                        write_empty_element(
+                            xml,
+                            "ActivateControllerAction",
+                            &[("longitudinal", "true"), ("lateral", "true")],
+                        )
                     })
                 })
             })?;
@@ -90,19 +100,26 @@ fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> 
             for (one, (name, from_s)) in moving() {
                 let entity = entity_name(one.vehicle_index());
                 let named = |what: &str| format!("{entity}_{what}");
-                write_element(xml, "ManeuverGroup", &[("maximumExecutionCount", "1"), ("name", &named("group"))], |xml| {
-                    write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
-                        write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
-                    })?;
-                    write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
-                        write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
-                            write_element(xml, "Action", &[("name", &named(name))], |xml| {
-                                write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
-                            })?;
-                            write_element(xml, "StartTrigger", &[], |xml| write_time_trigger(xml, &named("starts"), "greaterOrEqual", from_s))
+                write_element(
+                    xml,
+                    "ManeuverGroup",
+                    &[("maximumExecutionCount", "1"), ("name", &named("group"))],
+                    |xml| {
+                        write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
+                            write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
+                        })?;
+                        write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
+                            write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
+                                write_element(xml, "Action", &[("name", &named(name))], |xml| {
+                                    write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
+                                })?;
+                                write_element(xml, "StartTrigger", &[], |xml| {
+                                    write_time_trigger(xml, &named("starts"), "greaterOrEqual", from_s)
+                                })
+                            })
                         })
-                    })
-                })?;
+                    },
+                )?;
             }
             write_element(xml, "StartTrigger", &[], |xml| write_time_trigger(xml, "begin", "greaterOrEqual", 0.0))
         })
@@ -114,7 +131,11 @@ fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io:
     write_element(xml, "ConditionGroup", &[], |xml| {
         write_element(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
             write_element(xml, "ByValueCondition", &[], |xml| {
-                write_empty_element(xml, "SimulationTimeCondition", &[("value", &format_number(time_s)), ("rule", rule)])
+                write_empty_element(
+                    xml,
+                    "SimulationTimeCondition",
+                    &[("value", &format_number(time_s)), ("rule", rule)],
+                )
             })
         })
     })
@@ -122,14 +143,22 @@ fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io:
 
 /// A place on the road.
 fn write_position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
-    write_element(xml, "Position", &[], |xml| write_empty_element(xml, "WorldPosition", &[("x", &format_number(x_m)), ("y", "0")]))
+    write_element(xml, "Position", &[], |xml| {
+        write_empty_element(xml, "WorldPosition", &[("x", &format_number(x_m)), ("y", "0")])
+    })
 }
 
 /// A speed to reach: how it changes, what the number says, and the number.
-pub(super) fn write_speed_action(xml: &mut Xml, (shape, dimension, value): (&str, &str, f64), target_mps: f64) -> io::Result<()> {
+pub(super) fn write_speed_action(
+    xml: &mut Xml,
+    (shape, dimension, value): (&str, &str, f64),
+    target_mps: f64,
+) -> io::Result<()> {
     write_element(xml, "SpeedAction", &[], |xml| {
         let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &format_number(value))];
         write_empty_element(xml, "SpeedActionDynamics", &dynamics)?;
-        write_element(xml, "SpeedActionTarget", &[], |xml| write_empty_element(xml, "AbsoluteTargetSpeed", &[("value", &format_number(target_mps))]))
+        write_element(xml, "SpeedActionTarget", &[], |xml| {
+            write_empty_element(xml, "AbsoluteTargetSpeed", &[("value", &format_number(target_mps))])
+        })
     })
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::run::CONFIGURATION_FILE;
-use super::{SearchObjective, CampaignError};
+use super::{CampaignError, SearchObjective};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
 use crumple_store::disk;

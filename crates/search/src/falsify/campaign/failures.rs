@@ -82,7 +82,9 @@ impl FailureKind {
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
             Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
-            Self::Violation { has_contact: false } => return "the specification is violated without a contact".to_owned(),
+            Self::Violation { has_contact: false } => {
+                return "the specification is violated without a contact".to_owned();
+            }
             Self::Violation { has_contact: true } => {
                 return "the specification is violated, and vehicles touch".to_owned();
             }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::coverage::Coverage;
 use super::failures::Failures;
-use super::regions::{MAX_POINTS, Region, LabelledPoints};
+use super::regions::{LabelledPoints, MAX_POINTS, Region};
 use super::resolved_config::ResolvedConfig;
 use super::{EvaluatedPoint, FailureKind};
 use crate::falsify::Method;

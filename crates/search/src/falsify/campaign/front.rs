@@ -107,7 +107,8 @@ impl ParetoFront {
         let point = |failure: &FailureCandidate| FrontPoint {
             method: failure.method.name().to_owned(),
             evaluation: failure.number,
-            kind: FailureKind::from_verdict(&failure.verdict, specification).map_or(String::new(), |kind| kind.describe(nominal)),
+            kind: FailureKind::from_verdict(&failure.verdict, specification)
+                .map_or(String::new(), |kind| kind.describe(nominal)),
             robustness: failure.verdict.robustness,
             impact_speed_mps: failure.verdict.contact.map(|contact| contact.impact_speed_mps),
             ln_likelihood: failure.ln_likelihood,

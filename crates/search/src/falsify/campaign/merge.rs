@@ -10,16 +10,18 @@ use std::path::Path;
 
 use super::config::Sharding;
 use super::findings::CampaignFindings;
-use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, MAX_EXAMINED_KINDS, SUMMARY_FILE, SUMMARY_TEXT_FILE, open_run_folder};
+use super::resolved_config::ResolvedConfig;
+use super::run::{
+    CONFIGURATION_FILE, JOURNAL_FILE, MAX_EXAMINED_KINDS, SUMMARY_FILE, SUMMARY_TEXT_FILE, open_run_folder,
+};
 use super::shard::{ShardFindings, ShardedCampaign};
 use super::summary::CampaignSummary;
-use super::resolved_config::ResolvedConfig;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{ExaminedFailure, Recorder};
 use crumple_core::digest::sha256;
-use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD_FILE, Sharded, read_shard};
 use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD_FILE, Sharded, read_shard};
 
 /// Shards of one campaign.
 #[derive(Debug)]
@@ -43,7 +45,8 @@ impl MergedCampaign {
         let terms = ResolvedConfig::from_shard_record(work.campaign.clone(), work.nondeterministic)
             .map_err(|problem| found.damaged_error(SHARD_FILE, format!("campaign.{problem}")))?;
         let findings = CampaignFindings::new(&terms);
-        let mut merged = Self { sharded: work, config: terms, parts: Parts::new(folder), findings, examined: BTreeMap::new() };
+        let mut merged =
+            Self { sharded: work, config: terms, parts: Parts::new(folder), findings, examined: BTreeMap::new() };
         merged.add_shard(folder, found)?;
         Ok(merged)
     }

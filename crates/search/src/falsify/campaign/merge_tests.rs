@@ -10,12 +10,12 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::super::shard::ShardedCampaign;
-use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, CampaignSummary};
+use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog};
 use super::MergedCampaign;
 use crate::falsify::Method;
 use crumple_core::observer::{Observer, Quiet};
-use crumple_store::shard::{MergeError, ShardId, open_shard};
 use crumple_store::run_folder::{RunState, read_state};
+use crumple_store::shard::{MergeError, ShardId, open_shard};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;

@@ -18,7 +18,6 @@
 //! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
 //! and of failures a few of each kind and those on the front of severity and likelihood are remembered.
 
-mod objective;
 mod config;
 mod coverage;
 mod encoded;
@@ -26,30 +25,33 @@ mod failures;
 mod findings;
 mod front;
 mod journal;
-mod reader;
 mod merge;
+mod objective;
 mod planning;
+mod reader;
 mod regions;
+mod resolved_config;
 mod run;
 mod shard;
 mod summarise;
 mod summary;
 mod table;
-mod resolved_config;
 
-pub use objective::{SearchObjective, UnknownObjective};
-pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, Sharding, EvaluationLog};
+pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, Sharding};
 pub use coverage::CoveragePercentages;
 pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
-pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub use merge::MergedCampaign;
+pub use objective::{SearchObjective, UnknownObjective};
+pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub use regions::Region;
+pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use shard::{CAMPAIGN_SHARD_KIND, ShardSummary};
-pub use summary::{AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, CampaignSummary};
-pub(in crate::falsify) use resolved_config::ResolvedConfig;
+pub use summary::{
+    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+};
 
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;

@@ -85,7 +85,14 @@ mod tests {
 
     fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> EvaluatedPoint {
         let verdict = RunVerdict::new(robustness);
-        EvaluatedPoint { number: 1, point: vec![0.5], values: vec![0.5], ln_likelihood, distance_from_nominal: departure, verdict }
+        EvaluatedPoint {
+            number: 1,
+            point: vec![0.5],
+            values: vec![0.5],
+            ln_likelihood,
+            distance_from_nominal: departure,
+            verdict,
+        }
     }
 
     proptest! {

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 use super::config::CampaignRecord;
 use super::failures::Failures;
-use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, SUMMARY_FILE};
 use super::resolved_config::ResolvedConfig;
-use super::{CampaignError, EvaluatedPoint, FailureKind, FrontPoint, CampaignSummary, journal, table};
+use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, SUMMARY_FILE};
+use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, FrontPoint, journal, table};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_store::disk;
-use crumple_store::run_folder::{self, CompletedRun, RunState, RunFolderError};
+use crumple_store::run_folder::{self, CompletedRun, RunFolderError, RunState};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::ScenarioSpace;
@@ -62,15 +62,19 @@ impl CampaignReader {
     /// [`CampaignError`] if there is none, it is damaged, or another build of crumple is at work on it.
     pub fn open(folder: &Path) -> Result<Self, CampaignError> {
         let damaged = |name: &str, problem: String| RunFolderError::damaged(&folder.join(name), problem);
-        let other_kind =
-            |found: String| RunFolderError::OtherKind { path: folder.join(run_folder::MANIFEST_FILE), found, kind: CAMPAIGN_KIND.to_owned() };
+        let other_kind = |found: String| RunFolderError::OtherKind {
+            path: folder.join(run_folder::MANIFEST_FILE),
+            found,
+            kind: CAMPAIGN_KIND.to_owned(),
+        };
         let (text, stage) = match run_folder::read_state(folder)? {
             RunState::Missing => {
                 return Err(CampaignError::Folder(format!("{}: no campaign has begun there", folder.display())));
             }
             RunState::InProgress(kind) if kind == CAMPAIGN_KIND => {
                 let path = folder.join(CONFIGURATION_FILE);
-                let bytes = disk::read(&path, MAX_CONFIGURATION_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
+                let bytes =
+                    disk::read(&path, MAX_CONFIGURATION_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
                 let text = String::from_utf8(bytes).map_err(|error| damaged(CONFIGURATION_FILE, error.to_string()))?;
                 let following = JournalTail {
                     identity: run_folder::identity(CAMPAIGN_KIND, &text)?,
@@ -95,7 +99,8 @@ impl CampaignReader {
         };
         let record: CampaignRecord =
             toml::from_str(&text).map_err(|error| damaged(CONFIGURATION_FILE, error.message().to_owned()))?;
-        let terms = ResolvedConfig::from_record(record, false).map_err(|problem| damaged(CONFIGURATION_FILE, problem))?;
+        let terms =
+            ResolvedConfig::from_record(record, false).map_err(|problem| damaged(CONFIGURATION_FILE, problem))?;
         let failures = Failures::new(terms.specification.clone());
         Ok(Self { folder: folder.to_owned(), config: terms, evaluations: Vec::new(), failures, stage })
     }
@@ -136,12 +141,19 @@ impl CampaignReader {
             }
             ReaderStage::Running(following) => {
                 let known = self.evaluations.len();
-                let verdicts = journal::read_verdicts_after(&self.folder.join(JOURNAL_FILE), &following.identity, known as u64, most)?;
+                let verdicts = journal::read_verdicts_after(
+                    &self.folder.join(JOURNAL_FILE),
+                    &following.identity,
+                    known as u64,
+                    most,
+                )?;
                 // Between its beginning and its journal, or between that and its end.
                 let Some(verdicts) = verdicts else { return Ok(false) };
                 let is_more = most > 0 && verdicts.len() == most;
                 for verdict in verdicts {
-                    let Some((method, evaluated)) = following.next_evaluation(&self.config, verdict) else { return Ok(false) };
+                    let Some((method, evaluated)) = following.next_evaluation(&self.config, verdict) else {
+                        return Ok(false);
+                    };
                     self.failures.add(&method, &evaluated);
                     self.evaluations.push((method, evaluated));
                 }
@@ -293,7 +305,7 @@ impl JournalTail {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{SearchObjective, Campaign, CampaignOptions, CampaignProgress};
+    use crate::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, SearchObjective};
     use crumple_core::observer::{Listener, Quiet};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
@@ -347,8 +359,9 @@ mod tests {
             read_all(&mut finished);
             assert_eq!(finished.evaluations().len() as u64, finished.total_evaluations());
             // Tables hold values, and of a choice any point of its share has the same.
-            let seen =
-                |(method, one): &(Method, EvaluatedPoint)| (method.clone(), one.number, one.values.clone(), one.verdict);
+            let seen = |(method, one): &(Method, EvaluatedPoint)| {
+                (method.clone(), one.number, one.values.clone(), one.verdict)
+            };
             let same = finished.evaluations()[..while_running.len()].iter().map(seen);
             assert!(same.eq(while_running.iter().map(seen)));
             assert_eq!((finished.summary(), finished.front()), (Some(&summary), summary.front.clone()));

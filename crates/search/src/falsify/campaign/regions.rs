@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
+use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 
 /// Splits on the way to a region, at most.
 const MAX_DEPTH: usize = 3;
@@ -224,7 +224,11 @@ mod tests {
         let space = built_in_space("high-risk").unwrap();
         let of = |name: &str| thresholds(space.parameters().iter().find(|p| p.name() == name).unwrap());
         let gaps = of("gap_ahead_m");
-        assert_eq!((gaps.len(), gaps[7]), (THRESHOLD_COUNT, 12.6), "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}");
+        assert_eq!(
+            (gaps.len(), gaps[7]),
+            (THRESHOLD_COUNT, 12.6),
+            "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}"
+        );
         assert!(gaps.windows(2).all(|pair| (1.2..1.32).contains(&(pair[1] / pair[0]))), "{gaps:?}");
         let onsets = of("lead_onset_s");
         assert_eq!((onsets[0], onsets[7], onsets[14]), (0.66, 1.75, 2.84));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::config::{CampaignRecord, with_reference_methods};
 use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluationLog};
-use crate::falsify::{UnitCube, Method};
+use crate::falsify::{Method, UnitCube};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
@@ -45,12 +45,14 @@ impl ResolvedConfig {
             return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
         }
         // A space is written with its base spelled out, so that no folder is looked into.
-        let space = ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
+        let space =
+            ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
             return Err("space: not as crumple writes it".to_owned());
         }
         let text = record.specification.clone();
-        let specification = |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error);
+        let specification =
+            |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error);
         Self::resolve(record, nondeterministic, space, specification).map_err(|error| error.to_string())
     }
 

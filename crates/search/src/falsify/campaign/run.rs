@@ -5,15 +5,15 @@ use std::path::Path;
 
 use super::findings::{CampaignFindings, MethodResults};
 use super::journal::Journal;
+use super::resolved_config::ResolvedConfig;
 use super::summary::CampaignSummary;
 use super::table::EvaluationTable;
-use super::resolved_config::ResolvedConfig;
 use super::{Campaign, CampaignError, CampaignOptions, EvaluatedPoint, EvaluationLog};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
-use crumple_store::run_folder::{RunFolderOptions, FolderExamination, RunFolder, RunFolderError};
+use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
@@ -92,13 +92,18 @@ impl Campaign {
         let progress = campaign_progress(None, &findings.method_results, self.total_evaluations(&(0..self.budget)));
         observer.notify(&progress)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
-        let mut distinct = recorder.select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
+        let mut distinct = recorder
+            .select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
         examiner.classify_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = CampaignSummary::from_findings(&terms, findings, counterexamples, &[])?;
         observer.notify(&progress)?;
-        results.write(SUMMARY_TEXT_FILE, summary.to_text()).write(SUMMARY_FILE, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
+        results
+            .write(SUMMARY_TEXT_FILE, summary.to_text())
+            .write(SUMMARY_FILE, summary.to_json()?)
+            .remove(JOURNAL_FILE)
+            .commit()?;
         work.finish()?;
         Ok(summary)
     }
@@ -125,7 +130,11 @@ impl Campaign {
     }
 
     /// Verdicts at points, in their order.
-    pub(super) fn evaluate(&self, space: &ScenarioSpace, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
+    pub(super) fn evaluate(
+        &self,
+        space: &ScenarioSpace,
+        points: &[Vec<f64>],
+    ) -> Result<Vec<RunVerdict>, CampaignError> {
         let scenarios = points.iter().map(|point| space.scenario_at(point)).collect::<Result<Vec<_>, _>>()?;
         let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
         let verdicts = self.evaluator().evaluate_all(&asked).into_iter().collect::<Result<_, _>>()?;
@@ -148,7 +157,8 @@ impl CampaignRun<'_> {
     pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
         for reached in &mut self.findings.method_results {
             if let Some(silent) = &mut reached.other_unanswered {
-                let because = self.campaign.evaluator().partner_failure_reason(&self.config.space.scenario(&silent.values)?);
+                let because =
+                    self.campaign.evaluator().partner_failure_reason(&self.config.space.scenario(&silent.values)?);
                 silent.because = because.unwrap_or_else(|| "it answers when it is asked again".to_owned());
             }
         }
@@ -156,10 +166,18 @@ impl CampaignRun<'_> {
     }
 
     pub(super) fn progress(&self, current: Option<&MethodResults>) -> CampaignProgress {
-        campaign_progress(current, &self.findings.method_results, self.campaign.total_evaluations(&self.evaluation_range))
+        campaign_progress(
+            current,
+            &self.findings.method_results,
+            self.campaign.total_evaluations(&self.evaluation_range),
+        )
     }
 
-    fn search(&mut self, method: Method, observer: &dyn Observer<CampaignProgress>) -> Result<MethodResults, CampaignError> {
+    fn search(
+        &mut self,
+        method: Method,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<MethodResults, CampaignError> {
         let (terms, space) = (self.config, &self.config.space);
         let mut search = method.start_after(self.evaluation_range.start, &terms.cube, terms.record.seed);
         let mut reached = MethodResults::new(method.clone(), space.dimension());

@@ -13,18 +13,18 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::config::CampaignRecord;
-use super::failures::{Failures, FailureGroup};
+use super::failures::{FailureGroup, Failures};
 use super::findings::{CampaignFindings, MethodResults};
 use super::front::ParetoFront;
 use super::journal::Journal;
-use super::run::{CampaignProgress, JOURNAL_FILE, CampaignRun};
 use super::resolved_config::ResolvedConfig;
-use super::{Campaign, CampaignError, FailureCandidate, FailureKind, EvaluationLog};
+use super::run::{CampaignProgress, CampaignRun, JOURNAL_FILE};
+use super::{Campaign, CampaignError, EvaluationLog, FailureCandidate, FailureKind};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{ExaminedFailure, ExaminedFailureRecord, Examiner};
 use crumple_core::observer::Observer;
-use crumple_store::shard::{ShardId, Sharded, open_shard};
 use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_store::shard::{ShardId, Sharded, open_shard};
 
 /// What a folder of one is called in its `work.json`.
 pub const CAMPAIGN_SHARD_KIND: &str = "shard of a campaign";
@@ -125,8 +125,15 @@ impl Campaign {
         work.transaction().append_only(JOURNAL_FILE).commit()?;
         let journal = Journal::open_in_folder(&work, JOURNAL_FILE, resume)?;
         let findings = CampaignFindings::new(&terms);
-        let mut searching =
-            CampaignRun { campaign: self, config: &terms, run_folder: &work, journal, table: None, findings, evaluation_range: part };
+        let mut searching = CampaignRun {
+            campaign: self,
+            config: &terms,
+            run_folder: &work,
+            journal,
+            table: None,
+            findings,
+            evaluation_range: part,
+        };
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
         observer.notify(&searching.progress(None))?;
@@ -176,7 +183,11 @@ impl FindingsFile {
     }
 
     /// What it says, unless no evaluations in that part can have come to it.
-    fn into_findings(self, terms: &ResolvedConfig, part: &Range<u64>) -> Result<(CampaignFindings, Vec<ExaminedFailure>), String> {
+    fn into_findings(
+        self,
+        terms: &ResolvedConfig,
+        part: &Range<u64>,
+    ) -> Result<(CampaignFindings, Vec<ExaminedFailure>), String> {
         let methods = terms.methods();
         let dimension = terms.space.dimension();
         let is_sound = self.methods.iter().map(|reached| &reached.method).eq(&methods)
@@ -201,7 +212,8 @@ impl FindingsFile {
             }
         }
         let best = self.methods.iter().map(|reached| reached.best).fold(f64::INFINITY, f64::min);
-        let severest = failures.groups.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
+        let severest =
+            failures.groups.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
         if !failures.groups.is_empty() && best != severest {
             return Err("kinds: without the severest failure".to_owned());
         }
@@ -214,7 +226,8 @@ impl FindingsFile {
         }
         failures.front = ParetoFront::from_failures(self.front);
         let picks = failures.examination_candidates(usize::MAX);
-        let looked_at = self.examined.iter().map(ExaminedFailureRecord::evaluation_id).chain(self.not_reproduced.iter().cloned());
+        let looked_at =
+            self.examined.iter().map(ExaminedFailureRecord::evaluation_id).chain(self.not_reproduced.iter().cloned());
         let mut looked_at: Vec<(Method, u64)> = looked_at.collect();
         let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method.clone(), pick.number)).collect();
         let order = |(method, number): &(Method, u64)| (methods.iter().position(|known| known == method), *number);
@@ -279,10 +292,16 @@ impl ShardFindings {
     ///
     /// # Errors
     /// [`WorkError`] if the file is not as it was written, or no such part comes to it.
-    pub(super) fn read(found: &CompletedRun, part: &Range<u64>, terms: &ResolvedConfig) -> Result<Self, RunFolderError> {
+    pub(super) fn read(
+        found: &CompletedRun,
+        part: &Range<u64>,
+        terms: &ResolvedConfig,
+    ) -> Result<Self, RunFolderError> {
         let text = found.read(FINDINGS_FILE)?;
-        let file: FindingsFile = serde_json::from_str(&text).map_err(|error| found.unreadable_error(FINDINGS_FILE, &error))?;
-        let (findings, examined) = file.into_findings(terms, part).map_err(|problem| found.damaged_error(FINDINGS_FILE, problem))?;
+        let file: FindingsFile =
+            serde_json::from_str(&text).map_err(|error| found.unreadable_error(FINDINGS_FILE, &error))?;
+        let (findings, examined) =
+            file.into_findings(terms, part).map_err(|problem| found.damaged_error(FINDINGS_FILE, problem))?;
         Ok(Self { findings, examined, text })
     }
 }

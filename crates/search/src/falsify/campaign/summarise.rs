@@ -6,10 +6,11 @@ use super::CampaignError;
 use super::coverage::Coverage;
 use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
-use super::summary::{
-    AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, SUMMARY_VERSION, CampaignSummary,
-};
 use super::resolved_config::ResolvedConfig;
+use super::summary::{
+    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    SUMMARY_VERSION,
+};
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
@@ -52,7 +53,10 @@ impl CampaignSummary {
                 method: main.map(|reached| reached.coverage.percentages()),
                 with_reference_searches: all.percentages(),
             },
-            methods: reached.iter().map(|reached| MethodSummary::from_results(reached, record.failure_criterion.as_ref())).collect(),
+            methods: reached
+                .iter()
+                .map(|reached| MethodSummary::from_results(reached, record.failure_criterion.as_ref()))
+                .collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{SearchObjective, CampaignError, CoveragePercentages, Sharding, FrontPoint, Region};
+use super::{CampaignError, CoveragePercentages, FrontPoint, Region, SearchObjective, Sharding};
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
@@ -406,7 +406,9 @@ impl CampaignSummary {
                 )?;
             }
         }
-        let covered = |covered: &CoveragePercentages| format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent);
+        let covered = |covered: &CoveragePercentages| {
+            format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent)
+        };
         let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
         writeln!(
             out,

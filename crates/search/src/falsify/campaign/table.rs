@@ -20,7 +20,7 @@ use crate::falsify::Method;
 use crumple_store::run_folder::{FolderTransaction, RunFolder};
 use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
-use crumple_world::scenario::space::{KEY_COLUMNS, SpaceParameter, RESULT_COLUMNS, ScenarioSpace};
+use crumple_world::scenario::space::{KEY_COLUMNS, RESULT_COLUMNS, ScenarioSpace, SpaceParameter};
 
 /// Rows of a part.
 const ROWS_PER_PART: usize = 65_536;
@@ -78,7 +78,11 @@ impl<'a> EvaluationTable<'a> {
             table.write_field(method.name())?;
             table.write_field(row.number.to_string())?;
             for (parameter, value) in parameters.iter().zip(&row.values) {
-                table.write_field(if parameter.has_named_values() { parameter.format_value(*value) } else { format_number(*value) })?;
+                table.write_field(if parameter.has_named_values() {
+                    parameter.format_value(*value)
+                } else {
+                    format_number(*value)
+                })?;
             }
             table.write_field(format_number(row.ln_likelihood))?;
             table.write_field(format_number(row.verdict.robustness))?;
@@ -113,7 +117,11 @@ fn format_number(value: f64) -> String {
 ///
 /// # Errors
 /// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
-pub(super) fn decode_part(name: &str, part: &[u8], terms: &ResolvedConfig) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
+pub(super) fn decode_part(
+    name: &str,
+    part: &[u8],
+    terms: &ResolvedConfig,
+) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
         return Err(damaged("an earlier crumple wrote this log, in a format that crumple no longer reads"));
@@ -139,7 +147,11 @@ pub(super) fn decode_part(name: &str, part: &[u8], terms: &ResolvedConfig) -> Re
 }
 
 /// Reads a row; none if crumple did not write it.
-fn parse_row(record: &StringRecord, parameters: &[&SpaceParameter], terms: &ResolvedConfig) -> Option<(Method, EvaluatedPoint)> {
+fn parse_row(
+    record: &StringRecord,
+    parameters: &[&SpaceParameter],
+    terms: &ResolvedConfig,
+) -> Option<(Method, EvaluatedPoint)> {
     let mut fields = record.iter();
     let method = fields.next()?.parse().ok()?;
     let number = fields.next()?.parse().ok()?;

@@ -4,9 +4,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ChasingCarsError, ChasingCarsInputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness, robustness,
+    ChasingCarsError, ChasingCarsInputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness,
+    robustness,
 };
-use crate::falsify::{UnitCube, Method};
+use crate::falsify::{Method, UnitCube};
 use crumple_world::measure::stl::Formula;
 
 /// The result of a method on the six specifications.
@@ -88,7 +89,12 @@ impl BenchmarkRun {
 ///
 /// # Errors
 /// [`ChasingCarsError`] if a specification does not fit the model.
-pub fn run_benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
+pub fn run_benchmark(
+    method: &Method,
+    budget: usize,
+    first_seed: u64,
+    seeds: usize,
+) -> Result<Benchmark, ChasingCarsError> {
     let row = |(name, text): (&str, &str)| -> Result<BenchmarkRow, ChasingCarsError> {
         let formula: Formula = text.parse()?;
         let runs: Vec<BenchmarkRun> = (0..seeds as u64)
@@ -116,8 +122,13 @@ pub fn run_benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usi
 /// What is violated at one step need not be at a finer one, and is then no counterexample: the search is told the larger of both values
 /// and goes on.
 fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<BenchmarkRun, ChasingCarsError> {
-    let mut run =
-        BenchmarkRun { seed, evaluations: 0, finer_simulations: 0, best_robustness: f64::INFINITY, counterexample: None };
+    let mut run = BenchmarkRun {
+        seed,
+        evaluations: 0,
+        finer_simulations: 0,
+        best_robustness: f64::INFINITY,
+        counterexample: None,
+    };
     let Ok(cube) = UnitCube::new([PIECES, PIECES]) else { return Ok(run) };
     let mut search = method.start(&cube, seed);
     while run.evaluations < budget {

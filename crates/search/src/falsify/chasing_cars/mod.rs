@@ -17,9 +17,9 @@ mod benchmark;
 mod counterexample_file;
 mod replay;
 
-use crumple_world::measure::stl::{Formula, MonitorError, FormulaParseError, SampledSignals, SignalsError};
+use crumple_world::measure::stl::{Formula, FormulaParseError, MonitorError, SampledSignals, SignalsError};
 
-pub use benchmark::{Benchmark, FalsifyingInputs, BenchmarkRow, BenchmarkRun, run_benchmark};
+pub use benchmark::{Benchmark, BenchmarkRow, BenchmarkRun, FalsifyingInputs, run_benchmark};
 pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
 pub(crate) use replay::{finer_robustness, replayed_robustness};
 
@@ -207,7 +207,11 @@ mod tests {
     #[test]
     fn published_counterexamples_have_the_published_robustness() {
         let published = [
-            ("CC1", "-3.14", piecewise_inputs(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)])),
+            (
+                "CC1",
+                "-3.14",
+                piecewise_inputs(&[(0., 1., 0.), (5., 1., 1.), (10., 1., 0.), (15., 0., 0.), (20., 1., 0.)]),
+            ),
             ("CC2", "-5.00", piecewise_inputs(&[(0., 0., 1.), (25., 1., 0.)])),
             ("CC3", "-25.07", piecewise_inputs(&[(0., 0., 1.), (10., 1., 0.)])),
         ];

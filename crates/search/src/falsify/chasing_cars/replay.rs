@@ -1,6 +1,6 @@
 //! A second opinion: the model written down once more, as plainly as it is stated, and the naive monitor.
 
-use super::{ChasingCarsError, FINER_STEP_DIVISOR, ChasingCarsInputs, STEP_S};
+use super::{ChasingCarsError, ChasingCarsInputs, FINER_STEP_DIVISOR, STEP_S};
 use crumple_world::measure::stl::{Formula, SampledSignals, naive_robustness};
 
 /// Robustness by an implementation that shares neither the model nor the monitor with [`super::robustness`].
@@ -24,7 +24,8 @@ pub(crate) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) ->
 /// The motion, at so many steps for each one of [`STEP_S`].
 fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ChasingCarsError> {
     let step_s = STEP_S / finer as f64;
-    let mut cars: Vec<ReplayCar> = (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
+    let mut cars: Vec<ReplayCar> =
+        (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
     let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
     for piece in 0..inputs.throttle.len() {
         for _ in 0..500 * finer {
@@ -104,7 +105,8 @@ mod tests {
         for seed in 0..3 {
             let mut random = stream(seed, Purpose::ScenarioSampling, 0);
             let mut extreme = |_| if random.random() { f64::from(random.random::<bool>()) } else { random.random() };
-            let inputs = ChasingCarsInputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
+            let inputs =
+                ChasingCarsInputs { throttle: std::array::from_fn(&mut extreme), brake: std::array::from_fn(extreme) };
             for (name, text) in SPECIFICATIONS {
                 let formula = text.parse().unwrap();
                 let (fast, plain) =

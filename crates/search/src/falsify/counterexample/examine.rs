@@ -5,10 +5,10 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::AvoidabilityAnalysis;
+use super::batching::run_batched;
 use super::expected::FINER_STEP_DIVISOR;
 use super::record::ExaminedFailure;
 use super::shrink::shrink;
-use super::batching::run_batched;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig};
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
@@ -50,10 +50,16 @@ impl<'a> Examiner<'a> {
     /// Classes them: could any driver have avoided it?
     pub(in crate::falsify) fn classify_all(&self, examined: &mut [ExaminedFailure]) {
         let specification = &self.config.specification;
-        examined.par_iter_mut().for_each(|one| one.analysis = AvoidabilityAnalysis::classify(specification, &one.verdict, &one.scenario));
+        examined
+            .par_iter_mut()
+            .for_each(|one| one.analysis = AvoidabilityAnalysis::classify(specification, &one.verdict, &one.scenario));
     }
 
-    fn examine(&self, candidate: &FailureCandidate, ask: &mut EvaluateFn<'_>) -> Result<Option<ExaminedFailure>, CampaignError> {
+    fn examine(
+        &self,
+        candidate: &FailureCandidate,
+        ask: &mut EvaluateFn<'_>,
+    ) -> Result<Option<ExaminedFailure>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
         let original_verdict = self.judge(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };

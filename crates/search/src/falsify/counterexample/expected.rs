@@ -230,7 +230,8 @@ impl ExpectedVerdict {
         let specification = Specification::parse(&self.specification, &scenario)?;
         let contrast = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
         let contrast = contrast.as_ref().map(FailureCriterion::to_record);
-        let mut renewed = Self { policy_sha256, controller_sha256, failure_criterion: contrast, dt_fragile: false, ..self.clone() };
+        let mut renewed =
+            Self { policy_sha256, controller_sha256, failure_criterion: contrast, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::classify(&specification, &verdict, &scenario);

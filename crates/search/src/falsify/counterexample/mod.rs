@@ -15,21 +15,21 @@
 //! Where contact is what must not happen, each distinct failure is then classed by convex programming: [`Avoidability`].
 
 mod avoidability;
+mod batching;
 mod examine;
 mod expected;
 mod record;
 mod records;
 mod severity;
 mod shrink;
-mod batching;
 
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-pub use avoidability::{Avoidability, AvoidabilityClass, AvoidabilityAnalysis};
+pub use avoidability::{Avoidability, AvoidabilityAnalysis, AvoidabilityClass};
 pub(in crate::falsify) use examine::Examiner;
-pub use expected::{ExpectedVerdict, ExpectedFile, ReplayError, ReplayResult};
+pub use expected::{ExpectedFile, ExpectedVerdict, ReplayError, ReplayResult};
 pub use record::SAME_FAILURE_DISTANCE;
 pub(in crate::falsify) use record::{ExaminedFailure, ExaminedFailureRecord, Recorder};
 pub use records::{RecordedVerdicts, VerdictRecordReader};

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::expected::{EXPECTED_VERSION, ExpectedVerdict, ExpectedFile};
+use super::expected::{EXPECTED_VERSION, ExpectedFile, ExpectedVerdict};
 use super::severity::Severity;
-use super::{Avoidability, ChangedParameter, AvoidabilityAnalysis, Counterexample};
+use super::{Avoidability, AvoidabilityAnalysis, ChangedParameter, Counterexample};
 use crate::falsify::campaign::{CampaignError, FailureKind, ResolvedConfig};
 use crate::falsify::{FailureCriterionRecord, Method};
 use crumple_store::run_folder::FolderTransaction;
@@ -150,12 +150,18 @@ impl Recorder<'_> {
     }
 
     /// What is said of distinct failures.
-    pub(in crate::falsify) fn describe_all(&self, distinct: &[ExaminedFailure]) -> Result<Vec<Counterexample>, CampaignError> {
+    pub(in crate::falsify) fn describe_all(
+        &self,
+        distinct: &[ExaminedFailure],
+    ) -> Result<Vec<Counterexample>, CampaignError> {
         Ok(self.counterexamples_and_files(distinct)?.0)
     }
 
     /// What is said of them, and their files: names and texts.
-    fn counterexamples_and_files(&self, distinct: &[ExaminedFailure]) -> Result<(Vec<Counterexample>, FileContents), CampaignError> {
+    fn counterexamples_and_files(
+        &self,
+        distinct: &[ExaminedFailure],
+    ) -> Result<(Vec<Counterexample>, FileContents), CampaignError> {
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
         let (mut found, mut files) = (Vec::new(), Vec::new());
         for (place, one) in (1..).zip(distinct) {
@@ -271,7 +277,8 @@ impl Recorder<'_> {
             let named = partner.edited(|spec| (spec.name, spec.about) = (format!("{name}-partner"), about.clone()))?;
             files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::from_encoding_error)?));
         }
-        let escape_file = one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
+        let escape_file =
+            one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
             let about = format!("An escape from {file}: who knows the future avoids the contact like this.");
             let named = escape.edited(|spec| (spec.name, spec.about) = (format!("{name}-escape"), about))?;
@@ -315,7 +322,11 @@ impl Recorder<'_> {
             }
             let mut say = |name: &str, value: f64| {
                 let unit = parameter.unit().to_owned();
-                changed.push(ChangedParameter { parameter: name.to_owned(), value: parameter.format_value(value), unit });
+                changed.push(ChangedParameter {
+                    parameter: name.to_owned(),
+                    value: parameter.format_value(value),
+                    unit,
+                });
             };
             match own {
                 [first, rest @ ..] if rest.iter().all(|value| value == first) => say(parameter.name(), *first),
@@ -332,7 +343,8 @@ impl Recorder<'_> {
 
 fn rank_by_likelihood(found: &mut [Counterexample]) {
     let mut order: Vec<usize> = (0..found.len()).collect();
-    let key = |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.distance_from_nominal));
+    let key =
+        |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.distance_from_nominal));
     order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
     for (rank, index) in order.into_iter().enumerate() {
         if let Some(one) = found.get_mut(index) {

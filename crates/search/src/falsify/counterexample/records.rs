@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::{fs, iter};
 
-use super::{ExpectedVerdict, ExpectedFile};
-use crumple_world::scenario::file::{LEGACY_EXPECTED_FILE_NAME, EXPECTED_FILE_NAME, FileError};
+use super::{ExpectedFile, ExpectedVerdict};
+use crumple_world::scenario::file::{EXPECTED_FILE_NAME, FileError, LEGACY_EXPECTED_FILE_NAME};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
 #[derive(Debug, Default)]
@@ -44,7 +44,8 @@ impl VerdictRecordReader {
 
     fn read_folder(&mut self, folder: &Path) -> Result<(), FileError> {
         if !self.folders.contains_key(folder) {
-            let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME].iter().any(|name| folder.join(name).is_file());
+            let has_record =
+                [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME].iter().any(|name| folder.join(name).is_file());
             let read = if has_record { ExpectedFile::load_from_folder(folder)? } else { ExpectedFile::default() };
             self.folders.insert(folder.to_owned(), read);
         }

@@ -1,6 +1,6 @@
 //! Smaller failures: nearer to nominal, with fewer pieces and rounder values.
 
-use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
+use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 
 /// Rounds of all moves; the second one profits from the first.
 const MAX_ROUNDS: usize = 2;

@@ -61,16 +61,23 @@ impl Ascent {
 
     /// Simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
-        let Some(Some(here)) = plant.simulate_gaps(std::slice::from_ref(&self.current.profile)).pop() else { return Vec::new() };
+        let Some(Some(here)) = plant.simulate_gaps(std::slice::from_ref(&self.current.profile)).pop() else {
+            return Vec::new();
+        };
         let blocks = self.blocks(plant, &here, stream);
         let nudge_mps2 = (0.5 * self.trust_region_mps2).clamp(0.05, 1.0);
         let by_mps2: Vec<f64> = blocks.iter().map(|block| self.signed_nudge_mps2(plant, block, nudge_mps2)).collect();
-        let nudged: Vec<Profile> =
-            blocks.iter().zip(&by_mps2).map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by)).collect();
+        let nudged: Vec<Profile> = blocks
+            .iter()
+            .zip(&by_mps2)
+            .map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by))
+            .collect();
         let nudged = plant.simulate_gaps(&nudged);
         let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else { return Vec::new() };
         let share = |share: f64| {
-            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| plant.with_block_changed(&profile, block, share * by);
+            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| {
+                plant.with_block_changed(&profile, block, share * by)
+            };
             blocks.iter().zip(&step).fold(self.current.profile.clone(), moved)
         };
         let shares = STEP_SHARES.map(share);

@@ -62,7 +62,12 @@ pub(super) fn largest_gap(
     let plant = search.plant;
     let found_by = FoundBy::ClosedLoop { simulations: plant.simulations };
     let replay = |candidate: SimulatedProfile| {
-        Escape::from_accelerations(scenario, plant.first_ego(), plant.step_accelerations_mps2(&candidate.profile), found_by)
+        Escape::from_accelerations(
+            scenario,
+            plant.first_ego(),
+            plant.step_accelerations_mps2(&candidate.profile),
+            found_by,
+        )
     };
     best.into_iter().filter(|candidate| candidate.margin_m > 0.0).find_map(replay)
 }
@@ -129,8 +134,10 @@ impl GapSearch<'_> {
                 }
                 let Some((shape, _)) = best.get(index) else { continue };
                 let changes = (0..CHANGES_PER_ROUND).map(|_| shape.mutate(&self.plant, &mut self.stream)).collect();
-                let better =
-                    self.simulate_shapes(changes).into_iter().max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
+                let better = self
+                    .simulate_shapes(changes)
+                    .into_iter()
+                    .max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
                 if let (Some(current), Some(better)) = (best.get_mut(index), better)
                     && better.1.margin_m > current.1.margin_m
                 {

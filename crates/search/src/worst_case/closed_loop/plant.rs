@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use super::super::profile_simulator::ProfileOutcome;
 use super::super::avoidance_problem::delay_steps;
-use super::super::escape::{scripted_run_options, set_script, script_pieces};
+use super::super::escape::{script_pieces, scripted_run_options, set_script};
+use super::super::profile_simulator::ProfileOutcome;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, SimulationResult, simulate_batch};
 
@@ -142,7 +142,9 @@ impl<'s> Plant<'s> {
 
     /// Simulates profiles; one that makes no valid scenario has an infinitely negative margin.
     pub(super) fn simulate_profiles(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
-        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| ProfileOutcome::from_simulated(&simulated).margin_m);
+        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| {
+            ProfileOutcome::from_simulated(&simulated).margin_m
+        });
         let tried = |(profile, margin_m): (Profile, Option<f64>)| SimulatedProfile {
             profile,
             margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),

@@ -47,8 +47,12 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
             all.push(vec![ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: 1.0 }]);
         }
     }
-    for (halt, added) in INTERMEDIATE_SPEED_SHARES.into_iter().flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added))) {
-        for (first, last) in BRAKE_SHARES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last))) {
+    for (halt, added) in
+        INTERMEDIATE_SPEED_SHARES.into_iter().flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added)))
+    {
+        for (first, last) in
+            BRAKE_SHARES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last)))
+        {
             let [slows, speeds_up, stops] =
                 [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| ShapeSegment::Change { to, share });
             all.push(vec![slows, speeds_up, stops]);

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use super::{ConnectedProcess, ProcessController};
-use crate::control::history::InputHistory;
-use crate::control::decision_timer::DecisionTimer;
 use crate::control::batch_query::{self, BatchQuery};
+use crate::control::decision_timer::DecisionTimer;
+use crate::control::history::InputHistory;
 use crate::control::{Controller, ControllerFailure, Ego, Mapping};
 use crate::observation::Observation;
 use crate::process::ProcessProblem;
-use crate::process::protocol::{self, DecisionRequest, BatchDecisionRequest, ResetRequest, ResetParams};
+use crate::process::protocol::{self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest};
 
 /// Asks a process once every decision interval and holds its answer in between.
 pub(crate) struct ProcessDriver {
@@ -44,7 +44,8 @@ impl ProcessDriver {
         let reused = taken.question_count > 0;
         let first = controller.reset_for_run(taken, seed)?;
         let checked = controller.is_selected_for_check(ego.vehicle, reused, seed);
-        let second = checked.then(|| controller.start(&hello).and_then(|second| controller.reset_for_run(second, seed)));
+        let second =
+            checked.then(|| controller.start(&hello).and_then(|second| controller.reset_for_run(second, seed)));
         let is_batch = first.greeting.batch;
         let interval_s = controller.setup.mapping.decision_interval_s.or(first.greeting.interval_s);
         let mut driver = Self {
@@ -63,7 +64,9 @@ impl ProcessDriver {
             command_mps2: 0.0,
             controller,
         };
-        if let Some(interval_s) = interval_s.filter(|interval_s| !DecisionTimer::is_whole_steps(*interval_s, ego.step_s)) {
+        if let Some(interval_s) =
+            interval_s.filter(|interval_s| !DecisionTimer::is_whole_steps(*interval_s, ego.step_s))
+        {
             let wanted = format!("a multiple of the scenario's step of {} s", ego.step_s);
             return Err(driver.end_with_failure(ProcessProblem::Interval { interval_s, wanted }, None));
         }
@@ -79,8 +82,14 @@ impl ProcessDriver {
         let see = self.inputs.as_slice();
         let id = greeted.next_id();
         let answer = if self.is_batch {
-            protocol::write_line(&mut self.line_buffer, &BatchDecisionRequest { id, times_s: &[self.time_s], inputs: vec![see] })?;
-            protocol::parse_decisions(greeted.program.query(&self.line_buffer, within)?, id, 1)?.first().copied().unwrap_or(f64::NAN)
+            protocol::write_line(
+                &mut self.line_buffer,
+                &BatchDecisionRequest { id, times_s: &[self.time_s], inputs: vec![see] },
+            )?;
+            protocol::parse_decisions(greeted.program.query(&self.line_buffer, within)?, id, 1)?
+                .first()
+                .copied()
+                .unwrap_or(f64::NAN)
         } else {
             protocol::write_line(&mut self.line_buffer, &DecisionRequest { id, time_s: self.time_s, inputs: see })?;
             protocol::parse_decision(greeted.program.query(&self.line_buffer, within)?, id)?
@@ -173,7 +182,8 @@ impl BatchQuery for ProcessDriver {
         protocol::write_line(&mut line, &BatchDecisionRequest { id, times_s: &times_s, inputs: see }).ok()?;
         let line = greeted.program.query(&line, controller.answer_timeout()).ok()?;
         let answers = protocol::parse_decisions(line, id, all.len()).ok()?;
-        let wanted = answers.into_iter().map(|answer| checked_acceleration_mps2(&controller.setup.mapping, answer).ok());
+        let wanted =
+            answers.into_iter().map(|answer| checked_acceleration_mps2(&controller.setup.mapping, answer).ok());
         let wanted = wanted.collect::<Option<Vec<_>>>()?;
         controller.release(greeted);
         Some(wanted)
@@ -185,8 +195,11 @@ impl BatchQuery for ProcessDriver {
             match self.ask(&mut second) {
                 Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second_process = Some(second),
                 Ok(second_mps2) => {
-                    let problem =
-                        ProcessProblem::Nondeterministic { first_mps2: answer_mps2, second_mps2, reused: self.is_reused };
+                    let problem = ProcessProblem::Nondeterministic {
+                        first_mps2: answer_mps2,
+                        second_mps2,
+                        reused: self.is_reused,
+                    };
                     let failure = self.end_with_failure(problem, Some(second));
                     return Err(self.controller.refuse(failure));
                 }

@@ -17,11 +17,11 @@ use serde::Serialize;
 pub(crate) use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::find_fmu_host;
-pub use self::fmu::{FmuProblem, FmuConfig};
+pub use self::fmu::{FmuConfig, FmuProblem};
 pub use self::permission::{NameOrigin, StartPermission, StartRefusal, allow_external, is_external_allowed};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
-use crate::process::protocol::{self, HelloReply, HelloRequest, HelloParams, VERSION, VehicleParams};
-use crate::process::{ProcessFailure, ProcessProblem, ChildProcess, escaped_excerpt};
+use crate::process::protocol::{self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams};
+use crate::process::{ChildProcess, ProcessFailure, ProcessProblem, escaped_excerpt};
 use crate::random::{self, Purpose};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_core::quoting::ShellWord;
@@ -301,14 +301,19 @@ impl ProcessController {
             let mut state = self.state();
             if state.starts == MAX_STARTS {
                 drop(state);
-                return Err(self.refuse(self.end_with_failure(ProcessProblem::TooManyStarts { starts: MAX_STARTS }, None)));
+                return Err(
+                    self.refuse(self.end_with_failure(ProcessProblem::TooManyStarts { starts: MAX_STARTS }, None))
+                );
             }
             state.starts += 1;
         }
-        let changed =
-            |file: &&ListedFile| !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256);
+        let changed = |file: &&ListedFile| {
+            !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256)
+        };
         if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
-            return Err(self.refuse(self.end_with_failure(ProcessProblem::FileChanged { file: escaped_excerpt(path) }, None)));
+            return Err(
+                self.refuse(self.end_with_failure(ProcessProblem::FileChanged { file: escaped_excerpt(path) }, None))
+            );
         }
         let ProcessSetup { command, program, folder, .. } = &self.setup;
         let started = ChildProcess::start(command, program.as_deref(), folder)
@@ -328,7 +333,12 @@ impl ProcessController {
     }
 
     /// Tells a process of a vehicle, and hears what it says of itself.
-    fn greet(&self, mut program: ChildProcess, asked: u64, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
+    fn greet(
+        &self,
+        mut program: ChildProcess,
+        asked: u64,
+        hello: &Arc<[u8]>,
+    ) -> Result<ConnectedProcess, ControllerFailure> {
         let within = Duration::from_secs_f64(self.setup.start_within_s);
         let greeting = program.query(hello, within).and_then(protocol::parse_hello_reply);
         match greeting.and_then(|greeting| self.check_greeting(greeting)) {

@@ -1,7 +1,7 @@
 //! Whether an action leaves a way out.
 
-use super::kernel::{max_closing_m, distance_and_speed_after};
-use super::{ShieldParams, Real};
+use super::kernel::{distance_and_speed_after, max_closing_m};
+use super::{Real, ShieldParams};
 
 /// Gap and speeds at one instant, with the own actuator's response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,7 +36,8 @@ impl<R: Real> ShieldParams<R> {
     #[inline]
     pub fn after(&self, state: ShieldState<R>, due_mps2: R) -> ShieldState<R> {
         let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
-        let [covered_m, speed_mps] = distance_and_speed_after(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
+        let [covered_m, speed_mps] =
+            distance_and_speed_after(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
         let [ahead_m, ahead_mps] = distance_and_speed_after(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
         ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
     }

@@ -58,11 +58,15 @@ pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_
 #[inline]
 pub fn max_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
     let zero = R::from_f64(0.0);
-    let closing_m = |t: R| distance_and_speed_after(speed_mps, acceleration_mps2, t)[0] - distance_and_speed_after(ahead_mps, -ahead_brake_mps2, t)[0];
+    let closing_m = |t: R| {
+        distance_and_speed_after(speed_mps, acceleration_mps2, t)[0]
+            - distance_and_speed_after(ahead_mps, -ahead_brake_mps2, t)[0]
+    };
     let at_end_m = closing_m(dt_s).larger(zero);
     let turn_s = (speed_mps - ahead_mps) / (-acceleration_mps2 - ahead_brake_mps2);
-    let turns_inside =
-        speed_mps.greater_than(ahead_mps) & turn_s.greater_than(zero) & dt_s.smaller(ahead_mps / ahead_brake_mps2).greater_than(turn_s);
+    let turns_inside = speed_mps.greater_than(ahead_mps)
+        & turn_s.greater_than(zero)
+        & dt_s.smaller(ahead_mps / ahead_brake_mps2).greater_than(turn_s);
     R::select(turns_inside, || at_end_m.larger(closing_m(turn_s)), || at_end_m)
 }
 

@@ -36,14 +36,14 @@
 //! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
 
 mod admission;
-mod params;
 mod kernel;
+mod params;
 mod real;
 mod rounding;
 
 pub use admission::ShieldState;
-pub use params::{RearVehicleParams, ErrorBounds, ShieldParams, ShieldSettings};
-pub use kernel::{ViabilityKernel, max_closing_m, distance_and_speed_after};
+pub use kernel::{ViabilityKernel, distance_and_speed_after, max_closing_m};
+pub use params::{ErrorBounds, RearVehicleParams, ShieldParams, ShieldSettings};
 pub use real::Real;
 pub use rounding::MIN_MARGIN_M;
 pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
@@ -157,7 +157,9 @@ impl ShieldParams {
     ///
     /// The gap behind is concave while it holds its speed and the own vehicle brakes, so it is smallest at an end of that.
     fn endangers_rear(&self, seen: &Observation) -> bool {
-        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (seen.behind, self.behind) else { return false };
+        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (seen.behind, self.behind) else {
+            return false;
+        };
         let [covered_m, speed_mps] = distance_and_speed_after(seen.speed_mps, -self.brake_mps2, reaction_s);
         let kernel = ViabilityKernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
         let gap_m = rear.gap_m + covered_m - rear.speed_mps * reaction_s;

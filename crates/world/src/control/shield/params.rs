@@ -1,6 +1,6 @@
 //! What a shield takes for granted about its vehicle and the two beside it.
 
-use super::{ViabilityKernel, Real};
+use super::{Real, ViabilityKernel};
 
 /// Bounds of the errors of what is seen, all not negative.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -126,7 +126,8 @@ impl MotionBounds {
             * (8.0 * position_m
                 + 2.0 * reach_s * (speed_mps + 6.0 * any_mps2 * frame.step_s)
                 + 5.0 * lag_s * reach_s * response_span_mps2);
-        let test_m = predicted * (step_m + 16.0 * UNIT_ROUNDOFF * position_m) + UNIT_ROUNDOFF * (8.0 * position_m + 32.0 * stop_m);
+        let test_m = predicted * (step_m + 16.0 * UNIT_ROUNDOFF * position_m)
+            + UNIT_ROUNDOFF * (8.0 * position_m + 32.0 * stop_m);
         let braking = (stop_s / frame.step_s + predicted) * substeps as f64 + 1.0;
         let needed_m = (braking.min(steps as f64) + 2.0) * step_m + 2.0 * test_m + 16.0 * UNIT_ROUNDOFF * position_m;
         (2.0 * needed_m).max(MIN_MARGIN_M)
@@ -167,7 +168,8 @@ mod tests {
         let near = |found_m: f64, expected_m: f64| {
             assert!((found_m / expected_m - 1.0).abs() < 1e-12, "{found_m} {expected_m}");
         };
-        let travel = MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
+        let travel =
+            MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
         near(travel.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| 4.0 * (t / 0.01 + 3.0) + 1.0));
         // No more steps than there are.
         let short = MotionBounds { steps: 100, ..travel };
@@ -181,7 +183,8 @@ mod tests {
     /// Behind one that may accelerate harder than the own vehicle brakes, what rounding takes of its speed counts.
     #[test]
     fn the_margin_covers_a_vehicle_ahead_that_accelerates_hard() {
-        let tame = MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
+        let tame =
+            MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
         let wild = MotionBounds { ahead_accel_mps2: 90.0, ..tame };
         let slow = ShieldParams { step_s: 1.0, ..PARAMS };
         assert!(wild.margin_m(&slow) > tame.margin_m(&slow));
@@ -189,7 +192,8 @@ mod tests {
 
     #[test]
     fn near_the_origin_the_margin_is_a_micrometre() {
-        let near = MotionBounds { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
+        let near =
+            MotionBounds { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
         assert_eq!(near.margin_m(&PARAMS), MIN_MARGIN_M);
     }
 }

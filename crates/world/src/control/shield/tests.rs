@@ -83,7 +83,8 @@ fn gap_m(frame: &ShieldParams, state: ShieldState, wanted_mps2: f64, noise_mps2:
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
     let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
     let own_mps2 = if held { 0.0 } else { response_mps2 + noise_mps2 };
-    state.gap_m + distance_and_speed_after(state.ahead_mps, ahead_mps2, t)[0] - distance_and_speed_after(state.speed_mps, own_mps2, t)[0]
+    state.gap_m + distance_and_speed_after(state.ahead_mps, ahead_mps2, t)[0]
+        - distance_and_speed_after(state.speed_mps, own_mps2, t)[0]
 }
 
 proptest! {
@@ -139,7 +140,8 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
         let gap_m = 0.5 * (low_m + high_m);
-        let command_mps2 = full_throttle_shield(frame).decide(&leader_observation(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
+        let command_mps2 =
+            full_throttle_shield(frame).decide(&leader_observation(speed_mps, gap_m, ahead_mps, 0.0)).unwrap();
         assert!(command_mps2 == -frame.brake_mps2 || command_mps2 == frame.accel_mps2);
         if command_mps2 > 0.0 { high_m = gap_m } else { low_m = gap_m }
     }
@@ -151,7 +153,8 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
 fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
     let plain = ShieldParams { step_s: 0.1, ..slow_step_params() };
     let least_m = |frame: ShieldParams| min_admitted_gap_m(frame, 20.0, 15.0);
-    let demanded_m = |v: f64, w: f64| ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
+    let demanded_m =
+        |v: f64, w: f64| ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
     let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
     // 2.015 m against 1.475 m, and 20.3 m/s behind 14.5.
     near(least_m(plain), 0.54 + demanded_m(20.3, 14.5));
@@ -161,7 +164,10 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
     // Two steps at 20 m/s first, against one that brakes: 4 m against 2.9.
     near(least_m(ShieldParams { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
     // Half of 3 m/s² in this step; the lag's 0.1 s at 9.5 m/s² more than full braking is still to lose.
-    near(least_m(ShieldParams { response_fraction: 0.5, ..plain }), 2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5));
+    near(
+        least_m(ShieldParams { response_fraction: 0.5, ..plain }),
+        2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5),
+    );
     // Noise of 1 m/s² drives, and takes from the brake.
     let noisy = ViabilityKernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
     near(least_m(ShieldParams { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
@@ -201,7 +207,10 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
     let conflict = |frame: ShieldParams, rear_gap_m: Option<f64>| {
         let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
         let mut shield = full_throttle_shield(frame);
-        assert_eq!(shield.decide(&Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
+        assert_eq!(
+            shield.decide(&Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) }).unwrap(),
+            -8.0
+        );
         shield.overrides()[0].rear_conflict
     };
     let frame = ShieldParams { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
@@ -212,7 +221,11 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
 
 #[test]
 fn overrides_in_successive_steps_are_one() {
-    let frame = ShieldParams { step_s: 0.1, behind: Some(RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_step_params() };
+    let frame = ShieldParams {
+        step_s: 0.1,
+        behind: Some(RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.0 }),
+        ..slow_step_params()
+    };
     let mut shield = full_throttle_shield(frame);
     let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
     let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });

@@ -49,7 +49,7 @@ mod print;
 mod signals;
 mod window;
 
-pub use formula::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
+pub use formula::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 pub use monitor::MonitorError;
 pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;

@@ -1,7 +1,7 @@
 //! The monitor: one pass bottom-up over the formula, linear in the trace for every operator.
 
 use super::buffer_pool;
-use super::formula::{LinearPredicate, Formula, TimeWindow};
+use super::formula::{Formula, LinearPredicate, TimeWindow};
 use super::signals::SampledSignals;
 use super::window::{Extremum, Maximum, Minimum, sliding_extremum};
 
@@ -240,13 +240,19 @@ mod tests {
     const STEP_S: f64 = 0.1;
 
     fn comparison() -> impl Strategy<Value = Formula> {
-        let relation =
-            prop_oneof![Just(ComparisonOp::Below), Just(ComparisonOp::AtMost), Just(ComparisonOp::Above), Just(ComparisonOp::AtLeast)];
+        let relation = prop_oneof![
+            Just(ComparisonOp::Below),
+            Just(ComparisonOp::AtMost),
+            Just(ComparisonOp::Above),
+            Just(ComparisonOp::AtLeast)
+        ];
         let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
         let term = (weight, prop_oneof![Just("x"), Just("y")].prop_map(str::to_owned));
         // Small whole numbers make margins of exactly zero common.
         (prop::collection::vec(term, 1..3), relation, -2i32..3)
-            .prop_filter_map("no signal", |(terms, relation, c)| LinearPredicate::new(terms, relation, f64::from(c)).ok())
+            .prop_filter_map("no signal", |(terms, relation, c)| {
+                LinearPredicate::new(terms, relation, f64::from(c)).ok()
+            })
             .prop_map(Formula::Compare)
     }
 

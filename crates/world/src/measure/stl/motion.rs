@@ -58,8 +58,9 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
                     continue;
                 }
                 let samples = trace.leaders(index).enumerate().map(|(sample, front)| {
-                    let seen =
-                        front.and_then(|front| Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?)));
+                    let seen = front.and_then(|front| {
+                        Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?))
+                    });
                     let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
                     // Vehicles that stick together have a gap of zero, whatever rounding says.
                     let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };

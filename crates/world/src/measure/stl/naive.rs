@@ -71,9 +71,8 @@ impl<'a> NaiveNode<'a> {
             (Formula::Always(window, _), [a]) => {
                 samples(*window, signals, k)?.try_fold(f64::INFINITY, |least, j| Ok(least.min(a.value_at(signals, j)?)))
             }
-            (Formula::Eventually(window, _), [a]) => {
-                samples(*window, signals, k)?.try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.value_at(signals, j)?)))
-            }
+            (Formula::Eventually(window, _), [a]) => samples(*window, signals, k)?
+                .try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.value_at(signals, j)?))),
             (Formula::Until(_, window, _), [a, b]) => {
                 let mut best = f64::NEG_INFINITY;
                 let mut held = f64::INFINITY;
@@ -93,7 +92,11 @@ impl<'a> NaiveNode<'a> {
 }
 
 /// The samples of a window at sample `k`, without those past the end.
-fn samples(window: TimeWindow, signals: &SampledSignals<'_>, k: usize) -> Result<impl Iterator<Item = usize>, MonitorError> {
+fn samples(
+    window: TimeWindow,
+    signals: &SampledSignals<'_>,
+    k: usize,
+) -> Result<impl Iterator<Item = usize>, MonitorError> {
     let (first, last) = window.sample_bounds(signals.step_s())?;
     Ok((k.saturating_add(first)..signals.samples()).take_while(move |j| j - k <= last))
 }

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use super::formula::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
+use super::formula::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 use super::lex::{Symbol, Token, tokenize};
 
 /// Why a text is not a formula, and where.
@@ -139,7 +139,9 @@ impl ParsedExpr {
     fn into_sum(self) -> Result<(Vec<(f64, String)>, f64), FormulaParseError> {
         match self.kind {
             ExprKind::Sum(terms, constant) => Ok((terms, constant)),
-            ExprKind::Formula(_) => Err(FormulaParseError { column: self.column, problem: SyntaxProblem::FormulaNotSum }),
+            ExprKind::Formula(_) => {
+                Err(FormulaParseError { column: self.column, problem: SyntaxProblem::FormulaNotSum })
+            }
         }
     }
 }
@@ -187,9 +189,10 @@ impl Parser<'_> {
             };
         let word = if is_before { self.next.checked_sub(1) } else { Some(self.next) };
         match word.and_then(|index| self.tokens.get(index)) {
-            Some((column, Token::Name(word))) => {
-                Err(FormulaParseError { column: *column, problem: SyntaxProblem::UnknownOperator { word: word.clone() } })
-            }
+            Some((column, Token::Name(word))) => Err(FormulaParseError {
+                column: *column,
+                problem: SyntaxProblem::UnknownOperator { word: word.clone() },
+            }),
             _ => self.fail_expected(expected),
         }
     }
@@ -290,7 +293,10 @@ impl Parser<'_> {
         }
     }
 
-    fn parse_nested(&mut self, inner: fn(&mut Self) -> Result<ParsedExpr, FormulaParseError>) -> Result<ParsedExpr, FormulaParseError> {
+    fn parse_nested(
+        &mut self,
+        inner: fn(&mut Self) -> Result<ParsedExpr, FormulaParseError>,
+    ) -> Result<ParsedExpr, FormulaParseError> {
         if self.depth == MAX_DEPTH {
             let problem = SyntaxProblem::TooLong { limit: MAX_DEPTH, what: "nested operators and parentheses" };
             return Err(FormulaParseError { column: self.peek().0, problem });

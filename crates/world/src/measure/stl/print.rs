@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::formula::{LinearPredicate, Formula, TimeWindow};
+use super::formula::{Formula, LinearPredicate, TimeWindow};
 
 /// An operand, in parentheses whatever it is: a reader need not know which operator binds tighter.
 struct Operand<'a>(&'a Formula);
@@ -73,10 +73,16 @@ mod tests {
     fn comparison() -> impl Strategy<Value = Formula> {
         let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::NORMAL];
         let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
-        let relation =
-            prop_oneof![Just(ComparisonOp::Below), Just(ComparisonOp::AtMost), Just(ComparisonOp::Above), Just(ComparisonOp::AtLeast)];
+        let relation = prop_oneof![
+            Just(ComparisonOp::Below),
+            Just(ComparisonOp::AtMost),
+            Just(ComparisonOp::Above),
+            Just(ComparisonOp::AtLeast)
+        ];
         (prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..4), relation, -1e9..1e9)
-            .prop_filter_map("no signal left", |(terms, relation, bound)| LinearPredicate::new(terms, relation, bound).ok())
+            .prop_filter_map("no signal left", |(terms, relation, bound)| {
+                LinearPredicate::new(terms, relation, bound).ok()
+            })
             .prop_map(Formula::Compare)
     }
 

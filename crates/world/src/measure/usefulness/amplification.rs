@@ -70,10 +70,9 @@ mod tests {
 
     /// After a second at 20 m/s each vehicle brakes for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {
-        let dips = brakes_mps2
-            .iter()
-            .enumerate()
-            .map(|(i, &brake)| driven_track(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25));
+        let dips = brakes_mps2.iter().enumerate().map(|(i, &brake)| {
+            driven_track(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25)
+        });
         trace(dips.collect(), 0.25)
     }
 
@@ -81,7 +80,10 @@ mod tests {
     fn amplification_by_hand() {
         let found = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
         assert_eq!(found, SpeedAmplification { of_each: vec![Some(1.5), Some(0.5)], overall: 0.75 });
-        assert!(found.has_amplification() && !SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap().has_amplification());
+        assert!(
+            found.has_amplification()
+                && !SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap().has_amplification()
+        );
         assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0).unwrap().of_each, [Some(0.0), None]);
     }
 

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 pub use amplification::{MIN_DEVIATION_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification};
 use drive::{DriveStep, drive_steps};
 pub use unnecessary::{
-    CAUSE_LASTS_S, EASY_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, HARD_BRAKE_MPS2, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS,
-    UNNECESSARY_MARGIN_MPS2, BrakeInstant, UnnecessaryBraking, justified_brake_mps2,
+    BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S,
+    MIN_BRAKING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, justified_brake_mps2,
 };
 
 use super::comfort::JERK_WINDOW_S;
@@ -85,7 +85,9 @@ impl FollowingMeasures {
     fn from_steps(steps: &[DriveStep]) -> Option<Self> {
         let ahead = || steps.iter().filter_map(|step| Some((step, step.ahead?)));
         let last = ahead().next_back()?.1;
-        let driven_m = |speed_mps: f64, a: f64, step: &DriveStep| (speed_mps + 0.5 * a * step.duration_s).max(0.0) * step.duration_s;
+        let driven_m = |speed_mps: f64, a: f64, step: &DriveStep| {
+            (speed_mps + 0.5 * a * step.duration_s).max(0.0) * step.duration_s
+        };
         let (mut own_m, mut ahead_m) = (0.0, 0.0);
         for (step, ahead) in ahead() {
             own_m += driven_m(step.speed_mps, step.acceleration_mps2, step);
@@ -94,13 +96,14 @@ impl FollowingMeasures {
         let moving = ahead().filter(|(step, _)| step.speed_mps > MIN_MOVING_SPEED_MPS);
         let gaps = moving.filter_map(|(step, ahead)| Some((time_gap_s(ahead.gap_m, step.speed_mps)?, step.duration_s)));
         let mean_time_gap_s = time_weighted_mean(gaps.clone());
-        let variance_s2 =
-            mean_time_gap_s.and_then(|mean_s| time_weighted_mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s))));
+        let variance_s2 = mean_time_gap_s
+            .and_then(|mean_s| time_weighted_mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s))));
         Some(Self {
             progress: Some(own_m / ahead_m).filter(|_| ahead_m > 0.0),
             mean_time_gap_s,
             time_gap_deviation_s: variance_s2.map(f64::sqrt),
-            left_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS && last.rear_speed_mps < 0.5 * last.front_speed_mps,
+            left_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS
+                && last.rear_speed_mps < 0.5 * last.front_speed_mps,
         })
     }
 }
@@ -157,11 +160,18 @@ mod tests {
         // Steps of 0.5 s are longer than the window, so that one of three sees the jump of 8 m/s².
         assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
 
-        let still = UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5), &[], 1).unwrap();
+        let still = UsefulnessMeasures::from_trace(
+            &trace(vec![driven_track(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5),
+            &[],
+            1,
+        )
+        .unwrap();
         let following = still.following.unwrap();
         assert_eq!((following.progress, following.mean_time_gap_s, following.left_behind), (None, None, false));
-        let left =
-            trace(vec![driven_track(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven_track(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)], 0.5);
+        let left = trace(
+            vec![driven_track(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven_track(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)],
+            0.5,
+        );
         assert!(UsefulnessMeasures::from_trace(&left, &[], 1).unwrap().following.unwrap().left_behind);
     }
 
@@ -169,7 +179,9 @@ mod tests {
     fn jerk_of_a_ramp_is_its_slope() {
         // 3 m/s³ in stairs of 0.01 s: each differs from that a window before by 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
-        let found = UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0).unwrap();
+        let found =
+            UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0)
+                .unwrap();
         assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
     }
 

@@ -108,7 +108,9 @@ impl UnnecessaryBraking {
 
     /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] had a cause.
     pub(super) fn hard_from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
-        Self::from_steps_where(steps, |brake| brake.brake_mps2 > HARD_BRAKE_MPS2 && brake.justified_mps2 < EASY_BRAKE_MPS2)
+        Self::from_steps_where(steps, |brake| {
+            brake.brake_mps2 > HARD_BRAKE_MPS2 && brake.justified_mps2 < EASY_BRAKE_MPS2
+        })
     }
 
     /// Whether there was none.
@@ -135,7 +137,9 @@ impl UnnecessaryBraking {
         for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_needless(brake)) {
             let until_s = step.time_s + step.duration_s;
             match &mut open {
-                Some(braking) if step.time_s < braking.until_s + MIN_BRAKING_S => braking.extend(step.duration_s, brake),
+                Some(braking) if step.time_s < braking.until_s + MIN_BRAKING_S => {
+                    braking.extend(step.duration_s, brake)
+                }
                 _ => sum.add(open.replace(OpenBraking { until_s, lasted_s: step.duration_s, hardest: brake })),
             }
         }
@@ -223,12 +227,14 @@ mod tests {
 
     #[test]
     fn braking_without_cause_by_hand() {
-        let needless = |pieces: &[(f64, f64)]| UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap();
+        let needless =
+            |pieces: &[(f64, f64)]| UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap();
         let found = needless(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
         let hardest = found.hardest.unwrap();
         assert!((found.time_s - 0.8).abs() < 1e-9 && found.count == 2, "{found:?}");
         assert!(
-            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0) && (hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
+            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0)
+                && (hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
         );
         assert!(needless(&[(1.0, -2.0)]).is_empty(), "within the margin");
         assert!(needless(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_empty(), "too short");
@@ -258,13 +264,20 @@ mod tests {
         let mut hit = impact(1.0, 1, 20.0, 25.0);
         (hit.first_involved, hit.last_involved) = (1, 2);
         let braking = steady_leader_trace(&[(1.0, 0.0), (2.0, -7.0)]);
-        assert!(UnnecessaryBraking::from_trace(&braking, &[hit], 1).unwrap().is_empty(), "hit from behind before it braked");
+        assert!(
+            UnnecessaryBraking::from_trace(&braking, &[hit], 1).unwrap().is_empty(),
+            "hit from behind before it braked"
+        );
         assert!(!UnnecessaryBraking::from_trace(&braking, &[], 1).unwrap().is_empty());
     }
 
     #[test]
     fn with_nobody_ahead_nothing_calls_for_braking() {
-        let leader = UnnecessaryBraking::from_trace(&trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05), &[], 0);
+        let leader = UnnecessaryBraking::from_trace(
+            &trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05),
+            &[],
+            0,
+        );
         let UnnecessaryBraking { time_s, count, hardest } = leader.unwrap();
         assert!((time_s - 1.0).abs() < 1e-9 && count == 1);
         assert_eq!(hardest, Some(BrakeInstant { time_s: 0.0, brake_mps2: 3.0, justified_mps2: 0.0 }));

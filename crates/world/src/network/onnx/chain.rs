@@ -3,9 +3,11 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use super::super::{Elementwise, FeedForward, Linear, MAX_PARAMETERS, MAX_STEPS, NetworkError, NetworkStep, MAX_LAYER_WIDTH};
-use super::constants::{constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows, broadcast};
-use super::model::{OnnxModel, OnnxNode, TensorData, OnnxTensor, is_default_domain};
+use super::super::{
+    Elementwise, FeedForward, Linear, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError, NetworkStep,
+};
+use super::constants::{broadcast, constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows};
+use super::model::{OnnxModel, OnnxNode, OnnxTensor, TensorData, is_default_domain};
 
 /// The network of a graph that is a straight chain.
 pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkError> {
@@ -115,7 +117,9 @@ impl Chain {
                 self.steps.push(NetworkStep::Elementwise(Elementwise::Divide(divisors)));
             }
             "Relu" => self.push_elementwise(Elementwise::Relu),
-            "LeakyRelu" => self.push_elementwise(Elementwise::LeakyRelu { slope: float_attribute(&node, "alpha", 0.01) }),
+            "LeakyRelu" => {
+                self.push_elementwise(Elementwise::LeakyRelu { slope: float_attribute(&node, "alpha", 0.01) })
+            }
             "Elu" => self.push_elementwise(Elementwise::Elu { alpha: float_attribute(&node, "alpha", 1.0) }),
             "Tanh" => self.push_elementwise(Elementwise::Tanh),
             "Sigmoid" => self.push_elementwise(Elementwise::Sigmoid),
@@ -174,7 +178,9 @@ impl Chain {
     fn reserve_parameters(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
         self.parameters = self.parameters.saturating_add(weights).saturating_add(outputs);
         if self.parameters > MAX_PARAMETERS || outputs > MAX_LAYER_WIDTH {
-            return Err(format!("more than {MAX_PARAMETERS} weights and biases, or more than {MAX_LAYER_WIDTH} outputs"));
+            return Err(format!(
+                "more than {MAX_PARAMETERS} weights and biases, or more than {MAX_LAYER_WIDTH} outputs"
+            ));
         }
         Ok(())
     }
@@ -229,7 +235,10 @@ impl Chain {
         let (inputs, outputs) = if transposed { (columns, rows) } else { (rows, columns) };
         if inputs != self.element_count() {
             let (count, noun) = (self.element_count(), if self.element_count() == 1 { "number" } else { "numbers" });
-            return Err(format!("a matrix of {rows} by {columns} against {count} {noun}{}", mismatch_hint(inputs, count)));
+            return Err(format!(
+                "a matrix of {rows} by {columns} against {count} {noun}{}",
+                mismatch_hint(inputs, count)
+            ));
         }
         let numbers = constant.floats()?;
         self.reserve_parameters(numbers.len(), outputs)?;
@@ -264,8 +273,12 @@ impl Chain {
             ([_, kernel @ ..], [1, image @ ..]) => kernel == image && !kernel.is_empty(),
             _ => false,
         };
-        let is_plain = all("pads", 0) && all("dilations", 1) && integer_attribute(node, "group").is_none_or(|group| group == 1);
-        if !is_whole || !is_plain || node.attributes.contains_key("auto_pad") || node.inputs.first() != Some(&self.current)
+        let is_plain =
+            all("pads", 0) && all("dilations", 1) && integer_attribute(node, "group").is_none_or(|group| group == 1);
+        if !is_whole
+            || !is_plain
+            || node.attributes.contains_key("auto_pad")
+            || node.inputs.first() != Some(&self.current)
         {
             return Err("only a kernel over the whole input, without padding, is followed".to_owned());
         }
@@ -289,7 +302,9 @@ impl Chain {
     fn add(&mut self, node: &OnnxNode, sign: f32) -> Result<(), String> {
         let operands: Vec<f32> = self.broadcast_operand(node)?.into_iter().map(|number| sign * number).collect();
         match self.steps.last_mut() {
-            Some(NetworkStep::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => *biases = operands,
+            Some(NetworkStep::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => {
+                *biases = operands
+            }
             _ => self.steps.push(NetworkStep::Elementwise(Elementwise::Add(operands))),
         }
         Ok(())

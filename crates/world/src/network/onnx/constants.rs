@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::super::MAX_PARAMETERS;
-use super::model::{OnnxNode, TensorData, OnnxTensor};
+use super::model::{OnnxNode, OnnxTensor, TensorData};
 
 /// The constant that a node is.
 pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {

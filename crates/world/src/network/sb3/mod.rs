@@ -159,7 +159,10 @@ impl ActorKind {
                 steps.push(NetworkStep::Linear(mean));
                 if is_cut {
                     let limit = told.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
-                    steps.push(NetworkStep::Elementwise(Elementwise::Clip { low: vec![-limit; width], high: vec![limit; width] }));
+                    steps.push(NetworkStep::Elementwise(Elementwise::Clip {
+                        low: vec![-limit; width],
+                        high: vec![limit; width],
+                    }));
                 }
             }
             Self::Deterministic => {
@@ -170,7 +173,11 @@ impl ActorKind {
                 }
             }
         }
-        if steps.is_empty() { unsupported_with_hint("its policy has no layers of the names that are known") } else { Ok(steps) }
+        if steps.is_empty() {
+            unsupported_with_hint("its policy has no layers of the names that are known")
+        } else {
+            Ok(steps)
+        }
     }
 
     /// From the actor's answer into the space of actions.
@@ -203,7 +210,10 @@ fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, Net
     let said = said.as_str().unwrap_or_default();
     let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
     if !said.contains("torch.nn.modules.") {
-        return unsupported_with_hint(format_args!("its activation function `{}` is not one of PyTorch's", sanitized(said)));
+        return unsupported_with_hint(format_args!(
+            "its activation function `{}` is not one of PyTorch's",
+            sanitized(said)
+        ));
     }
     Ok(Some(match name {
         "Tanh" => Elementwise::Tanh,
@@ -212,6 +222,8 @@ fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, Net
         "LeakyReLU" => Elementwise::LeakyRelu { slope: 0.01 },
         "ELU" => Elementwise::Elu { alpha: 1.0 },
         "Identity" => return Ok(None),
-        _ => return unsupported_with_hint(format_args!("its activation function `{}` is not followed", sanitized(name))),
+        _ => {
+            return unsupported_with_hint(format_args!("its activation function `{}` is not followed", sanitized(name)));
+        }
     }))
 }

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::super::NetworkError;
 use super::super::error::sanitized;
-use super::super::pickle::{ValueId, Object, Pickle};
+use super::super::pickle::{Object, Pickle, ValueId};
 
 /// A space of observations or actions: a box of numbers.
 #[derive(Debug, Clone, PartialEq)]

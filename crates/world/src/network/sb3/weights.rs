@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use super::super::archive::Archive;
-use super::super::pickle::{ValueId, Object, Pickle};
+use super::super::pickle::{Object, Pickle, ValueId};
 use super::super::{Linear, MAX_PARAMETERS, NetworkError};
 
 /// Deepest sequence of layers that is followed.
@@ -120,7 +120,8 @@ impl<'a> Weights<'a> {
         };
         let key = self.pickle.text(*key).ok_or_else(|| damaged(format!("`{name}` lies nowhere")))?;
         let count = tensor.shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
-        let Some(count) = count.filter(|count| self.parameter_count.get().saturating_add(*count) <= MAX_PARAMETERS) else {
+        let Some(count) = count.filter(|count| self.parameter_count.get().saturating_add(*count) <= MAX_PARAMETERS)
+        else {
             return Err(NetworkError::TooManyParameters);
         };
         self.parameter_count.set(self.parameter_count.get() + count);

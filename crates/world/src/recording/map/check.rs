@@ -1,6 +1,6 @@
 //! What makes a map invalid.
 
-use super::{LayoutSpec, LengthSpec, RecordingMapSpec, PairsSpec, PlatoonSpec, Spacing, TimeSpec, TracksSpec};
+use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec, TracksSpec};
 
 /// The version of the map format that this release reads.
 const MAP_VERSION: u32 = 1;

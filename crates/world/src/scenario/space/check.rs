@@ -3,13 +3,16 @@
 use std::path::Path;
 
 use super::copula::Copula;
-use super::field::{ParameterField, FieldTarget};
+use super::field::{FieldTarget, ParameterField};
 use super::marginal::CoordinateMarginal;
-use super::spec::{Base, ValueKind, ParameterSpec, SPACE_VERSION, SpaceSpec, ParameterValue};
-use super::{SpaceParameter, ScenarioSpace};
+use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
+use super::{ScenarioSpace, SpaceParameter};
 use crate::control::StartRefusal;
 use crate::scenario::file::FileError;
-use crate::scenario::{InvalidField, FieldProblem, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file, format_compact};
+use crate::scenario::{
+    FieldProblem, InvalidField, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
+    format_compact,
+};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -101,7 +104,8 @@ impl ScenarioSpace {
                 vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        let mut space = Self { spec, template, uses_gaps: lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
+        let mut space =
+            Self { spec, template, uses_gaps: lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
             space.add_parameter(index, &mut written)?;
@@ -144,9 +148,11 @@ impl ScenarioSpace {
         if self.parameters.iter().any(|known| known.name == spec.name) {
             return reject(at("name"), format!("`{}` is the name of another parameter", spec.name));
         }
-        let field =
-            ParameterField::resolve(&spec.field, &self.template).map_err(|problem| InvalidSpace::new(at("field"), problem))?;
-        if matches!(field.target, FieldTarget::Gap(_) | FieldTarget::TimeGap(_) | FieldTarget::ClosingTime(_)) && !self.uses_gaps {
+        let field = ParameterField::resolve(&spec.field, &self.template)
+            .map_err(|problem| InvalidSpace::new(at("field"), problem))?;
+        if matches!(field.target, FieldTarget::Gap(_) | FieldTarget::TimeGap(_) | FieldTarget::ClosingTime(_))
+            && !self.uses_gaps
+        {
             return reject(at("field"), "a space has gaps or positions, not both");
         }
         if with_superscripts(&spec.unit) != field.unit {
@@ -200,7 +206,11 @@ impl ScenarioSpace {
             let found = format_compact(*value);
             let problem = match marginal {
                 CoordinateMarginal::Choice { .. } => format!("{found} is none of the values of the distribution"),
-                _ => format!("must be from {} to {}, found {found}", format_compact(marginal.low()), format_compact(marginal.high())),
+                _ => format!(
+                    "must be from {} to {}, found {found}",
+                    format_compact(marginal.low()),
+                    format_compact(marginal.high())
+                ),
             };
             let from = if spec.nominal.is_some() { "" } else { " in the base scenario" };
             return reject(at("nominal"), problem + from);
@@ -254,7 +264,8 @@ impl ScenarioSpace {
             let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {
                 let found = parameters.len();
-                let problem = format!("at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}");
+                let problem =
+                    format!("at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}");
                 return reject("parameters", problem);
             }
             for corner in 0..1_usize << parameters.len() {
@@ -305,7 +316,8 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
                 FileError::Invalid {
                     path,
                     line,
-                    invalid: InvalidField { field, problem: FieldProblem::StartRefused(StartRefusal { location: place }) },
+                    invalid:
+                        InvalidField { field, problem: FieldProblem::StartRefused(StartRefusal { location: place }) },
                 } => {
                     let place = format!("{}:{line}: {field}: {place}", path.display());
                     InvalidSpace::from_base("base".to_owned(), StartRefusal { location: place }.into())

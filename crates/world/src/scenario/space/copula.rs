@@ -98,7 +98,9 @@ impl Copula {
 
     /// The normal numbers of those shares that depend on each other; of one that is missing, the middle.
     fn normal_scores(&self, shares: &[f64]) -> Vec<f64> {
-        let share = |&place: &usize| shares.get(place).copied().unwrap_or(0.5).clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1]);
+        let share = |&place: &usize| {
+            shares.get(place).copied().unwrap_or(0.5).clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1])
+        };
         self.coordinates.iter().map(|place| Gauss::standard().inverse_cdf(share(place))).collect()
     }
 }
@@ -151,7 +153,8 @@ impl GaussianCopula {
                     return reject(at, format!("must have 1 on the diagonal, found {}", format_compact(found)));
                 }
                 if let Some(other) = mirrored.filter(|other| *other != found) {
-                    let problem = format!("must be symmetric, found {} and {}", format_compact(found), format_compact(other));
+                    let problem =
+                        format!("must be symmetric, found {} and {}", format_compact(found), format_compact(other));
                     return reject(at, problem);
                 }
             }

@@ -27,7 +27,9 @@ pub(super) fn apply_load(vehicle: &mut VehicleSpec, load: f64) {
 /// that is beyond already does not get further away. A cut only takes away, so that limits that hold for all values hold.
 pub(super) fn apply_cruise(vehicle: &mut VehicleSpec, wanted_mps2: &[f64], until_s: f64) {
     let mut speed_mps = vehicle.speed_mps;
-    let Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })) = &mut vehicle.driver else { return };
+    let Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })) = &mut vehicle.driver else {
+        return;
+    };
     let [lowest_mps, highest_mps] = CRUISE_SPEED_RANGE_MPS;
     let ends_s = from_s.iter().skip(1).copied().chain([until_s]);
     for (((accel_mps2, &from_s), to_s), &wanted_mps2) in

@@ -3,7 +3,7 @@
 use statrs::distribution::{Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw};
 
 use super::marginal::{ContinuousDistribution, CoordinateMarginal};
-use super::spec::{ChoiceSpec, DistributionSpec, ValueKind, PointMassSpec, ShapeScaleSpec, UniformSpec};
+use super::spec::{ChoiceSpec, DistributionSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ValueKind};
 use crate::scenario::format_compact;
 
 /// Least share of a distribution that must lie in its range.
@@ -24,7 +24,8 @@ impl DistributionSpec {
         let range = |low: f64, high: f64, kind: &'static str| {
             check_finite(kind, "low", low)?;
             check_finite(kind, "high", high)?;
-            let found = || format!("low must be below high, found {} and {}", format_compact(low), format_compact(high));
+            let found =
+                || format!("low must be below high, found {} and {}", format_compact(low), format_compact(high));
             if low < high { Ok(()) } else { Err((kind, found())) }
         };
         match self {
@@ -58,7 +59,10 @@ impl DistributionSpec {
                 check_finite(kind, "ln_deviation", of.ln_deviation)?;
                 let law = LogNormalLaw::new(of.ln_mean, of.ln_deviation).ok().filter(|_| of.ln_deviation > 0.0);
                 let Some(law) = law else {
-                    return Err((kind, format!("ln_deviation must be above 0, found {}", format_compact(of.ln_deviation))));
+                    return Err((
+                        kind,
+                        format!("ln_deviation must be above 0, found {}", format_compact(of.ln_deviation)),
+                    ));
                 };
                 truncate(kind, ContinuousDistribution::LogNormal(law), of.low, of.high)
             }
@@ -88,7 +92,10 @@ impl ShapeScaleSpec {
         check_non_negative(kind, self.low)?;
         let Self { shape, scale, .. } = *self;
         if !(SHAPE_RANGE[0]..=SHAPE_RANGE[1]).contains(&shape) {
-            return Err((kind, format!("shape must be from {} to {}, found {}", SHAPE_RANGE[0], SHAPE_RANGE[1], format_compact(shape))));
+            return Err((
+                kind,
+                format!("shape must be from {} to {}, found {}", SHAPE_RANGE[0], SHAPE_RANGE[1], format_compact(shape)),
+            ));
         }
         if !(1e-9..=1e9).contains(&scale) {
             return Err((kind, format!("scale must be from 1e-9 to 1e9, found {}", format_compact(scale))));
@@ -108,7 +115,10 @@ impl PointMassSpec {
         };
         let others = others.marginal().map_err(in_others)?;
         if !(0.0..1.0).contains(probability) {
-            return Err((".point-mass.probability", format!("must be from 0, below 1, found {}", format_compact(*probability))));
+            return Err((
+                ".point-mass.probability",
+                format!("must be from 0, below 1, found {}", format_compact(*probability)),
+            ));
         }
         let (low, high) = (others.low(), others.high());
         if !at.is_finite() || (*at > low && *at < high) {
@@ -116,12 +126,22 @@ impl PointMassSpec {
             let problem = format!("must be at most {low} or at least {high}, where the others end, found {at}");
             return Err((".point-mass.at", problem));
         }
-        Ok(CoordinateMarginal::PointMass { at: *at, probability: *probability, is_first: *at <= low, others: Box::new(others) })
+        Ok(CoordinateMarginal::PointMass {
+            at: *at,
+            probability: *probability,
+            is_first: *at <= low,
+            others: Box::new(others),
+        })
     }
 }
 
 /// A law within a range, if the range holds enough of it.
-fn truncate(kind: &'static str, law: ContinuousDistribution, low: f64, high: f64) -> Result<CoordinateMarginal, (&'static str, String)> {
+fn truncate(
+    kind: &'static str,
+    law: ContinuousDistribution,
+    low: f64,
+    high: f64,
+) -> Result<CoordinateMarginal, (&'static str, String)> {
     let below = law.cdf(low);
     let mass = law.cdf(high) - below;
     if mass.is_nan() || mass < MIN_MASS {

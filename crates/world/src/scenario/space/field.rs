@@ -1,9 +1,9 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
-use super::derived::{closing_gap_m, apply_cruise, apply_load};
+use super::derived::{apply_cruise, apply_load, closing_gap_m};
 use super::numeric_fields::{
-    DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS, VEHICLE_FIELDS, accelerations_mut, final_speed_mut,
-    known_fields_text, pieces_mut, brake_rate_mut, recorded_speeds_mut, setting_mut,
+    DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS, VEHICLE_FIELDS, accelerations_mut,
+    brake_rate_mut, final_speed_mut, known_fields_text, pieces_mut, recorded_speeds_mut, setting_mut,
 };
 use super::spec::{DriverName, ValueKind};
 use crate::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
@@ -145,9 +145,12 @@ impl ParameterField {
         }
         let list = |signal: Option<&mut [f64]>| signal.map_or(0, |signal| signal.len());
         match (kind, setting) {
-            ("pieces", "accel_mps2") => {
-                Ok(field(FieldTarget::Signal(index, accelerations_mut), "m/s²", list(accelerations_mut(&mut driver)), own))
-            }
+            ("pieces", "accel_mps2") => Ok(field(
+                FieldTarget::Signal(index, accelerations_mut),
+                "m/s²",
+                list(accelerations_mut(&mut driver)),
+                own,
+            )),
             ("pieces", "brake_share") => {
                 let length = list(accelerations_mut(&mut driver));
                 Ok(field(FieldTarget::PiecesShare(index), "1", length, sets(&["driver.pieces.accel_mps2"])))
@@ -158,9 +161,12 @@ impl ParameterField {
                 Ok(field(FieldTarget::PiecesCruise(index), "m/s²", length, sets(&["driver.pieces.accel_mps2"])))
             }
             ("pieces", "scale") => Ok(field(FieldTarget::PiecesScale(index), "1", 1, own)),
-            ("recorded", "speed_mps") => {
-                Ok(field(FieldTarget::Signal(index, recorded_speeds_mut), "m/s", list(recorded_speeds_mut(&mut driver)), own))
-            }
+            ("recorded", "speed_mps") => Ok(field(
+                FieldTarget::Signal(index, recorded_speeds_mut),
+                "m/s",
+                list(recorded_speeds_mut(&mut driver)),
+                own,
+            )),
             ("brake-to-speed", "final_share") => {
                 Ok(field(FieldTarget::FinalSpeedShare(index), "1", 1, sets(&["driver.brake-to-speed.final_speed_mps"])))
             }
@@ -233,7 +239,9 @@ impl FieldTarget {
                 vehicle.class = VehicleClass::from_length(value);
             }),
             Self::Gap(index) => update_vehicle(spec, index, |vehicle| vehicle.position_m = value),
-            Self::TimeGap(index) => update_vehicle(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
+            Self::TimeGap(index) => {
+                update_vehicle(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps)
+            }
             Self::ClosingTime(index) => {
                 let gap_m = closing_gap_m(spec, index, value);
                 update_vehicle(spec, index, |vehicle| vehicle.position_m = gap_m);
@@ -345,7 +353,9 @@ impl FieldTarget {
         match self {
             Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
             Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
-            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::ControllerChoice(i) | Self::FinalSpeedShare(i) => Some(i),
+            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::ControllerChoice(i) | Self::FinalSpeedShare(i) => {
+                Some(i)
+            }
             Self::ClosingTime(_)
             | Self::SpeedShare(_)
             | Self::Scenario(_)

@@ -149,31 +149,41 @@ impl CoordinateMarginal {
     pub(super) fn value(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
-            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
+            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => {
+                (low + u * (high - low)).clamp(*low, *high)
+            }
             Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
             Self::Choice { values, .. } => {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
                 values.get(index).copied().unwrap_or(f64::NAN)
             }
-            Self::PointMass { at, is_first, others, .. } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
-                MixturePosition::PointMass(_) => *at,
-                MixturePosition::Others(within) => others.value(within),
-            },
+            Self::PointMass { at, is_first, others, .. } => {
+                match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                    MixturePosition::PointMass(_) => *at,
+                    MixturePosition::Others(within) => others.value(within),
+                }
+            }
         }
     }
 
     /// A coordinate at which the value is taken; of one that has a slice, the middle of it.
     pub(super) fn coordinate(&self, value: f64) -> f64 {
         match self {
-            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => ((value - low) / (high - low)).clamp(0.0, 1.0),
+            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => {
+                ((value - low) / (high - low)).clamp(0.0, 1.0)
+            }
             Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
             Self::Choice { values, .. } => {
                 let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
                 let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
                 (nearest as f64 + 0.5) / values.len() as f64
             }
-            Self::PointMass { at, is_first, .. } if value == *at => MixturePosition::PointMass(0.5).to_unit(POINT_MASS_WIDTH, *is_first),
-            Self::PointMass { is_first, others, .. } => MixturePosition::Others(others.coordinate(value)).to_unit(POINT_MASS_WIDTH, *is_first),
+            Self::PointMass { at, is_first, .. } if value == *at => {
+                MixturePosition::PointMass(0.5).to_unit(POINT_MASS_WIDTH, *is_first)
+            }
+            Self::PointMass { is_first, others, .. } => {
+                MixturePosition::Others(others.coordinate(value)).to_unit(POINT_MASS_WIDTH, *is_first)
+            }
         }
     }
 
@@ -198,11 +208,13 @@ impl CoordinateMarginal {
                 }
                 1.0
             }
-            Self::PointMass { probability: share, is_first, others, .. } => match MixturePosition::from_unit(u, *share, *is_first) {
-                MixturePosition::Others(within) => MixturePosition::Others(others.quantile(within)),
-                point => point,
+            Self::PointMass { probability: share, is_first, others, .. } => {
+                match MixturePosition::from_unit(u, *share, *is_first) {
+                    MixturePosition::Others(within) => MixturePosition::Others(others.quantile(within)),
+                    point => point,
+                }
+                .to_unit(POINT_MASS_WIDTH, *is_first)
             }
-            .to_unit(POINT_MASS_WIDTH, *is_first),
         }
     }
 
@@ -211,7 +223,9 @@ impl CoordinateMarginal {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Truncated { distribution: law, cdf_low: below, mass, .. } => ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0),
+            Self::Truncated { distribution: law, cdf_low: below, mass, .. } => {
+                ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0)
+            }
             Self::Choice { probabilities: shares, .. } => {
                 let place = u * shares.len() as f64;
                 let index = (place as usize).min(shares.len() - 1);
@@ -219,11 +233,13 @@ impl CoordinateMarginal {
                 let share = shares.get(index).copied().unwrap_or(0.0);
                 (before + share * (place - index as f64)).clamp(0.0, 1.0)
             }
-            Self::PointMass { probability: share, is_first, others, .. } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
-                MixturePosition::Others(within) => MixturePosition::Others(others.cdf(within)),
-                point => point,
+            Self::PointMass { probability: share, is_first, others, .. } => {
+                match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                    MixturePosition::Others(within) => MixturePosition::Others(others.cdf(within)),
+                    point => point,
+                }
+                .to_unit(*share, *is_first)
             }
-            .to_unit(*share, *is_first),
         }
     }
 
@@ -254,7 +270,9 @@ impl CoordinateMarginal {
             Self::PointMass { probability: share, is_first, others, .. } => {
                 match MixturePosition::from_unit(coordinate.clamp(0.0, 1.0), POINT_MASS_WIDTH, *is_first) {
                     MixturePosition::PointMass(_) => (share / POINT_MASS_WIDTH).ln(),
-                    MixturePosition::Others(within) => ((1.0 - share) / (1.0 - POINT_MASS_WIDTH)).ln() + others.ln_density(within),
+                    MixturePosition::Others(within) => {
+                        ((1.0 - share) / (1.0 - POINT_MASS_WIDTH)).ln() + others.ln_density(within)
+                    }
                 }
             }
         }
@@ -263,7 +281,10 @@ impl CoordinateMarginal {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::{ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ParameterValue};
+    use super::super::spec::{
+        ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec, ShapeScaleSpec,
+        UniformSpec,
+    };
     use super::CoordinateMarginal;
     use proptest::prelude::*;
 
@@ -277,7 +298,12 @@ mod tests {
         let positive = (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
             let high = low + 4.0 * scale;
             match law {
-                0 => DistributionSpec::LogNormal(LogNormalSpec { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high }),
+                0 => DistributionSpec::LogNormal(LogNormalSpec {
+                    ln_mean: scale.ln(),
+                    ln_deviation: 1.0 / shape,
+                    low,
+                    high,
+                }),
                 1 => DistributionSpec::Gamma(ShapeScaleSpec { shape, scale: scale / shape, low, high }),
                 _ => DistributionSpec::Weibull(ShapeScaleSpec { shape, scale, low, high }),
             }
@@ -288,7 +314,11 @@ mod tests {
             let (apart, high) = (if is_end { 0.0 } else { apart }, low + width);
             let others = NormalSpec { mean: low + 0.3 * width, deviation: 0.5 * width, low, high };
             let at = if is_first { low + apart } else { high - apart };
-            DistributionSpec::PointMass(PointMassSpec { at, probability, others: Box::new(DistributionSpec::Normal(others)) })
+            DistributionSpec::PointMass(PointMassSpec {
+                at,
+                probability,
+                others: Box::new(DistributionSpec::Normal(others)),
+            })
         });
         prop_oneof![
             with_point,
@@ -315,9 +345,11 @@ mod tests {
                 for scale in [1e-9, 1e-3, 1.0, 1e9] {
                     let of = ShapeScaleSpec { shape, scale, low, high };
                     let lognormal = LogNormalSpec { ln_mean: scale.ln(), ln_deviation: shape, low, high };
-                    for law in
-                        [DistributionSpec::Gamma(of.clone()), DistributionSpec::Weibull(of), DistributionSpec::LogNormal(lognormal)]
-                    {
+                    for law in [
+                        DistributionSpec::Gamma(of.clone()),
+                        DistributionSpec::Weibull(of),
+                        DistributionSpec::LogNormal(lognormal),
+                    ] {
                         let Ok(marginal) = law.marginal() else { continue };
                         for u in shares {
                             let at = marginal.quantile(u);

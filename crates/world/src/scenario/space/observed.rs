@@ -120,7 +120,10 @@ impl DrivingExposure {
             ("exposure.left_out", self.left_out as f64, sum(|source| source.left_out as f64)),
         ] {
             if (all - found).abs() > 1e-6 * all {
-                return reject(field, format!("is {}, and the sources add up to {}", format_compact(all), format_compact(found)));
+                return reject(
+                    field,
+                    format!("is {}, and the sources add up to {}", format_compact(all), format_compact(found)),
+                );
             }
         }
         Ok(())
@@ -155,7 +158,11 @@ impl ObservedData {
                 return reject(at("name"), format!("`{name}` is named twice"));
             }
             if !(low.is_finite() && high.is_finite() && low < high) {
-                let problem = format!("must be a number below high, found {} and {}", format_compact(*low), format_compact(*high));
+                let problem = format!(
+                    "must be a number below high, found {} and {}",
+                    format_compact(*low),
+                    format_compact(*high)
+                );
                 return reject(at("low"), problem);
             }
             if let Some(found) = point_mass.filter(|point| point != low && point != high) {

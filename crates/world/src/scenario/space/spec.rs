@@ -257,7 +257,9 @@ impl fmt::Display for DistributionSpec {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Uniform(UniformSpec { low, high }) => write!(out, "{low} to {high}, evenly"),
-            Self::LogUniform(UniformSpec { low, high }) => write!(out, "{low} to {high}, evenly on a logarithmic scale"),
+            Self::LogUniform(UniformSpec { low, high }) => {
+                write!(out, "{low} to {high}, evenly on a logarithmic scale")
+            }
             Self::Normal(NormalSpec { mean, deviation, low, high }) => {
                 write!(out, "{low} to {high}, normal: {mean} ± {deviation}")
             }

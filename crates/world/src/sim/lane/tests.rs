@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::super::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use crate::control::ControllerSpec;
-use crate::measure::{LeadMeasures, InducedBraking};
+use crate::measure::{InducedBraking, LeadMeasures};
 use crate::observation::EstimatorKind;
 use crate::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in_scenario,
@@ -70,8 +70,11 @@ fn the_moment_is_that_of_the_closed_form() {
 #[test]
 fn who_leaves_counts_from_the_one_ahead() {
     // Standing 100 m ahead of one that drives at 20 m/s and leaves 1.5 s before it would hit; who follows it sees it then.
-    let line =
-        vec![steady_vehicle(140.0, 0.0), with_exit(steady_vehicle(38.0, 20.0), LaneChange::TimeToCollision(1.5)), steady_vehicle(0.0, 20.0)];
+    let line = vec![
+        steady_vehicle(140.0, 0.0),
+        with_exit(steady_vehicle(38.0, 20.0), LaneChange::TimeToCollision(1.5)),
+        steady_vehicle(0.0, 20.0),
+    ];
     let simulated = run(&scenario(line, 8.0));
     assert!((tracks(&simulated)[1].in_lane_s[1] - 3.5).abs() < 1e-9);
     let contact = simulated.outcome.contact().unwrap();
@@ -99,7 +102,8 @@ fn who_finds_no_room_stays_beside() {
 #[test]
 fn who_leaves_at_the_start_was_never_there() {
     for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
-        let simulated = run(&scenario(vec![steady_vehicle(12.0, 20.0), with_exit(steady_vehicle(0.0, 28.0), leaves)], 3.0));
+        let simulated =
+            run(&scenario(vec![steady_vehicle(12.0, 20.0), with_exit(steady_vehicle(0.0, 28.0), leaves)], 3.0));
         let trace = simulated.trace.as_ref().unwrap();
         assert_eq!((simulated.vehicles[1].min_gap_m, trace.pairs(1).len()), (None, 0), "{leaves:?}");
         assert_eq!(LeadMeasures::from_trace(trace, &simulated.impacts, 1), None);

@@ -97,7 +97,8 @@ impl<'a> LockstepBlock<'a> {
         for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
             if let [own, behind @ ..] = rest {
-                let failures = own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.collided);
+                let failures =
+                    own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.collided);
                 failed.extend(
                     failures
                         .into_iter()
@@ -213,7 +214,12 @@ impl<'a> LockstepBlock<'a> {
     }
 
     /// Takes a run out of the block.
-    fn finish_run(&mut self, lane: usize, failed: Option<FailedController>, done: &mut dyn FnMut(usize, SimulationResult)) {
+    fn finish_run(
+        &mut self,
+        lane: usize,
+        failed: Option<FailedController>,
+        done: &mut dyn FnMut(usize, SimulationResult),
+    ) {
         self.collided.swap_remove(lane, self.lanes.len() - 1);
         let RunLane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;

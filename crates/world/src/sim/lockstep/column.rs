@@ -7,7 +7,7 @@ use super::drivers::Drivers;
 use super::loops::{self, PairSlices};
 use super::noise::Noise;
 use super::per_run::{PerRun, RunSet};
-use super::view::{StateSlices, NeighbourhoodView};
+use super::view::{NeighbourhoodView, StateSlices};
 use crate::control::ControllerFailure;
 use crate::estimate::{EgoEstimator, TrueState};
 use crate::policy::SimdClosure;
@@ -137,8 +137,10 @@ impl<'a> VehicleColumn<'a> {
         // One length for all, known as such, so that no index needs a check.
         let runs = lanes.len();
         // Not by `seen`, which would take hold of the drivers as well.
-        let own = StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
-        let (front, behind) = (front.map(|front| front.state_slices(runs)), behind.map(|behind| behind.state_slices(runs)));
+        let own =
+            StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
+        let (front, behind) =
+            (front.map(|front| front.state_slices(runs)), behind.map(|behind| behind.state_slices(runs)));
         let view = NeighbourhoodView { own, front, behind };
         let mut failed = Vec::new();
         let commands_mps2 = &mut self.next_acceleration_mps2.padded_mut()[..runs];
@@ -209,7 +211,9 @@ impl<'a> VehicleColumn<'a> {
 
     /// What a shield of this vehicle, number `vehicle` of the line, did in a run.
     pub(super) fn interventions(&self, run: usize, vehicle: usize, step_s: f64) -> Vec<Intervention> {
-        self.drivers.shielded_controller(run).map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
+        self.drivers
+            .shielded_controller(run)
+            .map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
     }
 
     /// Takes a run out of the column.

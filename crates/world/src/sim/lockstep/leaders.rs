@@ -37,7 +37,11 @@ impl<'s> Script<'s> {
         if let Some(held) = self.profile.constant_acceleration_until(from_s) {
             [self.cached_mps2, self.valid_until_s] = held;
         }
-        if to_s <= self.valid_until_s { self.cached_mps2 } else { self.profile.acceleration_mps2(from_s, to_s, speed_mps) }
+        if to_s <= self.valid_until_s {
+            self.cached_mps2
+        } else {
+            self.profile.acceleration_mps2(from_s, to_s, speed_mps)
+        }
     }
 }
 
@@ -51,13 +55,21 @@ impl<'s> ScriptedLeaders<'s> {
             })
             .collect();
         match brakes {
-            Some(brakes) => Self::Brake([0, 1].map(|which| PerRun::from_values(brakes.iter().map(|brake| brake[which])))),
+            Some(brakes) => {
+                Self::Brake([0, 1].map(|which| PerRun::from_values(brakes.iter().map(|brake| brake[which]))))
+            }
             None => Self::Any(profiles.into_iter().map(Script::new).collect()),
         }
     }
 
     /// Accelerations to hold over a step.
-    pub(super) fn command(&mut self, arch: Arch, [from_s, to_s]: [f64; 2], speeds_mps: &[f64], decided_mps2: &mut [f64]) {
+    pub(super) fn command(
+        &mut self,
+        arch: Arch,
+        [from_s, to_s]: [f64; 2],
+        speeds_mps: &[f64],
+        decided_mps2: &mut [f64],
+    ) {
         match self {
             Self::Brake(brakes) => {
                 let [onset_s, rate_mps2] = brakes.each_ref().map(PerRun::padded);

@@ -4,7 +4,9 @@
 use super::*;
 use crate::control::{ControllerKind, ControllerSpec, ShieldedSource};
 use crate::observation::EstimatorKind;
-use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in_scenario};
+use crate::scenario::{
+    Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in_scenario,
+};
 use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
@@ -171,7 +173,8 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
 /// What rounding may take of the speed ahead grows with what noise may add to it.
 #[test]
 fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
-    let noisy = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
+    let noisy =
+        built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
     let run = Run::new(&noisy, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
     let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
     assert_eq!(travel.ahead_accel_mps2, noisy.vehicles()[0].max_accel_mps2() + 1.5);
@@ -249,7 +252,10 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
     let asked = |scenario: &Scenario, eyes: EstimatorKind| {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(eyes);
         let run = Run::new(scenario, options).unwrap();
-        (run.shield_params(1, &ShieldSettings::default()), run.tuning().worst_errors([3.0 + 2.5 + 0.36, 3.62 + 2.62], 6.0))
+        (
+            run.shield_params(1, &ShieldSettings::default()),
+            run.tuning().worst_errors([3.0 + 2.5 + 0.36, 3.62 + 2.62], 6.0),
+        )
     };
     let is_near = |found: f64, expected: f64| (found - expected).abs() < 1e-12;
     let slow = scenario(&|_| ());

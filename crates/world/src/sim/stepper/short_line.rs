@@ -94,7 +94,9 @@ impl Stepper {
         let pace = self.time_grid;
         let pause = loop {
             let span_s = self.span_s();
-            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else { break FallbackReason::CommandsPending };
+            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else {
+                break FallbackReason::CommandsPending;
+            };
             let mut decided_mps2 = [0.0; N];
             for (vehicle, (one, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate() {
                 let VehicleLoop { driver, estimator, observation: seen, command_mps2, .. } = one;
@@ -168,7 +170,11 @@ mod tests {
     }
 
     /// Every step as its moment has it, and the end; driven `together` steps at a time, or each step by itself.
-    fn drive_and_record(run: &Run, together: usize, keep: Option<RecordingLevel>) -> (Vec<(Vec<Motion>, String)>, String) {
+    fn drive_and_record(
+        run: &Run,
+        together: usize,
+        keep: Option<RecordingLevel>,
+    ) -> (Vec<(Vec<Motion>, String)>, String) {
         let index = 1.min(run.scenario().vehicles().len() - 1);
         let mut stepper = keep.map_or_else(|| Stepper::without_summaries(run), |keep| Stepper::new(run, keep));
         let mut moments = Vec::new();

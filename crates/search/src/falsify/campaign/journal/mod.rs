@@ -20,7 +20,7 @@ use crumple_core::digest::Sha256;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::run_folder::{Prefix, RunFolder, RunFolderError};
 use crumple_world::measure::RunVerdict;
-use record::{JournalEntry, RECORD_BYTES, record_checksum, is_all_zero, read_record};
+use record::{JournalEntry, RECORD_BYTES, is_all_zero, read_record, record_checksum};
 pub(super) use record::{decode, encode};
 
 /// The identity of the work, in hexadecimal, and the end of its line.
@@ -79,11 +79,16 @@ impl Journal {
     pub(super) fn verify(path: &Path, identity: &str) -> Result<(), RunFolderError> {
         let unusable = DiskError::at(path);
         let mut records = BufReader::new(File::open(path).map_err(unusable)?);
-        if !has_header(&mut records, identity).map_err(unusable)?.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
+        if !has_header(&mut records, identity)
+            .map_err(unusable)?
+            .ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))?
+        {
             return Ok(());
         }
         let mut index = 0;
-        while let JournalEntry::Record(..) = read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)? {
+        while let JournalEntry::Record(..) =
+            read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)?
+        {
             index += 1;
         }
         Ok(())
@@ -112,7 +117,10 @@ impl Journal {
     pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, RunFolderError> {
         let Some(earlier) = &mut self.previous_records else { return Ok(None) };
         let unusable = DiskError::at(&self.path);
-        match read_record(earlier, &self.identity, self.record_count).map_err(unusable)?.reject_damage(&self.path, self.record_count)? {
+        match read_record(earlier, &self.identity, self.record_count)
+            .map_err(unusable)?
+            .reject_damage(&self.path, self.record_count)?
+        {
             JournalEntry::Record(body, checksum) => {
                 self.record_count += 1;
                 self.digest.update(body);
@@ -289,11 +297,18 @@ mod tests {
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));
             assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is cut from what is refused");
         }
-        let (header, [one, two]) = (&whole[..HEADER_BYTES], [0, 1].map(|at| &whole[HEADER_BYTES + at * RECORD_BYTES..][..RECORD_BYTES]));
+        let (header, [one, two]) =
+            (&whole[..HEADER_BYTES], [0, 1].map(|at| &whole[HEADER_BYTES + at * RECORD_BYTES..][..RECORD_BYTES]));
         assert!(first_damage(&[header, two, one].concat()).unwrap().starts_with("record 1 is damaged"));
         assert_eq!(first_damage(&header[1..]), None, "it begins anew");
-        assert_eq!(first_damage(&[header, one, &[0; 3 * RECORD_BYTES + 5]].concat()), None, "what a loss of power leaves");
+        assert_eq!(
+            first_damage(&[header, one, &[0; 3 * RECORD_BYTES + 5]].concat()),
+            None,
+            "what a loss of power leaves"
+        );
         assert_eq!(std::fs::read(&path).unwrap(), [header, one].concat());
-        assert!(first_damage(&[header, one, &[0; RECORD_BYTES], two].concat()).unwrap().starts_with("record 2 is damaged"));
+        assert!(
+            first_damage(&[header, one, &[0; RECORD_BYTES], two].concat()).unwrap().starts_with("record 2 is damaged")
+        );
     }
 }

@@ -1,9 +1,9 @@
 //! FMUs: each is driven by the program `crumple-fmu`, a process like any other, wired to what the FMU has.
 
 #[cfg(feature = "process")]
-mod units;
-#[cfg(feature = "process")]
 mod setup;
+#[cfg(feature = "process")]
+mod units;
 
 use std::collections::BTreeMap;
 

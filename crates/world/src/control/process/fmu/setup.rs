@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use crumple_fmu::{Causality, ModelDescription, Fmu, VariableType, Variable};
+use crumple_fmu::{Causality, Fmu, ModelDescription, Variable, VariableType};
 
 use super::units::{convert_input, convert_output, convert_parameter};
-use super::{FmuProblem, FmuConfig};
-use crate::control::{InputMapping, InvalidMapping, Mapping, OutputMapping, ProcessSetup, ObservedQuantity};
+use super::{FmuConfig, FmuProblem};
+use crate::control::{InputMapping, InvalidMapping, Mapping, ObservedQuantity, OutputMapping, ProcessSetup};
 
 /// The program that loads FMUs, installed beside crumple.
 const HOST_PROGRAM: &str = "crumple-fmu";
@@ -88,7 +88,10 @@ fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, I
 }
 
 /// Returns the inputs in the units of their variables, and the names of these.
-fn connect_inputs(description: &ModelDescription, inputs: Vec<InputMapping>) -> Result<(Vec<InputMapping>, Vec<String>), InvalidMapping> {
+fn connect_inputs(
+    description: &ModelDescription,
+    inputs: Vec<InputMapping>,
+) -> Result<(Vec<InputMapping>, Vec<String>), InvalidMapping> {
     let mut names: Vec<String> = Vec::with_capacity(inputs.len());
     let mut converted = Vec::with_capacity(inputs.len());
     for (index, input) in inputs.into_iter().enumerate() {
@@ -109,7 +112,10 @@ fn connect_inputs(description: &ModelDescription, inputs: Vec<InputMapping>) -> 
 }
 
 /// Returns the output that is the answer.
-fn answer_variable<'d>(description: &'d ModelDescription, output: &OutputMapping) -> Result<&'d Variable, InvalidMapping> {
+fn answer_variable<'d>(
+    description: &'d ModelDescription,
+    output: &OutputMapping,
+) -> Result<&'d Variable, InvalidMapping> {
     let invalid = |problem| InvalidMapping::new("output.variable", problem);
     let outputs: Vec<&Variable> =
         description.with_causality(Causality::Output).filter(|variable| variable.kind == VariableType::Real).collect();
@@ -125,7 +131,11 @@ fn answer_variable<'d>(description: &'d ModelDescription, output: &OutputMapping
     }
 }
 
-fn find_variable<'a>(description: &'a ModelDescription, causality: Causality, name: &str) -> Result<&'a Variable, String> {
+fn find_variable<'a>(
+    description: &'a ModelDescription,
+    causality: Causality,
+    name: &str,
+) -> Result<&'a Variable, String> {
     let of_kind = || description.with_causality(causality);
     of_kind().find(|variable| variable.name == name).ok_or_else(|| {
         let what = match causality {

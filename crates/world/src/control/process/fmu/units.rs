@@ -5,7 +5,7 @@
 
 use crumple_fmu::{Conversion, UnitDimension, Variable};
 
-use crate::control::{InputMapping, OutputMapping, ObservedQuantity};
+use crate::control::{InputMapping, ObservedQuantity, OutputMapping};
 
 /// Returns an input whose values are in the unit of its variable.
 ///
