@@ -170,7 +170,7 @@ def check(folder):
         pages[path.resolve()].feed(path.read_text())
     broken, looked_at = [], 0
     for path, page in pages.items():
-        # The page for what is not found and the one for printing are made of the others.
+        # The 404 page and the print page are generated from the others.
         if path.name in ("404.html", "print.html", "toc.html"):
             continue
         for link in page.links:

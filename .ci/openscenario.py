@@ -19,7 +19,7 @@ from pathlib import Path
 
 logging.disable(logging.CRITICAL)
 
-import schemas  # Of scenariogeneration: the schemas of OpenDRIVE.
+import schemas  # OpenDRIVE schemas of scenariogeneration.
 from lxml import etree
 from qc_baselib import Configuration, Result, StatusType
 from qc_openscenario import constants
@@ -28,7 +28,7 @@ from scenariogeneration import xosc
 
 CLOSE_M = CLOSE_MPS = 0.01
 BIN, COUNT = Path(sys.argv[1]), int(sys.argv[2])
-# As the simulator states them: of scenarios that are read back, front bumper ahead of the rear axle.
+# Distance from rear axle to front bumper that the exporter uses.
 AHEAD = 0.8
 
 
@@ -66,7 +66,7 @@ def valid_road(path):
 
 def polylines(path):
     """Time and front bumper of each vehicle, in the order of the entities."""
-    # Without its own check of the schema, which takes seconds: ASAM's has made it.
+    # Skip its schema check, which takes seconds and repeats that of ASAM's checker.
     scenario = xosc.Scenario.parse(ElementTree.parse(path))
     lengths = {}
     for thing in scenario.entities.scenario_objects:

@@ -1,7 +1,8 @@
-//! Time to decide whether a collision was avoidable, on one core, and to check what was found.
+//! Time to decide whether a collision was avoidable, on one core, and to check the certificate: `cargo bench --bench
+//! avoid`.
 //!
-//! `cargo bench --bench avoid`. Grids are those of the accelerations of an escape; firings of the follower's brake are told
-//! apart by the scenario's step in all of them. The search is sequential, so one core is all it uses.
+//! `grid_s` is the grid of the escape's accelerations. The scenario's step distinguishes the trigger times of the
+//! follower's brake in all cases. The search is sequential.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
@@ -13,7 +14,7 @@ fn main() {
     divan::main();
 }
 
-/// Aims on a present core: 50 ms for `paper-1` at 0.1 s, 1 s at 0.01 s.
+/// Targets on a current core: 50 ms for `paper-1` at 0.1 s, 1 s at 0.01 s.
 #[divan::bench(args = [("paper-1", 0.1), ("paper-1", 0.01), ("paper-2", 0.1), ("paper-2", 0.01), ("paper-3", 0.1), ("paper-3", 0.01)], sample_count = 10)]
 fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
     let scenario = built_in_scenario(name).expect("built in");
@@ -22,7 +23,6 @@ fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
     });
 }
 
-/// The same where not the largest gap is wanted but the gentlest escape.
 #[divan::bench(sample_count = 10)]
 fn decide_gentlest(bencher: Bencher<'_, '_>) {
     let scenario = built_in_scenario("paper-1").expect("built in");
@@ -30,7 +30,7 @@ fn decide_gentlest(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| avoid(&scenario, options).expect("the grid fits"));
 }
 
-/// A car that answers late: no escape, and no proof about it either, so that the search gives up.
+/// The ego vehicle reacts late: no escape and no proof exists, so the search gives up.
 #[divan::bench(sample_count = 3)]
 fn give_up(bencher: Bencher<'_, '_>) {
     let late = built_in_scenario("paper-1").expect("built in").edited(|spec| {
@@ -42,14 +42,13 @@ fn give_up(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| avoid(&late, AvoidOptions::default()).expect("the grid fits"));
 }
 
-/// A follower too close and too fast for any driver.
 #[divan::bench(sample_count = 10)]
 fn prove_unavoidable(bencher: Bencher<'_, '_>) {
     let hopeless = unavoidable_scenario();
     bencher.bench_local(|| avoid(&hopeless, AvoidOptions::default()).expect("the grid fits"));
 }
 
-/// Aim: 50 ms, like that of the proof below.
+/// Target: 50 ms, for this and the proof below.
 #[divan::bench(sample_count = 20)]
 fn check_escape(bencher: Bencher<'_, '_>) {
     let scenario = built_in_scenario("paper-1").expect("built in");

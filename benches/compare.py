@@ -30,14 +30,14 @@ import tempfile
 import time
 from pathlib import Path
 
-# Before any library that would start more threads.
+# Set before importing libraries that start threads.
 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 
 ROOT = Path(__file__).resolve().parent.parent
 STEP_S, STEPS, ONSET_S = 0.01, 1500, 1.0
 SPEED_MPS, LEAD_BRAKE_MPS2, GAP_M, LENGTH_M = 25.0, 3.0, 16.0, 2.0
-# The defaults of crumple's `idm`.
+# Defaults of crumple's `idm`.
 IDM = {"desired": 120 / 3.6, "headway": 1.6, "standstill": 2.0, "accel": 0.73, "brake": 1.67}
 
 NETWORK = """<net version="1.16">
@@ -82,7 +82,7 @@ def sumo_scenarios_per_s(count, load_each):
 
 def sumo_scenario(sumo, index):
     names = [f"{index}-{vehicle}" for vehicle in range(3)]
-    # Set down far apart and then moved together: SUMO refuses to set vehicles down as close as the paper has them.
+    # Insert far apart, then move together: SUMO refuses to insert vehicles at the paper's spacing.
     for vehicle, name in enumerate(names):
         sumo.vehicle.add(name, "along", "car", departPos=str(1000 - 200 * vehicle), departSpeed=str(SPEED_MPS))
     sumo.simulationStep()
@@ -90,7 +90,7 @@ def sumo_scenario(sumo, index):
         sumo.vehicle.moveTo(name, "road_0", 1000.0 - vehicle * (GAP_M + LENGTH_M))
         sumo.vehicle.setPreviousSpeed(name, SPEED_MPS)
     assert len(sumo.vehicle.getIDList()) == 3, "all three are on the road"
-    # Of all checks on what is commanded only that of the largest deceleration.
+    # Of SUMO's checks on commands, keep only the maximum deceleration.
     sumo.vehicle.setSpeedMode(names[0], 4)
     sumo.vehicle.setDecel(names[0], LEAD_BRAKE_MPS2)
     sumo.vehicle.setSpeed(names[0], SPEED_MPS)
@@ -158,7 +158,7 @@ def sb3_decisions_per_s(width, batch, decisions):
         learning_starts=batch, train_freq=(1, "step"), gradient_steps=1, gamma=0.99999, tau=0.005, device="cpu", seed=1,
         action_noise=NormalActionNoise(np.zeros(1), 0.1 * np.ones(1)),
     )
-    # The memory must hold a batch before there are updates.
+    # Updates begin when the replay memory contains a batch.
     model.learn(batch + 20)
     start_s = time.thread_time()
     model.learn(decisions, reset_num_timesteps=False)

@@ -1,8 +1,8 @@
-//! Controllers that are processes: time for a decision, from what is seen to the acceleration that is wanted.
+//! Controllers that are processes: time per decision, from the observation to the command.
 //!
-//! `cargo bench --bench processes`. The item counted is one decision, at every step of 0.01 s; simulating the step is part of its
-//! time, and so is what the process takes. The examples of `examples/controllers` answer, each seeing three numbers; those without
-//! a compiler or interpreter here are left out. One thread; for one core, `taskset -c 0` before it all.
+//! `cargo bench --bench processes`. The counted item is one decision, at every step of 0.01 s; its time includes the
+//! simulated step and the process. The examples of `examples/controllers` read three inputs; those without a compiler
+//! or interpreter on this machine are skipped. One thread; for one core, prefix `taskset -c 0`.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
@@ -20,11 +20,11 @@ fn main() {
     divan::main();
 }
 
-/// How the examples are started, and of how many runs at once.
+/// Commands of the examples, and the number of simultaneous runs.
 const CASES: [(&str, usize); 3] =
     [("\"python3\", \"follower.py\", \"alone\"", 1), ("\"./follower\"", 1), ("\"python3\", \"follower.py\"", 64)];
 
-/// A controller file that lets a command see what the examples need.
+/// Writes a controller file that passes a command the inputs of the examples.
 fn write_controller(command: &str, folder: &Path) -> Option<NamedController> {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers");
     fs::copy(examples.join("follower.py"), folder.join("follower.py")).expect("the example");
@@ -56,7 +56,7 @@ fn decisions(bencher: Bencher<'_, '_>, (command, runs): (&str, usize)) {
         iter::repeat_with(|| Run::new(&scenario, options.clone()).expect("it fits")).take(runs).collect();
     let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let drive = || threads.install(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
-    // The first two are asked twice.
+    // The determinism check sends every query of the first two runs twice.
     assert!((0..2).all(|_| drive().iter().all(|outcome| outcome.is_safe())), "the examples are safe");
     bencher.counter(ItemsCount::new(runs.len() * scenario.steps())).bench_local(drive);
 }

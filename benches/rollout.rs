@@ -1,8 +1,8 @@
-//! Closed-loop rollouts: time for a vehicle to be observed, decided for and moved by one step.
+//! Closed-loop rollouts: time to observe, decide and move one vehicle by one step.
 //!
-//! `cargo bench --bench rollout`. The item counted is one vehicle-step; a run that ends at a contact counts the steps it
-//! made. Draws of the paper's distribution with its noise, in which every vehicle but the leader is under test: two vehicles of
-//! three have the controller and, where it says so, the Kalman filter. Setting the engine up is part of the time.
+//! `cargo bench --bench rollout`. The counted item is one vehicle-step; a run that ends at a collision counts its
+//! steps. Random scenarios of the paper's distribution with its noise; every vehicle but the leader is under test, with
+//! the Kalman filter where stated. The time includes the setup of the engine.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 

@@ -1,4 +1,4 @@
-//! What monitoring costs: each Chasing Cars specification on one trace of 10 001 samples, beside the simulation.
+//! Cost of monitoring: each Chasing Cars specification on one trace of 10 001 samples, compared with the simulation.
 
 #![allow(clippy::expect_used, reason = "a bench that cannot start must say so")]
 
@@ -10,7 +10,6 @@ fn main() {
     divan::main();
 }
 
-/// Inputs that make every car switch many times.
 fn switching_inputs() -> ChasingCarsInputs {
     ChasingCarsInputs {
         throttle: std::array::from_fn(|piece| [1.0, 0.2, 0.7][piece % 3]),

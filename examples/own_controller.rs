@@ -1,6 +1,6 @@
-//! A controller of one's own: simulated, falsified and assessed beside those that are built in.
+//! A custom controller, simulated, falsified and assessed together with built-in ones.
 //!
-//! `cargo run --release --example own_controller -- FOLDER` leaves the campaign and the report in FOLDER.
+//! `cargo run --release --example own_controller -- FOLDER` writes the campaign and the report to FOLDER.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -17,14 +17,14 @@ use crumple::{
     RecordingLevel, Run, RunOptions, assess, simulate,
 };
 
-/// Keeps a time gap to the vehicle ahead and brakes softly; gives up where it sees no vehicle ahead.
+/// Keeps a time gap to the vehicle ahead and brakes softly; fails if it observes no vehicle ahead.
 #[derive(Clone)]
 struct SoftFollower {
     time_gap_s: f64,
 }
 
 impl ControllerSource for SoftFollower {
-    /// Everything that decides how it drives: its settings, and a name that changes with its code.
+    /// Covers everything that affects its commands: its settings, and a name that changes with the code.
     fn identity(&self) -> Option<String> {
         Some(sha256(format!("soft follower, version 1, {} s", self.time_gap_s)))
     }
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let campaign =
         Campaign { budget: 200, ..Campaign::new(own.clone(), built_in_space("high-risk").ok_or("not built in")?) };
-    // Whoever runs the example again goes on with the same campaign: it is known by the controller's identity.
+    // The controller's identity lets a second execution resume the campaign.
     let summary =
         campaign.run(&folder.join("campaign"), CampaignOptions { resume: true, ..Default::default() }, &Quiet)?;
     println!("{}", summary.to_text());

@@ -1,30 +1,31 @@
 //! # crumple
 //!
-//! A line of n vehicles drives one lane. Vehicle 0 leads; xᵢ is vehicle i's front bumper, vᵢ its speed, lᵢ its length,
+//! A line of n vehicles drives in one lane. Vehicle 0 leads; xᵢ is vehicle i's front bumper, vᵢ its speed, lᵢ its
+//! length,
 //!
 //! ```text
-//! gᵢ = xᵢ₋₁ − lᵢ₋₁ − xᵢ          the bumper gap ahead of vehicle i, and gᵢ ≤ 0 is contact;
+//! gᵢ = xᵢ₋₁ − lᵢ₋₁ − xᵢ          the bumper gap ahead of vehicle i, and gᵢ ≤ 0 is a collision;
 //! x⁺ = x + v h + ½ a h²           over a step h in which acceleration a is held,
 //! v⁺ = v + a h                    unless v⁺ < 0: then x⁺ = x + v² / 2|a| and v⁺ = 0.
 //! ```
 //!
-//! A leader brakes by a script, traffic drives by rules, and the vehicles under test are driven by a controller u = π(o)
-//! that sees eight noisy numbers o: the gaps ahead and behind, and the speeds and accelerations of itself and both
-//! neighbours. crumple asks for which scenarios the vehicles touch, how badly, and which controller is the safer one.
+//! A script brakes the leader, models drive the traffic, and a controller u = π(o) drives the vehicles under test. It
+//! observes eight noisy numbers o: the gaps ahead and behind, and the speeds and accelerations of itself and both
+//! neighbours. crumple finds the scenarios in which vehicles collide, measures the severity, and compares controllers.
 //!
 //! ## Map
 //!
 //! Crates depend downwards only. Each has its own map.
 //!
-//! | crate | what it holds |
+//! | crate | contents |
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests, shards |
-//! | [`world`] | scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
+//! | [`world`] | scenarios, drivers, estimators, two equivalent simulation engines, measures, recordings |
 //! | [`search`] | worst cases, falsification |
-//! | [`evidence`] | failure rates and claims with certificates, spaces fitted to recordings |
-//! | [`suites`] | tests after regulations |
-//! | [`learn`] | training, and retraining against counterexamples |
+//! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |
+//! | [`suites`] | tests modelled on regulations |
+//! | [`learn`] | training, and retraining on counterexamples |
 //! | [`report`] | figures, tables, the assessment |
 //! | [`verify`] | the checker of certificates |
 //!
@@ -34,11 +35,11 @@
 //! use crumple::{ControllerSpec, RecordingLevel, Outcome, Run, RunOptions, simulate};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scenario = crumple::world::scenario::built_in("paper-1").ok_or("not built in")?;
-//! let baseline = ControllerSpec::named("baseline").ok_or("not built in")?;
+//! let scenario = crumple::built_in_scenario("paper-1").ok_or("not built in")?;
+//! let baseline = ControllerSpec::from_name("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, RecordingLevel::Summary);
-//! // The baseline spares the vehicle ahead and is hit from behind.
+//! // The baseline avoids the vehicle ahead and is hit from behind.
 //! assert!(matches!(result.outcome, Outcome::Collision(contact) if contact.rear_vehicle == 2));
 //! # Ok(())
 //! # }

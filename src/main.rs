@@ -1,4 +1,4 @@
-//! The `crumple` program: one file a subcommand under `cli`, all of them thin.
+//! The `crumple` program. Each subcommand has a file under `cli`.
 
 mod cli;
 

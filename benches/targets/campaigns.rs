@@ -1,4 +1,4 @@
-//! What a campaign takes besides its simulations.
+//! Cost of a campaign besides its simulations.
 
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
@@ -13,15 +13,12 @@ use crate::clock::wall_time_s;
 use crate::table::Measurement;
 use crate::work::rollouts::{built_in, runs};
 
-/// Evaluations of each of the two methods that run.
 const BUDGET: u64 = 500_000;
-/// Evaluations that are simulated again, all of them drawn alike.
+/// Evaluations that are simulated again, as a random sample.
 const RESIMULATED: usize = 50_000;
-/// Evaluations that are simulated at once, as campaigns do.
 const BLOCK: usize = 256;
 
-/// A million scenarios drawn, simulated, measured, searched for failures and written, every one as a row: the share of the time that
-/// their simulation alone takes.
+/// Measures the time share of simulation in a campaign of a million scenarios with a full log.
 pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
     for (space, controller) in [("paper", "baseline"), ("traffic", "idm")] {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,8 +1,8 @@
-//! Time that a busy machine changes little: of many repetitions the shortest, and of that the processor's time.
+//! Time measurements that a busy machine affects little: the minimum processor time of many repetitions.
 
 use std::time::Instant;
 
-/// Processor time of this thread, in seconds; wall-clock time where there is no such clock.
+/// Returns the processor time of this thread in seconds, or wall-clock time if the system has no such clock.
 pub fn cpu_time_s() -> f64 {
     #[cfg(unix)]
     {
@@ -13,7 +13,6 @@ pub fn cpu_time_s() -> f64 {
     wall_s()
 }
 
-/// Wall-clock time since the first call, in seconds.
 pub fn wall_time_s() -> f64 {
     static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
     START.get_or_init(Instant::now).elapsed().as_secs_f64()
@@ -25,12 +24,13 @@ fn measure_s(clock: fn() -> f64, work: &mut dyn FnMut()) -> f64 {
     clock() - start
 }
 
-/// Shortest processor time of each piece of work, in seconds. They take turns, so that what slows one slows the others.
+/// Returns the minimum processor time of each piece of work in seconds. The pieces alternate, so that disturbances
+/// affect all.
 pub fn min_cpu_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
     min_time_by(cpu_time_s, rounds, work)
 }
 
-/// The same by the wall clock: for what runs on several threads.
+/// Returns the minimum wall-clock times, for work on several threads.
 pub fn min_wall_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
     min_time_by(wall_time_s, rounds, work)
 }

@@ -1,4 +1,4 @@
-//! Acting and training, beside what the machine can multiply.
+//! Inference and training, compared with the machine's speed of matrix products.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -30,7 +30,6 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     say(Measurement::at_least(1.7, "times", name, one_s / two_s));
 }
 
-/// Some updates of a learner on one batch.
 fn batch_updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() + use<> {
     let mut learner: Learner = learner(config);
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
@@ -41,8 +40,8 @@ fn batch_updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnM
     }
 }
 
-/// Measures rollouts and updates as shares of a large product of the same run, and of `registers`, the result of [`register_operations_per_second`].
-/// `cargo bench -p crumple-oracle` compares the large product with the one of candle.
+/// Measures rollouts and updates relative to a large product and to `registers`, the result of
+/// [`register_operations_per_second`]. `cargo bench -p crumple-oracle` compares the large product with candle's.
 fn compare_with_peak(registers: f64, say: &mut dyn FnMut(Measurement)) {
     let (mut large, states, large_operations) = large_product();
     let scenarios = scenarios(64);
@@ -74,7 +73,8 @@ fn compare_with_peak(registers: f64, say: &mut dyn FnMut(Measurement)) {
     say(Measurement::at_least(60.0, "%", name, share_of(registers, updating, update_s)));
 }
 
-/// Median over seeds of the processor time until an evaluation finds every held-out scenario safe, in seconds.
+/// Measures the processor time in seconds until an evaluation finds every held-out scenario safe: the median over
+/// seeds.
 pub fn time_to_first_safe(seeds: u64, say: &mut dyn FnMut(Measurement)) {
     let config = TrainingConfig::preset("fast").expect("a preset");
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
@@ -99,7 +99,7 @@ fn time_to_safe_s(config: &TrainingConfig, held_out: &EvaluationSet, seed: u64) 
     cpu_time_s() - start_s
 }
 
-/// Training decisions a second, each with an update: acting, the environment's step, the draw from memory and the update.
+/// Measures training decisions per second: inference, the environment's step, replay sampling and one update each.
 pub fn decisions_per_second(width: usize, count: usize) -> f64 {
     let mut config = networks::config(width, count);
     config.exploration.learning_starts_episode = 0;
@@ -107,7 +107,7 @@ pub fn decisions_per_second(width: usize, count: usize) -> f64 {
     config.environment.action_repeat = 10;
     let mut trainer = Trainer::new(&config, 1);
     let mut made = || trainer.run_episode().expect("converges").steps / config.environment.action_repeat as usize;
-    // The memory must hold a batch before there are updates.
+    // Updates begin when the replay memory contains a batch.
     let mut decisions = 0;
     while decisions < count {
         decisions += made();

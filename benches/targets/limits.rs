@@ -1,4 +1,4 @@
-//! What this machine can do, measured beside what the loops do with it: limits that shares refer to on any processor.
+//! Limits of this machine, measured in the same run, so that ratios to them are comparable between processors.
 
 use std::hint::black_box;
 
@@ -8,10 +8,10 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::clock::min_cpu_time_s;
 use crate::table::{MachineLimit, format_three_digits};
 
-/// Fused multiply-adds in single precision a second, on registers alone, each counted as two operations.
+/// Measures single-precision operations per second in registers; a fused multiply-add counts as two.
 ///
-/// Twelve sums: each waits some four cycles for its last term while two multiply-adds are begun a cycle, so eight is the least that keeps
-/// the units busy, and twelve fit in sixteen registers with their factors.
+/// Twelve independent sums: about four cycles of latency at two multiply-adds per cycle need at least eight, and twelve
+/// sums fit in sixteen registers with their factors.
 pub fn register_operations_per_second() -> f64 {
     const ROUNDS: usize = 20_000;
     const SUMS: usize = 12;
@@ -37,7 +37,6 @@ pub fn register_operations_per_second() -> f64 {
     operations as f64 / seconds
 }
 
-/// Normal numbers a second from one stream.
 pub fn normals_per_second() -> f64 {
     const COUNT: usize = 100_000;
     let (normals, mut stream) = (NormalSampler::new(), stream(1, Purpose::ReplaySampling, 0));
@@ -46,9 +45,7 @@ pub fn normals_per_second() -> f64 {
     COUNT as f64 / seconds
 }
 
-/// Bytes read a second from an array of `bytes`, by eight sums that do not wait for one another.
 fn bytes_per_second(bytes: usize) -> f64 {
-    /// An array, and how often it is read.
     struct Sum<'a>(&'a [f32], usize);
     impl WithSimd for Sum<'_> {
         type Output = f32;
@@ -67,17 +64,16 @@ fn bytes_per_second(bytes: usize) -> f64 {
             sums.iter().map(|&sum| simd.reduce_sum_f32s(sum)).sum()
         }
     }
-    // From the beginning of a line of the cache on: a vector across two of them costs two reads.
+    // Align to a cache line: a vector across two lines costs two reads.
     let array = vec![1.0_f32; bytes / 4 + 16];
     let begin = array.as_ptr().align_offset(64).min(16);
     let array = &array[begin..begin + bytes / 4];
-    // As many passes as read 32 MiB, so that the clock's own time does not count.
+    // Read 32 MiB in total, so that the clock's overhead is negligible.
     let passes = (1_usize << 25).div_ceil(bytes);
     let [seconds] = min_cpu_time_s(20, [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))]);
     (passes * bytes) as f64 / seconds
 }
 
-/// The processor's model, as the system tells it, which only Linux does.
 pub fn processor_model() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let of = |field: &str| {

@@ -1,16 +1,16 @@
-//! Every figure that has a target, in one table and one run.
+//! Measures every quantity that has a target, in one table.
 //!
 //! ```text
 //! cargo bench --bench targets                       # the table; a minute or two
 //! cargo bench --bench targets -- all                # with ten trainings and an assessment: some minutes
 //! cargo bench --bench targets -- rollouts           # a part: learning, rollouts, monitors, proofs, programs, long
-//! cargo bench --bench targets -- limits             # what the machine can do at all, which shares refer to
-//! cargo bench --bench targets -- scaling FILE.svg   # how cost grows, as a list and a plot
-//! cargo bench --bench targets -- compare            # what benches/compare.py sets beside SUMO and Stable-Baselines3
+//! cargo bench --bench targets -- limits             # limits of the machine
+//! cargo bench --bench targets -- scaling FILE.svg   # growth of cost, as a list and a plot
+//! cargo bench --bench targets -- compare            # values for benches/compare.py (SUMO, Stable-Baselines3)
 //! ```
 //!
-//! Processor time of one thread, the shortest of several repetitions, unless a line says wall clock. Figures that are compared
-//! take turns. The limits behind them are in reports/speed.md.
+//! Values are minimum processor times of one thread unless a line says wall clock. Compared pieces of work alternate.
+//! The limits are explained in reports/speed.md.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 #![allow(missing_docs, unreachable_pub, reason = "nobody uses a bench as a library")]
@@ -26,7 +26,7 @@ mod rollouts;
 mod scaling;
 mod table;
 
-/// Shared with the other benches, none of which needs all of it.
+/// Shared with the other benches, none of which uses all of it.
 #[allow(dead_code, reason = "see above")]
 #[path = "../work"]
 mod work {
@@ -36,10 +36,10 @@ mod work {
 }
 
 fn main() {
-    // Cargo says `--bench` first.
+    // Cargo passes `--bench` first.
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
-    // Everything on a single thread of a pool, so that what is parallel stays on it and its processor time can be read.
+    // One thread, so that parallel code stays on it and its processor time can be measured.
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     alone.install(|| match words[..] {
         [] => print_limits_and_table(&PARTS[..PARTS.len() - 1]),
@@ -56,7 +56,7 @@ fn main() {
 
 type BenchmarkGroup = (&'static str, fn(&mut dyn FnMut(table::Measurement)));
 
-/// The parts of the table; the last one takes minutes.
+/// Parts of the table; the last one takes minutes.
 const PARTS: [BenchmarkGroup; 6] = [
     ("learning", learning::measure),
     ("rollouts", rollouts::measure),

@@ -1,4 +1,4 @@
-//! Monitors of Chasing Cars, and its simulation.
+//! Chasing Cars: monitors and simulation.
 
 use std::hint::black_box;
 
@@ -8,7 +8,6 @@ use crumple_world::measure::stl::Formula;
 use crate::clock::min_cpu_time_s;
 use crate::table::Measurement;
 
-/// Inputs that make every car switch many times.
 fn switching_inputs() -> ChasingCarsInputs {
     ChasingCarsInputs {
         throttle: std::array::from_fn(|piece| [1.0, 0.2, 0.7][piece % 3]),

@@ -1,4 +1,4 @@
-//! The program as a user starts it, by the wall clock.
+//! The program as a user starts it, in wall-clock time.
 
 use std::process::{Command, Stdio};
 
@@ -17,11 +17,11 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     say(Measurement::at_most(10.0, "ms", "`crumple list` (wall clock)", 1e3 * list_s));
 }
 
-/// The most memory a campaign held, by the system's account, which only Linux gives.
+/// Measures the peak memory of a campaign, on Linux only.
 pub fn campaign_memory(say: &mut dyn FnMut(Measurement)) {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("campaign").display().to_string();
-    // As many again for the other reference search.
+    // The second reference search makes the same number of evaluations.
     let arguments = ["--controller", "baseline", "--space", "paper", "--method", "uniform", "--budget", "5000000"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
     command.args(["falsify", "-q", "--estimator", "truth", "--out", &out]).args(arguments);

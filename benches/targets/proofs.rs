@@ -1,4 +1,4 @@
-//! Avoidability of a scenario, and the reach of an actor.
+//! Avoidability of a scenario, and forward reachability of an actor.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -20,7 +20,7 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
         let [seconds] = min_cpu_time_s(3, [&mut || _ = black_box(avoid(&scenario, options).expect("the grid fits"))]);
         say(Measurement::at_most(target_s, "s", format!("avoidability of paper-1, grid of {grid_s} s"), seconds));
     }
-    // As the policy was trained, and a decision at every step, as the paper has it.
+    // 0.1 s as in the policy's training, and a decision at every step as in the paper.
     [0.1, PAPER_STEP_S].into_iter().for_each(|interval_s| say(reach(interval_s)));
 }
 
@@ -35,7 +35,7 @@ fn reach(interval_s: f64) -> Measurement {
     Measurement::at_most(1.0, "s", name, cpu_time_s() - start_s)
 }
 
-/// Small enough to be verified without a cut, so that all 1500 steps are made.
+/// Small enough to be verified without a bisection, so that all 1500 steps are computed.
 const BOX: &str = "version = 1
 about = \"\"
 scenario = \"paper-1\"

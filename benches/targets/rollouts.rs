@@ -1,4 +1,4 @@
-//! Rollouts with built-in controllers, on one thread and on two.
+//! Rollouts with built-in controllers, on one and on two threads.
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
@@ -23,7 +23,7 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     let [truth_s, kalman_s] = min_cpu_time_s(40, [&mut all(&truth), &mut all(&kalman)]);
     let ns = |seconds: f64, runs| 1e9 * seconds / vehicle_steps(runs) as f64;
     say(Measurement::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
-    // The noise of two vehicles of three.
+    // Noise is computed for two of three vehicles.
     let share = 100.0 * (2.0 / 3.0) / normals_per_second() / (1e-9 * ns(truth_s, &truth));
     say(Measurement::at_least(
         25.0,
@@ -37,8 +37,8 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     say(Measurement::at_least(1.9, "times", "rollouts, two threads against one (wall clock)", one_s / two_s));
 }
 
-/// Scenarios a second, one thread, from their making to their outcome: the paper's first scenario with a car-following model
-/// in all followers. A mean over some seconds.
+/// Measures scenarios per second on one thread, from construction to outcome, as a mean over some seconds: paper-1 with
+/// a car-following model in all followers.
 pub fn scenarios_per_second() -> f64 {
     let paper = crumple_world::scenario::built_in_scenario("paper-1").expect("built in");
     let of_run = |index: u64| {

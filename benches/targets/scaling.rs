@@ -1,4 +1,4 @@
-//! How cost grows with size: the exponent p of time = c · sizeᵖ, and a plot.
+//! Growth of cost with size: the exponent p of time = c · sizeᵖ, and a plot.
 
 use std::hint::black_box;
 
@@ -17,10 +17,8 @@ use crate::work::long_lines::platoon;
 use crate::work::networks::{batch, config, learner};
 use crate::work::rollouts::{built_in, runs};
 
-/// Times at some sizes.
 pub struct Growth {
     pub name: &'static str,
-    /// Size, and seconds.
     pub points: Vec<(f64, f64)>,
 }
 
@@ -33,7 +31,7 @@ impl Growth {
         Self { name: what, points: sizes.iter().map(point).collect() }
     }
 
-    /// Slope of the straight line through the logarithms that has the least squares.
+    /// Returns the slope of the least-squares line through the logarithms.
     pub fn exponent(&self) -> f64 {
         let n = self.points.len() as f64;
         let logarithms: Vec<_> = self.points.iter().map(|(x, y)| (x.ln(), y.ln())).collect();
@@ -43,7 +41,6 @@ impl Growth {
         rise / logarithms.iter().map(|(x, _)| (x - mean_x).powi(2)).sum::<f64>()
     }
 
-    /// Sizes and times as multiples of the first.
     fn relative(&self) -> Vec<(f64, f64)> {
         let (size, seconds) = self.points[0];
         self.points.iter().map(|(x, y)| (x / size, y / seconds)).collect()
@@ -83,7 +80,7 @@ fn update(count: usize) -> Box<dyn FnMut()> {
     Box::new(move || _ = black_box(learner.update(&batch, &mut noise)))
 }
 
-/// A search that never succeeds, so that it spends its budget.
+/// Returns a search that never succeeds, so that it uses its whole budget.
 fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
     let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
     let cube = UnitCube::new([PIECES, PIECES]).expect("not empty");
@@ -103,7 +100,6 @@ fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
     })
 }
 
-/// Time over size, both as multiples of the smallest, on logarithmic axes.
 pub fn figure(all: &[Growth]) -> Svg {
     const WIDTH: f64 = 640.0;
     const HEIGHT: f64 = 360.0;

@@ -1,6 +1,5 @@
-//! The table: figure, target, measured, ratio.
+//! The table: quantity, target, measured value, ratio.
 
-/// On which side of the target a figure should be.
 #[derive(Clone, Copy)]
 pub enum TargetBound {
     AtMost,
@@ -24,7 +23,6 @@ impl Measurement {
         Self { name: name.into(), side: TargetBound::AtLeast, target, unit, measured }
     }
 
-    /// The line of a Markdown table.
     pub fn markdown_row(&self) -> String {
         let Self { name, side, target, unit, measured } = self;
         let ratio = measured / target;
@@ -39,7 +37,6 @@ impl Measurement {
 
 pub const HEADER: &str = "| figure | target | measured | ratio | |\n|---|---|---|---|---|";
 
-/// What the machine can do, without a target.
 pub struct MachineLimit {
     pub name: String,
     pub value: String,
@@ -47,7 +44,6 @@ pub struct MachineLimit {
 }
 
 impl MachineLimit {
-    /// The line of a Markdown table.
     pub fn markdown_row(&self) -> String {
         format!("| {} | {} {} |", self.name, self.value, self.unit)
     }
@@ -55,7 +51,6 @@ impl MachineLimit {
 
 pub const LIMITS_HEADER: &str = "| limit of this machine | measured |\n|---|---|";
 
-/// Three digits.
 pub fn format_three_digits(value: f64) -> String {
     let before = value.abs().max(1e-9).log10().floor() as i32;
     format!("{value:.*}", (2 - before).clamp(0, 6) as usize)

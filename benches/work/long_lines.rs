@@ -1,8 +1,8 @@
-//! Scenarios of any number of vehicles and any duration.
+//! Scenarios with any number of vehicles and any duration.
 
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario};
 
-/// The paper's first scenario with more vehicles under test, all of them at its distance, and a duration of its own.
+/// Returns paper-1 with this number of vehicles under test, at its spacing, and another duration.
 pub fn platoon(vehicles: usize, duration_s: f64) -> Scenario {
     let paper_1 = built_in_scenario("paper-1").expect("built in");
     let line = paper_1.edited(|spec| {

@@ -1,4 +1,4 @@
-//! Networks that benches act with and train, and the matrix products in that.
+//! Networks for benches of inference and training, and their matrix products.
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
@@ -9,7 +9,7 @@ use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::PAPER_STEP_S;
 use rand::RngExt;
 
-/// Side of the product that shows what the machine can do.
+/// Side of the matrix product that measures the machine's limit.
 pub const LARGE_PRODUCT_SIZE: usize = 1024;
 
 pub fn config(width: usize, batch: usize) -> TrainingConfig {
@@ -19,7 +19,7 @@ pub fn config(width: usize, batch: usize) -> TrainingConfig {
     config
 }
 
-/// Two critics, target smoothing, and the actor in every update.
+/// Returns a TD3 configuration: two critics, target smoothing, and an actor update in every update.
 pub fn td3(width: usize, batch: usize) -> TrainingConfig {
     let mut config = config(width, batch);
     config.td3 = Td3Config { twin_critic: true, actor_every: 1, target_noise: 0.2, target_noise_limit: 0.5 };
@@ -50,11 +50,11 @@ pub fn batch(count: usize) -> Batch {
     batch
 }
 
-/// The matrix products of one update as (rows, inner, columns).
+/// Returns the matrix products of one update as (rows, inner, columns).
 ///
-/// Forward: actor', each critic' and critic, actor, first critic again. Backward: inputs and weights of critics and actor, and
-/// inputs of the first critic once more for the actor's slope; the first layers' inputs need no slope. The output layers are
-/// products with a vector, and not counted.
+/// Forward: target actor, each target critic and critic, actor, first critic again. Backward: inputs and weights of
+/// critics and actor, and the inputs of the first critic for the actor's gradient; the inputs of the first layers need
+/// none. Output layers are matrix-vector products and not counted.
 pub fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
     let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
     let hidden_inputs = vec![[count, width, width]; 2];
@@ -68,17 +68,16 @@ pub fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
     all
 }
 
-/// Multiplications and additions in some products.
 pub fn operations(products: &[[usize; 3]]) -> usize {
     products.iter().map(|[m, k, n]| 2 * m * k * n).sum()
 }
 
-/// The same in an actor's answer to one state.
 pub fn acting_operations(width: usize) -> usize {
     2 * (STATE_LEN * width + 2 * width * width)
 }
 
-/// A learner whose actor, asked about [`LARGE`] states, makes one large product and little else; and those states.
+/// Returns a learner whose actor computes little but one large product for [`LARGE_PRODUCT_SIZE`] states, with those
+/// states and the number of operations.
 pub fn large_product() -> (Learner, Vec<f32>, usize) {
     let mut config = config(LARGE_PRODUCT_SIZE, LARGE_PRODUCT_SIZE);
     config.network.hidden = vec![LARGE_PRODUCT_SIZE; 2];
@@ -89,7 +88,6 @@ pub fn large_product() -> (Learner, Vec<f32>, usize) {
     )
 }
 
-/// A policy of a width with small random weights.
 pub fn random_policy(width: usize) -> Policy {
     let hidden = vec![width; 3];
     let mut network = Network::zeros(&[&[STATE_LEN], hidden.as_slice(), &[1]].concat());
@@ -110,7 +108,8 @@ pub fn random_policy(width: usize) -> Policy {
     Policy::new(header, network).expect("valid")
 }
 
-/// The reference policy (3 x 64) four times as wide: each hidden unit is there four times, and each copy counts a quarter.
+/// Returns the reference policy (3 x 64) at four times the width: four copies of each hidden unit, each with a quarter
+/// of the weight.
 pub fn widened_reference(interval_s: f64) -> Policy {
     const COPIES: usize = 4;
     let reference = Policy::reference();

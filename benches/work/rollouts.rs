@@ -1,4 +1,4 @@
-//! Rollouts that benches measure: draws of the paper's distribution with its noise, in which every vehicle but the leader is
+//! Rollouts for benches: random scenarios of the paper's distribution with its noise; every vehicle but the leader is
 //! under test.
 
 use crumple_world::control::ControllerSpec;
@@ -23,7 +23,7 @@ pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estim
     scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
 }
 
-/// Steps that a run made; one that ends at a contact counts the steps up to it.
+/// Returns the number of steps of a run, up to its collision.
 pub fn steps(run: &Run, result: &SimulationResult) -> usize {
     let step_s = run.scenario().spec().step_s;
     result.outcome.contact().map_or(run.scenario().steps(), |contact| (contact.time_s / step_s) as usize + 1)

@@ -11,7 +11,7 @@ import sys
 import torch
 from torch import nn
 
-# gap ahead, gap behind; speed ahead, own, behind; acceleration ahead, own, behind: each (x - offset) / scale, cut to +-4.
+# gap ahead, gap behind; speed ahead, own, behind; acceleration ahead, own, behind: each (x - offset) / scale, clipped to +-4.
 OFFSET = torch.tensor([16.0, 16.0, 12.5, 12.5, 12.5, 0.0, 0.0, 0.0])
 SCALE = torch.tensor([16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0])
 
@@ -32,5 +32,5 @@ for _ in range(2000):
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()
-# One file: PyTorch would put the weights beside it.
+# One file: by default PyTorch writes the weights to a second one.
 torch.onnx.export(network, (torch.zeros(1, 8),), sys.argv[1], dynamo=True, external_data=False, verbose=False)

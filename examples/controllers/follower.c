@@ -1,8 +1,8 @@
-/* A controller as a process: keeps 4 m and 1.4 s to the vehicle ahead, and otherwise 30 m/s. The standard library alone.
+/* A controller as a process: keeps 4 m and 1.4 s to the vehicle ahead, and otherwise 30 m/s. Standard library only.
  *
  *     cc -O2 -o follower follower.c -lm && crumple simulate paper-1 --controller 'exec:./follower'
  *
- * A line is as crumple writes it: no spaces, and the fields in the order of the protocol. */
+ * Expects lines as crumple writes them: no spaces, and the fields in the order of the protocol. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,7 +12,7 @@ enum { GAP_M, RELATIVE_MPS, SPEED_MPS, SEEN };
 static const char *const names[SEEN] = {"\"gap_ahead_m\"", "\"relative_speed_ahead_mps\"", "\"speed_mps\""};
 static int places[SEEN];
 
-/* The place of an input among those of the hello; -1 if it is not there. */
+/* Index of an input in the hello; -1 if it is missing. */
 static int place_of(const char *inputs, const char *name) {
     const char *end = strchr(inputs, ']'), *found = strstr(inputs, name);
     int place = 0;
@@ -42,7 +42,7 @@ int main(void) {
         id = strncmp(line, "{\"id\":", 6) ? 0 : strtoull(line + 6, NULL, 10);
         if ((found = strstr(line, "\"see\":["))) {
             printf("{\"id\":%llu,\"acceleration_mps2\":%.17g}\n", id, decide(found + strlen("\"see\":")));
-        } else if (strstr(line, "\"reset\":")) { /* A run begins: what remembers would forget here. */
+        } else if (strstr(line, "\"reset\":")) { /* A new run: a controller with memory would reset here. */
             printf("{\"id\":%llu,\"ready\":true}\n", id);
         } else if ((found = strstr(line, "\"inputs\":["))) {
             for (int one = 0; one < SEEN; one++)

@@ -20,11 +20,11 @@ def decide(see):
 
 for line in sys.stdin:
     asked = json.loads(line)
-    if "time_s" in asked:  # Written by hand, since this is asked most.
+    if "time_s" in asked:  # Formatted by hand: the most frequent query.
         answer = '{"id":%d,"acceleration_mps2":%r}' % (asked["id"], decide(asked["see"]))
-    elif "times_s" in asked:  # Several runs at once, since it says "batch".
+    elif "times_s" in asked:  # Several runs at once, because of "batch".
         answer = json.dumps({"id": asked["id"], "acceleration_mps2": [decide(see) for see in asked["see"]]})
-    elif "reset" in asked:  # A run begins: what remembers would forget here, and draw from the seed.
+    elif "reset" in asked:  # A new run: a controller with memory or noise would reset here.
         answer = '{"id":%d,"ready":true}' % asked["id"]
     else:
         pick = operator.itemgetter(*(asked["hello"]["inputs"].index(name) for name in SEEN))

@@ -1,13 +1,14 @@
-//! What controllers do behind recorded leaders, whoever they are: contacts, distance driven, false brakes, what they impose on the
-//! vehicle behind.
+//! Compares controllers behind recorded leaders: collisions, distance driven, false brakes, induced braking of the
+//! follower.
 //!
 //! ```sh
-//! cargo run --release -p crumple-experiments -- behind_recorded recordings/*.csv idm acc-aeb corpora/policy/road.safetensors
+//! cargo run --release -p crumple-experiments -- \
+//!   behind_recorded recordings/*.csv idm acc-aeb corpora/policy/road.safetensors
 //! ```
-//! Arguments that end in `.csv` are recordings that `crumple import` reads, the others controllers. Every recorded vehicle leads: its
-//! unbroken motion is cut into pieces of half a minute, and the last one, if it is longer than ten seconds. The ego starts at the recorded
-//! speed and gap of the vehicle behind it, or where that is not known, at the leader's speed with a time gap of 1.5 s; behind it `acc-aeb`
-//! follows at the ego's speed with 2 m and 1.2 s.
+//! Arguments that end in `.csv` are recordings that `crumple import` reads, the others controllers. Every recorded
+//! vehicle is a leader once. Its uninterrupted motion is cut into pieces of 30 s; the last one counts if it is longer
+//! than 10 s. The ego vehicle starts at the recorded speed and gap of the vehicle behind, or, if unknown, at the
+//! leader's speed with a time gap of 1.5 s. Behind it `acc-aeb` follows at the ego's speed with 2 m and 1.2 s.
 
 use std::path::Path;
 
@@ -25,7 +26,7 @@ use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trac
 const STEP_S: f64 = 0.01;
 const PIECE_S: f64 = 30.0;
 const MIN_PIECE_S: f64 = 10.0;
-/// A longer hole between two samples breaks a motion.
+/// A longer gap between two samples ends a piece of motion.
 const MAX_SAMPLE_GAP_S: f64 = 0.5;
 
 #[derive(Default)]
@@ -45,7 +46,6 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     print_measurements(&ReplayArgs::parse(arguments.iter().cloned())?)
 }
 
-/// What the arguments ask for.
 struct ReplayArgs {
     scenarios: Vec<Scenario>,
     controllers: Vec<NamedController>,
@@ -103,7 +103,6 @@ fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Res
     Ok(())
 }
 
-/// Scenarios behind one recorded vehicle.
 fn scenarios_behind(platoon: &RecordedPlatoon, leader: usize) -> Vec<Scenario> {
     let speeds = platoon.vehicles()[leader].speed_mps();
     let follower = (leader + 1 < platoon.vehicles().len()).then_some(leader + 1);
@@ -124,7 +123,7 @@ fn scenarios_behind(platoon: &RecordedPlatoon, leader: usize) -> Vec<Scenario> {
     pieces.iter().filter_map(|piece| scenario_from_piece(platoon, leader, follower, piece)).collect()
 }
 
-/// None for a piece that is too short, or whose start is none that a scenario may have.
+/// Returns `None` for a piece that is too short, or whose initial state is not valid in a scenario.
 fn scenario_from_piece(
     platoon: &RecordedPlatoon,
     leader: usize,
@@ -163,7 +162,7 @@ fn scenario_from_piece(
         vehicle(ego_m, ego_mps, Driver::UnderTest),
         vehicle(0.0, ego_mps, acc_aeb),
     ];
-    // Recorded speeds jump by what a receiver's noise is; the leader must be able to drive them.
+    // Recorded speeds contain receiver noise; the leader's limits must allow these accelerations.
     let [brake_mps2, accel_mps2] = hardest_mps2.map(|mps2| (10.0 * mps2).ceil() / 10.0 + 0.1);
     vehicles[0].max_brake_mps2 = Some(brake_mps2.max(vehicles[0].max_brake_mps2()));
     vehicles[0].max_accel_mps2 = Some(accel_mps2.max(vehicles[0].max_accel_mps2()));
@@ -211,7 +210,6 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
     Ok(sums)
 }
 
-/// What a trace comes to.
 struct DriveSummary {
     ego_distance_m: f64,
     leader_distance_m: f64,
@@ -220,8 +218,8 @@ struct DriveSummary {
 }
 
 impl DriveSummary {
-    /// A false brake is harder than 2 m/s² while the time to collision exceeds 4 s, the time gap 0.8 s, and the leader brakes with
-    /// less than 1 m/s²; what goes on counts once.
+    /// Measures a trace. A false brake is braking harder than 2 m/s² while the time to collision exceeds 4 s, the time
+    /// gap exceeds 0.8 s, and the leader brakes with less than 1 m/s²; an uninterrupted one counts once.
     fn new(trace: &Trace) -> Self {
         let (leader, ego) = (&trace.vehicles[0], &trace.vehicles[1]);
         let travelled = |positions: &[f64]| positions.last().unwrap_or(&0.0) - positions.first().unwrap_or(&0.0);

@@ -1,17 +1,18 @@
-//! What controllers do in draws of the built-in spaces, on both sides: contacts, and braking without cause.
+//! Compares safety and usability of controllers in the built-in scenario spaces: collisions and unnecessary braking.
 //!
 //! ```sh
 //! cargo run --release -p crumple-experiments -- both_sides 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
 //! ```
-//! The first argument is how many draws of each space; the draws are those of a seed that neither trainings nor selections have.
-//! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`. One that ends in `.csv` is a table of
-//! policies that were measured before, as `reports/front.csv`, which the figure shows besides. One that begins with `space=`
-//! names a space, and leaves out all others that are not named so: `space=steady`.
+//! The first argument is the number of random scenarios of each space, with a seed that no training or selection uses.
+//! An argument that ends in `.svg` is a figure: collisions in `high-risk` against jerk in `traffic`. One that ends in
+//! `.csv` is a table of earlier results, such as `reports/front.csv`, to include in the figure. `space=NAME` restricts
+//! the spaces; it may be repeated.
 //!
-//! Columns count draws: `hard` with braking harder than 4 m/s² where less than 3 m/s² had a cause, `needless` with braking by more than
-//! 2 m/s² beyond what had a cause, `beyond 2` with braking harder than 2 m/s² where no more than 2 m/s² had a cause
-//! (`UnnecessaryBraking::from_trace_above_limit`), `harder` with braking harder than 2 m/s² whatever its cause, if only for a step. What has a cause is
-//! what the measure of braking without cause says (`measure::UnnecessaryBraking`), which counts what lasts 0.2 s.
+//! Columns count random scenarios. `hard`: braking harder than 4 m/s² where less than 3 m/s² was necessary. `needless`:
+//! braking more than 2 m/s² harder than necessary. `beyond 2`: braking harder than 2 m/s² where at most 2 m/s² was
+//! necessary (`UnnecessaryBraking::from_trace_above_limit`). `harder`: braking harder than 2 m/s² for any reason, even
+//! for one step. The measure `measure::UnnecessaryBraking` defines necessary braking and counts braking of at least 0.2
+//! s.
 
 use std::path::Path;
 
@@ -25,11 +26,11 @@ use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
 const SEED: u64 = 0x626f_7468;
-/// Draws that are simulated at once: each keeps its motion.
+/// Scenarios simulated at once: each keeps its trace.
 const BLOCK: u64 = 100;
-/// Most draws of each space: a day's work.
+/// Maximum number of random scenarios of each space: a day's work.
 const MAX_DRAWS: u64 = 1_000_000;
-/// Braking harder than this has to have a cause behind a leader that never brakes, in m/s².
+/// Limit of braking that needs no reason behind a leader that never brakes, in m/s².
 const FIRM_BRAKE_MPS2: f64 = 2.0;
 
 #[derive(Default)]
@@ -47,7 +48,7 @@ struct SpaceTotals {
     induced_braking_mps2: Vec<f64>,
 }
 
-/// Contacts in the one space against jerk in the other make the front.
+/// The figure plots collisions in the first space against jerk in the second.
 const EMERGENCY_SPACE: &str = "high-risk";
 const TRAFFIC_SPACE: &str = "traffic";
 
@@ -55,15 +56,14 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     print_measurements(&SpaceComparisonArgs::parse(arguments.iter().cloned())?)
 }
 
-/// A mark of the figure, and a line of a table of them.
 #[derive(Clone, serde::Deserialize)]
 struct ParetoPoint {
     name: String,
-    /// Rms of jerk in `traffic`.
+    /// RMS jerk in `traffic`.
     jerk_mps3: f64,
-    /// Of draws of `high-risk`.
+    /// Share of random scenarios of `high-risk`.
     contacts_percent: f64,
-    /// Whether it is no rule, but was trained.
+    /// True for a trained policy.
     #[serde(skip, default = "default_true")]
     is_trained: bool,
 }
@@ -78,7 +78,6 @@ impl ParetoPoint {
     }
 }
 
-/// What the arguments ask for.
 struct SpaceComparisonArgs {
     draws: u64,
     controllers: Vec<NamedController>,
@@ -175,7 +174,7 @@ fn print_measurements(
     Ok(())
 }
 
-/// Safety against comfort: the better, the nearer to the lower left corner.
+/// Plots safety against comfort; the lower left corner is best.
 fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
     let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
@@ -190,7 +189,7 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
         let nearest = others.min_by(|a, b| apart(a, &at).total_cmp(&apart(b, &at)));
         let marker = if mark.is_trained { Marker::Ring } else { Marker::Cross };
         panel.add_markers(&[at], marker, Ink::Series(usize::from(mark.is_trained)));
-        // The name is on the other side of its mark than the nearest mark.
+        // The label is on the side away from the nearest mark.
         let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
         let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };
         panel.add_note((at.0 + side * most, at.1), anchor, &mark.name, Ink::Muted);
@@ -208,9 +207,9 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
 
 /// Braking harder than [`FIRM_BRAKE_MPS2`] in a run.
 struct FirmBraking {
-    /// Where no more than that had a cause.
+    /// True if no more than that was necessary.
     is_unnecessary: bool,
-    /// Whatever its cause.
+    /// True for any reason.
     is_present: bool,
 }
 

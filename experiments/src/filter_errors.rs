@@ -1,18 +1,18 @@
-//! Prints the `observation_error` of a box: six standard deviations of each number that the Kalman filter gives in a built-in scenario,
-//! times a factor (1 unless it is said), so that `crumple verify reach --box` can be asked what it proves within such errors:
+//! Prints the `observation_error` of a box for `crumple verify reach --box`: six standard deviations of each Kalman
+//! filter output in a built-in scenario, times a factor (1 by default):
 //!
 //! ```text
 //! cargo run --release -p crumple-experiments -- filter_errors paper-1 0.03
 //! ```
 //!
-//! Noise alone, in steady state before a measurement: what another vehicle's braking adds while the filter follows is left out. Speeds and
-//! accelerations of others are the own one's and what the filter of the gap says; the noise of the two is independent.
+//! Covers noise only, in steady state before a measurement, without the lag after another vehicle brakes. Speeds and
+//! accelerations of neighbours combine the ego's estimates and those of the gap filter, whose noise is independent.
 
 use crate::ExperimentError;
 use crumple_world::estimate::EgoTuning;
 use crumple_world::scenario::built_in_scenario;
 
-/// As for the shield.
+/// Number of standard deviations, as for the shield.
 const DEVIATIONS: f64 = 6.0;
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {

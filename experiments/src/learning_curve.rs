@@ -1,10 +1,11 @@
-//! The learning curve of trainings whose evaluations are in a table, as `reports/training-evaluations.csv` has them, and what the paper
-//! states of its own.
+//! Plots the learning curve of trainings from a table of evaluations, such as `reports/training-evaluations.csv`,
+//! together with the values that the paper states.
 //!
 //! ```sh
-//! cargo run --release -p crumple-experiments -- learning_curve reports/training-evaluations.csv paper-net-to-the-end curve.svg
+//! cargo run --release -p crumple-experiments -- \
+//!   learning_curve reports/training-evaluations.csv paper-net-to-the-end curve.svg
 //! ```
-//! The paper's figure 3 has no numbers to draw it from. Its text has two: convergence at approximately the 400th episode, with a reward
+//! The paper's figure 3 has no numbers. Its text has two: convergence at approximately the 400th episode, with a reward
 //! of 22 500.
 
 use std::collections::BTreeMap;
@@ -13,7 +14,7 @@ use crate::ExperimentError;
 use crumple_report::figures::{StatedConvergence, draw_learning_curve_with_reference};
 use crumple_world::policy::{COLLISION_FREE_REWARD, LearningCurve};
 
-/// A line of the table; what else it says is not drawn.
+/// A row of the table; other columns are ignored.
 #[derive(serde::Deserialize)]
 struct EvaluationRow {
     configuration: String,
@@ -22,7 +23,7 @@ struct EvaluationRow {
     mean_reward: f64,
 }
 
-/// Section "DDPG training result".
+/// Stated in section "DDPG training result".
 const PAPER_CONVERGENCE: StatedConvergence<'static> =
     StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
 

@@ -1,6 +1,7 @@
-//! Runs the experiments behind the reports and the corpora: `cargo run --release -p crumple-experiments -- NAME [ARGUMENT...]`.
+//! Runs the experiments behind the reports and the corpora: `cargo run --release -p crumple-experiments -- NAME
+//! [ARGUMENT...]`.
 //!
-//! Each module states what it prints and what its arguments are. Without a name the program lists the experiments.
+//! Each module documents its output and arguments. Without a name the program lists the experiments.
 
 mod behind_recorded;
 mod both_sides;
@@ -15,10 +16,8 @@ mod worst_case_comparison;
 
 use std::process::ExitCode;
 
-/// A reason why an experiment did not run.
 type ExperimentError = Box<dyn std::error::Error + Send + Sync>;
 
-/// An experiment that the command line names.
 struct Experiment {
     name: &'static str,
     arguments: &'static str,

@@ -4,7 +4,7 @@
 //! cargo run --release -p crumple-experiments -- scenario_of_input fuzz/artifacts/scenario/crash-1234 > found.toml
 //! ```
 //!
-//! `CRUMPLE_CONTROLLER` is what it was for the fuzzer: `baseline` if it is not set, `any` for the input's own choice.
+//! `CRUMPLE_CONTROLLER` must have the fuzzer's value: `baseline` by default, `any` if the input chooses.
 
 use crate::ExperimentError;
 use crumple_fuzzing::CollisionSearch;

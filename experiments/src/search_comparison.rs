@@ -1,12 +1,12 @@
-//! What `auto` finds beside the searches it is made of: in all built-in spaces, over some seeds, with a test of chance.
+//! Compares `auto` with the methods it consists of, in all built-in scenario spaces, over several seeds, with a test of
+//! chance.
 //!
 //! ```sh
 //! cargo run --release -p crumple-experiments -- search_comparison 1000 5        # evaluations of each method, seeds
 //! ```
-//! Each space is searched under a controller that fails in it, but seldom. Methods are compared by the evaluations to the first
-//! failure, by the smallest robustness, and by the kinds of failures (who hits whom, and how); `p` is the exact permutation test of the
-//! means: how often chance alone would leave `auto` as far behind the best of the others as it is, or farther. Where it is not
-//! behind there is nothing to test.
+//! Each space is searched with a controller that seldom fails in it. Measures are the evaluations to the first failure,
+//! the smallest robustness, and the number of kinds of failures. `p` is the p-value of the exact one-sided permutation
+//! test that `auto` is worse than the best other method; it is omitted if the mean of `auto` is not worse.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use crumple::world::scenario::space::built_in_space;
 use crumple::world::sim::NamedController;
 use crumple::{Campaign, CampaignOptions, CampaignSummary, Method, Quiet};
 
-/// Every built-in space, and who seldom fails in it.
+/// Every built-in scenario space, and a controller that seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
     ("paper", "match-leader"),
     ("high-risk", "retrained"),
@@ -29,21 +29,20 @@ const PROBLEMS: [(&str, &str); 8] = [
 
 const METHODS: [Method; 4] = [Method::Auto, Method::CmaEs, Method::Uniform, Method::Halton];
 
-/// What is compared: its name, and whether more of it is better.
 const MEASURES: [(&str, bool); 3] =
     [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
 
-/// What a method reached by one seed, in the order of [`MEASURES`].
+/// Returns the results of a method with one seed, in the order of [`MEASURES`].
 fn method_measures(summary: &CampaignSummary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
     let of_method = summary.methods.iter().find(|one| one.method == name)?;
     let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
-    // None within the budget counts as one more than it.
+    // No failure within the budget counts as one evaluation more.
     let first = of_method.first_falsification.unwrap_or(budget + 1);
     Some([first as f64, of_method.best_robustness?, kinds as f64])
 }
 
-/// The share of all ways to deal the values out to both sides that leave the first at least as far above the second.
+/// Returns the share of permutations in which the first mean exceeds the second by at least as much.
 fn permutation_p_value(above: &[f64], below: &[f64]) -> f64 {
     let all = [above, below].concat();
     let total: f64 = all.iter().sum();
@@ -74,7 +73,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     for (space, controller) in PROBLEMS {
         let mut found: [[Vec<f64>; 3]; METHODS.len()] = Default::default();
         for seed in 0..seeds {
-            // Both campaigns bring `uniform` and `halton` along, as reference searches.
+            // Both campaigns also run `uniform` and `halton`, as reference searches.
             let [with_auto, with_cma_es] =
                 [Method::Auto, Method::CmaEs].map(|method| run_campaign(space, controller, method, budget, seed));
             let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
@@ -85,7 +84,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
             }
         }
         for (measure, (name, more_is_better)) in MEASURES.into_iter().enumerate() {
-            // So that less is better in all of them.
+            // Change signs so that smaller is better.
             let sign = if more_is_better { -1.0 } else { 1.0 };
             let signed: Vec<Vec<f64>> =
                 found.iter().map(|of| of[measure].iter().map(|value| sign * value).collect()).collect();

@@ -1,4 +1,4 @@
-//! Prints a box of `crumple verify reach --box` with each of its ranges shrunk about its middle to a share of its width:
+//! Prints a box of `crumple verify reach --box` with each range reduced about its centre to a share of its width:
 //!
 //! ```text
 //! cargo run --release -p crumple-experiments -- smaller_box corpora/boxes/paper-1.toml 0.03

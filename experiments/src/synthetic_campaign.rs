@@ -1,12 +1,11 @@
-//! Shards of a count that nobody made: folders as `crumple verify rate --shard` leaves them, with invented results, to measure what it
-//! takes to put many of them together.
+//! Writes shards of `crumple verify rate --shard` with invented results, to measure the cost of merging many shards.
 //!
 //! ```sh
 //! cargo run --release -p crumple-experiments -- synthetic_campaign /dev/shm/campaign 1000000000 10000
 //! time crumple merge /dev/shm/campaign/shards/* --out /dev/shm/campaign/rate
 //! ```
 //!
-//! The certificate that comes of it is refused by `crumple check --rerun`, as every invented count is.
+//! `crumple check --rerun` rejects the resulting certificate, as it does every invented count.
 
 use std::path::Path;
 
@@ -34,7 +33,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         .try_for_each(|index| write_shard(&plan, ShardId::new(index, of)?, &root.join(index.to_string())))
 }
 
-/// A failure in every hundredth block.
+/// Writes a shard with a failure in every hundredth block.
 fn write_shard(plan: &RatePlan, shard: ShardId, folder: &Path) -> Result<(), ExperimentError> {
     let says = serde_json::json!({ "version": 1, "shard": shard, "count": plan.record() });
     let configuration = serde_json::to_string_pretty(&says)? + "\n";

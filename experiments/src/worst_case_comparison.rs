@@ -1,6 +1,7 @@
-//! What convex programming finds, beside what sampling and searching find within the same envelope and budget.
+//! Compares worst-case profiles of convex programming with those of sampling and searches, in the same envelope and
+//! budget.
 //!
-//! `cargo run --release -p crumple-experiments -- worst_case_comparison`: the tables of reports/worst-case.md.
+//! `cargo run --release -p crumple-experiments -- worst_case_comparison` prints the tables of reports/worst-case.md.
 
 use crate::ExperimentError;
 use crumple_core::observer::Quiet;
@@ -13,13 +14,11 @@ use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batc
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Accelerations are held over a tenth of a second, as the programs hold them.
 const CELL_S: f64 = 0.1;
 const SAMPLES: usize = 100_000;
 const BATCH: usize = 1000;
 const SEEDS: u64 = 5;
 const BUDGET: usize = 3000;
-/// As many knots as the sequential program has.
 const KNOTS: usize = 26;
 
 pub(crate) fn run(_: &[String]) -> Result<(), ExperimentError> {
@@ -63,8 +62,8 @@ fn compare_with_samples() {
     }
 }
 
-/// Braking in one to six pieces with uniform borders and uniform decelerations up to the hardest (of one sample: `is_scaled`
-/// draws it uniformly too), followed as fast as the jerk allows.
+/// Returns braking in one to six pieces with uniform borders and uniform decelerations up to the maximum (of one sample
+/// with `is_scaled`, itself uniform), followed as fast as the jerk limit allows.
 fn random_profile(
     scenario: &Scenario,
     envelope: Envelope,
@@ -84,7 +83,7 @@ fn random_profile(
     limit_jerk((0..cell_count(scenario)).map(wanted), envelope)
 }
 
-/// Part 2: the sequential program against `policy`, and the mildest collision each search finds with as many simulations.
+/// Part 2: the sequential program against `policy`, and the mildest collision of each search with as many simulations.
 fn compare_with_searches() {
     println!(
         "\n| scenario | seed | sequential ∫a² | simulations | auto | auto, told of the leader | cma-es | uniform | \
@@ -120,10 +119,10 @@ fn compare_with_searches() {
     }
 }
 
-/// The least ∫a² of a collision that a search finds with a number of simulations; infinite if it finds none.
+/// Returns the least ∫a² of a collision that a search finds with a number of simulations; infinite if it finds none.
 ///
-/// A point is a deceleration at each knot, linear between them. Robustness is the smallest gap, and of a collision the more
-/// negative the milder it is.
+/// A point is a deceleration at each knot, linear between them. Robustness is the smallest gap; for a collision, it is
+/// the more negative the milder the profile is.
 fn mildest_of_search(
     method: &Method,
     cube: &UnitCube,
@@ -188,7 +187,7 @@ fn effort_m2ps3(profile: &[f64]) -> f64 {
     profile.iter().map(|a| a * a * CELL_S).sum()
 }
 
-/// What each profile of the leader ends in, and the smallest gap in metres.
+/// Simulates each profile of the leader. Returns the outcomes and the smallest gaps in metres.
 fn simulate_profiles(scenario: &Scenario, options: &RunOptions, profiles: &[Vec<f64>]) -> Vec<(Outcome, f64)> {
     let scripted = |profile: &Vec<f64>| {
         let from_s = (0..profile.len()).map(|cell| cell as f64 * CELL_S).collect();

@@ -1,4 +1,4 @@
-//! Checks the answers of the program to bad arguments, and the boxes that the documentation makes with it.
+//! Checks answers of the program to bad arguments, and boxes in the documentation that the program prints.
 #![allow(clippy::unwrap_used, reason = "everything here is a test")]
 
 use std::path::Path;

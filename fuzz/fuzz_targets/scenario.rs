@@ -1,5 +1,5 @@
-//! Any scenario under CRUMPLE_CONTROLLER: `baseline` by default, `any` if the input chooses. A process or an FMU is refused.
-//! Collisions go to the folder CRUMPLE_COLLISIONS, one file for each kind; broken laws are crashes.
+//! Any scenario under CRUMPLE_CONTROLLER: `baseline` by default, `any` if the input chooses. A process or an FMU is
+//! refused. Collisions go to the folder CRUMPLE_COLLISIONS, one file for each kind; violated invariants are crashes.
 #![no_main]
 
 use std::path::Path;
@@ -9,16 +9,16 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use crumple_fuzzing::{CollisionSearch, TEST_CASE_BYTES, behaviour};
 use libfuzzer_sys::{Corpus, fuzz_target};
 
-/// What libFuzzer reads beside the code that was reached. It sets all to zero before each run, a word at a time; nothing
-/// here reads them, so the compiler must be told that they are used.
+/// Counters that libFuzzer reads in addition to the code coverage. It zeroes them before each run, a word at a time. No
+/// Rust code reads them, hence `#[used]`.
 #[repr(align(8))]
 struct Counters([AtomicU8; behaviour::FEATURES.next_multiple_of(8)]);
 #[used]
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
 static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURES.next_multiple_of(8)]);
 
-/// The search, or the end of the program with exit code 2. Created before the first input: afterwards libFuzzer reports an exit as a
-/// crash of that input.
+/// The search; a failure ends the program with exit code 2. Created before the first input, since libFuzzer reports a
+/// later exit as a crash of that input.
 static SEARCH: LazyLock<CollisionSearch> = LazyLock::new(|| {
     let named = |name: &str| std::env::var(name).ok();
     let (controller, folder) = (named("CRUMPLE_CONTROLLER"), named("CRUMPLE_COLLISIONS"));

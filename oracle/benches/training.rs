@@ -1,9 +1,9 @@
-//! Training and acting: time of one update and of one decision.
+//! Training and inference: time of one update and of one decision.
 //!
-//! `cargo bench -p crumple-oracle`. Compared in one run, on one thread unless it says otherwise: the update by hand, the plain
-//! formulation on candle, and the matrix products that an update contains, made by candle. The item counted is a floating-point
-//! operation of the matrix products, so that speeds can be set against three upper bounds: multiply-adds in registers, which
-//! nothing exceeds, and one large product by candle and by the project's own routine.
+//! `cargo bench -p crumple-oracle` compares the hand-written update, the plain formulation on candle, and the matrix
+//! products of an update on candle, in one run, on one thread unless stated. The counted item is a floating-point
+//! operation of the matrix products. Upper bounds are multiply-adds in registers, and one large product of candle and
+//! of this project.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
@@ -30,7 +30,7 @@ use networks::{
 };
 
 fn main() {
-    // One thread: trainings run side by side, not inside one product.
+    // One thread: trainings run in parallel, not the products of one training.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("threads");
     divan::main();
 }
@@ -38,7 +38,6 @@ fn main() {
 const PAPER: (&str, usize, usize) = ("3 x 256, batch 512", 256, 512);
 const FAST: (&str, usize, usize) = ("3 x 64, batch 128", 64, 128);
 
-/// What divan counts for some products.
 fn items_count(products: &[[usize; 3]]) -> ItemsCount {
     ItemsCount::new(operations(products))
 }
@@ -57,10 +56,10 @@ fn td3_update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize,
     bencher.counter(items_count(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
 }
 
-/// Two trainings side by side, an update each: twice the operations of one.
+/// Runs two trainings in parallel, an update each: twice the operations of one.
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
 fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
-    /// Multiply-adds of each training, at least: starting threads must not count.
+    /// Minimum number of multiply-adds of each training, so that starting threads is negligible.
     const WORK: usize = 200 << 20;
     let one = products(width, count, 1);
     let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
@@ -106,7 +105,7 @@ fn a_large_product_on_candle(bencher: Bencher<'_, '_>) {
     bencher.counter(items_count(&[[LARGE_PRODUCT_SIZE; 3]])).bench_local(|| left.matmul(&right).expect("shapes fit"));
 }
 
-/// A wide network acts on many states: one large product, and little else.
+/// Measures a wide network on many states: one large product, and little else.
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
     let (mut learner, states, operations) = large_product();
@@ -114,10 +113,9 @@ fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
     bencher.counter(counter).bench_local(|| learner.act(&states)[0]);
 }
 
-/// Multiply-adds with all operands in registers, in as many independent sums as hide their latency.
+/// Multiply-adds with all operands in registers, in enough independent sums to hide their latency.
 struct RegisterMultiplyAdds(usize);
 
-/// Independent sums.
 const SUMS: usize = 16;
 
 impl WithSimd for RegisterMultiplyAdds {
@@ -128,7 +126,7 @@ impl WithSimd for RegisterMultiplyAdds {
         let (factor, term) = divan::black_box((simd.splat_f32s(0.999), simd.splat_f32s(0.5)));
         let mut sums = [simd.splat_f32s(1.0); SUMS];
         for _ in 0..self.0 {
-            // A loop, since a closure would not be compiled for the wide registers.
+            // A loop: a closure would not be compiled for the wide registers.
             for sum in &mut sums {
                 *sum = simd.mul_add_f32s(*sum, factor, term);
             }
@@ -141,7 +139,7 @@ impl WithSimd for RegisterMultiplyAdds {
     }
 }
 
-/// How many numbers a vector register of this machine holds.
+/// Number of elements of a vector register of this machine.
 struct SimdWidth;
 
 impl WithSimd for SimdWidth {
@@ -181,7 +179,8 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     });
 }
 
-/// 512 runs of the paper's distribution in lockstep, a decision every step, everything included but the draw of the scenarios.
+/// Simulates 512 runs of the paper's distribution in a batch, with a decision at every step, without generating the
+/// scenarios.
 #[divan::bench(args = [64, 256], sample_count = 5, sample_size = 1)]
 fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
     let policy = Arc::new(random_policy(width));

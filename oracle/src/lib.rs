@@ -1,7 +1,7 @@
 //! The update of [`Learner`] on candle's tensors and automatic differentiation, with the options of TD3.
 //!
-//! Slow and easy to believe: `tests/updates.rs` compares what [`Learner`] computes by hand with it, and `benches/training.rs`
-//! compares their speeds. A workspace member of its own, because candle brings 66 packages that nothing else needs.
+//! A slow reference: `tests/updates.rs` compares the results of [`Learner`] with it, and `benches/training.rs` the
+//! speeds. A separate workspace member, because candle brings 66 packages that no other crate needs.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
@@ -12,7 +12,7 @@ use crumple_learn::rl::{Batch, Learner, LearningConfig, Losses, Td3Config, Train
 use crumple_world::policy::Network;
 use crumple_world::random::Stream;
 
-/// Actor, critics and targets as candle sees them.
+/// Actor, critics and targets on candle.
 pub struct ReferenceLearner {
     actor: NetworkWithTarget,
     critics: Vec<NetworkWithTarget>,
@@ -21,7 +21,6 @@ pub struct ReferenceLearner {
     updates: u64,
 }
 
-/// A network, its target and its optimiser.
 struct NetworkWithTarget {
     network: Mlp,
     target: Mlp,
@@ -37,13 +36,13 @@ impl NetworkWithTarget {
     }
 }
 
-/// A network whose variables are kept in order, weights and biases by turns.
+/// A network with ordered variables: weights and biases alternate.
 struct Mlp {
     vars: Vec<Var>,
 }
 
 impl Mlp {
-    /// candle's layers hold one row an output, ours one row an input.
+    /// candle's layers have one row per output, crumple's one row per input.
     fn new(network: &Network) -> Result<Self> {
         let mut vars = Vec::new();
         let mut rest = network.parameters();
@@ -79,7 +78,7 @@ impl Mlp {
         Ok(())
     }
 
-    /// One value for each variable, in the order of [`Network::parameters`].
+    /// Returns one value for each variable, in the order of [`Network::parameters`].
     fn flatten(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
         let mut all = Vec::new();
         for layer in self.vars.chunks_exact(2) {
@@ -90,13 +89,12 @@ impl Mlp {
     }
 }
 
-/// A batch as tensors.
 struct BatchTensors {
     states: Tensor,
     actions: Tensor,
     rewards: Tensor,
     next_states: Tensor,
-    /// What critics know besides, now and next.
+    /// Privileged inputs of the critics, now and next.
     privileged: [Tensor; 2],
     continues: Tensor,
 }
@@ -119,14 +117,13 @@ impl BatchTensors {
     }
 }
 
-/// Gradients of each critic, and of the actor.
 type Gradients = (Vec<Vec<f32>>, Vec<f32>);
 
 impl ReferenceLearner {
-    /// The networks of a learner that has made no update.
+    /// Creates the networks of a learner before its first update.
     ///
     /// # Errors
-    /// candle's, in principle.
+    /// Errors of candle.
     pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
         Ok(Self {
             actor: NetworkWithTarget::new(&learner.actor, learning.actor_rate)?,
@@ -141,8 +138,8 @@ impl ReferenceLearner {
         })
     }
 
-    /// y: the reward, and the discounted value of what follows by the least of the critics' targets, at the actor target's
-    /// action with a little noise.
+    /// Computes TD targets: the reward plus the discounted minimum over the target critics, at the target actor's
+    /// action with noise.
     fn td_targets(&self, rows: &BatchTensors, noise: &mut Stream) -> Result<Tensor> {
         let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
         if self.td3.target_noise > 0.0 {
@@ -187,10 +184,10 @@ impl ReferenceLearner {
         penalties? - values.mean_all()?
     }
 
-    /// One update. `noise` feeds target smoothing, one normal number a transition, in order.
+    /// Performs one update. `noise` supplies target smoothing: one normal number per transition, in order.
     ///
     /// # Errors
-    /// candle's, in principle.
+    /// Errors of candle.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
         let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
@@ -214,10 +211,10 @@ impl ReferenceLearner {
         Ok(losses)
     }
 
-    /// Gradients of each critic and of the actor at the present weights.
+    /// Computes the gradients of each critic and of the actor at the present weights.
     ///
     /// # Errors
-    /// candle's, in principle.
+    /// Errors of candle.
     pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
         let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
@@ -233,10 +230,10 @@ impl ReferenceLearner {
         Ok((critics.collect::<Result<_>>()?, of(&self.actor.network, self.actor_loss(&rows)?)?))
     }
 
-    /// Parameters of every network, each followed by its target's: the actor, then the critics.
+    /// Returns the parameters of every network, each followed by those of its target: the actor, then the critics.
     ///
     /// # Errors
-    /// candle's, in principle.
+    /// Errors of candle.
     pub fn parameters(&self) -> Result<Vec<Vec<f32>>> {
         let networks = self.trained_networks().flat_map(|pair| [&pair.network, &pair.target]);
         networks.map(|network| network.flatten(|var| Ok(var.as_tensor().clone()))).collect()

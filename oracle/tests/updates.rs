@@ -8,13 +8,13 @@ use crumple_world::random::{Purpose, Stream, stream};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
-/// Numbers of an observation with one earlier decision.
+/// Length of an observation with one earlier decision.
 const OBSERVATION_SIZE: usize = 2 * STATE_LEN;
 
 fn config(hidden: &[usize]) -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = hidden.to_vec();
-    // Large output weights: every gradient is well above rounding.
+    // Large output weights keep every gradient well above rounding.
     config.network.final_layer_bound = 1.0;
     config.environment.observation.history = 2;
     config.learning.privileged_critic = true;
@@ -22,7 +22,6 @@ fn config(hidden: &[usize]) -> TrainingConfig {
     config
 }
 
-/// Draws transitions for a critic that knows `privileged` numbers more than the actor.
 fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
     let mut stream = Stream::seed_from_u64(seed);
     let mut batch = Batch::default();
@@ -46,7 +45,8 @@ fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(12))]
 
-    /// Compares gradients and, over several updates, parameters, targets and losses: DDPG, and TD3 with any of its options.
+    /// Compares gradients and, over several updates, parameters, targets and losses: DDPG, and TD3 with any of its
+    /// options.
     #[test]
     fn updates_agree_with_candle(
         seed: u64,
@@ -66,7 +66,7 @@ proptest! {
             found.len() == expected.len()
                 && found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
         };
-        // A critic sees the observation, privileged numbers and the action.
+        // A critic's inputs are the observation, privileged numbers and the action.
         let privileged = learner.critics[0].network.sizes()[0] - OBSERVATION_SIZE - 1;
         let first = batch(seed, count, privileged);
         let [mut noise, mut oracle_noise] = noises();

@@ -1,6 +1,6 @@
-"""Time of a campaign with crumple's policy, and with the same network as a batch callable in NumPy.
+"""Measures a campaign with crumple's policy, and with the same network as a batch callable in NumPy.
 
-`RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benches/batch_callable.py`, from anywhere in the repository's `python`.
+Run `RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benches/batch_callable.py` in the folder `python`.
 """
 
 import json
@@ -16,7 +16,7 @@ POLICY = Path(__file__).parents[2] / "corpora/policy/reference.safetensors"
 
 
 class Policy:
-    """A policy file, in NumPy."""
+    """Policy file, evaluated in NumPy."""
 
     def __init__(self, path):
         data = path.read_bytes()
@@ -35,7 +35,7 @@ class Policy:
         self.layers = [(tensor(f"actor.{i}.weight"), tensor(f"actor.{i}.bias")) for i in range(len(facts["hidden"]) + 1)]
 
     def __call__(self, rows):
-        """Accelerations for rows of observations."""
+        """Returns accelerations for rows of observations."""
         x = ((rows - self.offset) / self.scale).clip(-self.limit, self.limit).astype(np.float32)
         for index, (weight, bias) in enumerate(self.layers):
             x = x @ weight + bias
@@ -44,8 +44,8 @@ class Policy:
         return self.low_mps2 + share * (self.high_mps2 - self.low_mps2)
 
 
-def seconds(controller):
-    """The shortest of three campaigns, and what it found."""
+def time_campaign(controller):
+    """Returns the shortest time of three campaigns, and the result of the last one."""
     best, found = float("inf"), None
     for _ in range(3):
         begun = time.process_time()
@@ -55,10 +55,10 @@ def seconds(controller):
 
 
 def main():
-    """Print both, and their ratio."""
+    """Prints both times and their ratio."""
     policy = Policy(POLICY)
-    inside, of_inside = seconds(str(POLICY))
-    python, of_python = seconds(crumple.Controller(policy, batch=True, interval_s=policy.interval_s, name="numpy"))
+    inside, of_inside = time_campaign(str(POLICY))
+    python, of_python = time_campaign(crumple.Controller(policy, batch=True, interval_s=policy.interval_s, name="numpy"))
     for name, taken, found in (("inside crumple", inside, of_inside), ("batch callable", python, of_python)):
         failures = found.summary["methods"][0]["failures"]
         print(f"{name}: {taken:.2f} s of the processor, {failures} failures of {found.summary['evaluations']}")

@@ -1,6 +1,7 @@
-"""Time of `crumple.monitor` and of rtamt, on the same formulas and traces.
+"""Measures `crumple.monitor` and rtamt on the same formulas and traces.
 
-`RAYON_NUM_THREADS=1 python benches/monitor.py [SAMPLES]`; needs rtamt. Times are the processor's; rtamt's without parsing.
+`RAYON_NUM_THREADS=1 python benches/monitor.py [SAMPLES]`; needs rtamt. Prints processor times; those of rtamt exclude
+parsing.
 """
 
 import sys
@@ -20,8 +21,8 @@ FORMULAS = (
 )
 
 
-def shortest(work):
-    """The shortest of five times, in seconds."""
+def best_time_s(work):
+    """Returns the shortest of five times, in seconds."""
     best = float("inf")
     for _ in range(5):
         begun = time.process_time()
@@ -31,7 +32,7 @@ def shortest(work):
 
 
 def main(samples):
-    """Print a line for each formula."""
+    """Prints a line for each formula."""
     numbers = np.random.default_rng(0)
     signals = {name: numbers.uniform(-5, 5, samples) for name in "xy"}
     many = {name: numbers.uniform(-5, 5, (1000, samples)) for name in "xy"}
@@ -45,9 +46,9 @@ def main(samples):
                 spec.declare_var(name, "float")
             spec.spec = text
             spec.parse()
-            theirs = shortest(lambda spec=spec: spec.evaluate(data))
-        alone = shortest(lambda text=text: [crumple.monitor(text, signals, over_time=True) for _ in range(100)]) / 100
-        batch = shortest(lambda text=text: crumple.monitor(text, many, over_time=True)) / 1000
+            theirs = best_time_s(lambda spec=spec: spec.evaluate(data))
+        alone = best_time_s(lambda text=text: [crumple.monitor(text, signals, over_time=True) for _ in range(100)]) / 100
+        batch = best_time_s(lambda text=text: crumple.monitor(text, many, over_time=True)) / 1000
         print(
             f"  {text:<58} {1e3 * theirs:8.3f}  {1e3 * alone:7.4f} ({theirs / alone:5.0f})"
             f"  {1e3 * batch:7.4f} ({theirs / batch:5.0f})"

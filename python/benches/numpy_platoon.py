@@ -1,6 +1,6 @@
-"""A line of three vehicles as one would write it by hand in NumPy, many at once.
+"""Vector environment of three vehicles in plain NumPy, as a reference for speed.
 
-It does less: no noise, no filter, no instant of contact within a step, uniform draws, and no check of anything.
+It is simpler: no noise, no filter, no time of collision within a step, uniform distributions, and no checks.
 """
 
 import numpy as np
@@ -11,40 +11,40 @@ SCALE = np.array([16, 16, 12.5, 12.5, 12.5, 5, 5, 5])
 
 
 class NumpyPlatoon:
-    """A leader that brakes from some instant on, the agent, and a follower whose emergency brake latches."""
+    """Leader that brakes from a random time on, the agent, and a follower whose emergency brake latches."""
 
     def __init__(self, num_envs):
         self.num_envs = num_envs
 
     def reset(self, seed=None):
-        """Begin every episode."""
+        """Starts every episode."""
         self.random = np.random.default_rng(seed)
         shape = (self.num_envs, 3)
         self.position, self.speed, self.acceleration = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.time, self.brakes_at, self.brakes_with = np.zeros((3, self.num_envs))
         self.fired = np.zeros(self.num_envs, bool)
-        self.begin(np.ones(self.num_envs, bool))
-        return self.seen(), {}
+        self.reset_masked(np.ones(self.num_envs, bool))
+        return self.observe(), {}
 
-    def begin(self, which):
-        """Draw anew where ``which`` says so."""
-        count = int(which.sum())
+    def reset_masked(self, mask):
+        """Starts random episodes where ``mask`` is true."""
+        count = int(mask.sum())
         gaps = self.random.uniform(12, 25, (count, 2))
-        self.position[which] = -np.cumsum(np.concatenate([np.zeros((count, 1)), gaps + LENGTH_M], axis=1), axis=1)
-        self.speed[which] = self.random.uniform(15, 30, (count, 1))
-        self.acceleration[which] = 0.0
-        self.time[which], self.fired[which] = 0.0, False
-        self.brakes_at[which] = self.random.uniform(0, 5, count)
-        self.brakes_with[which] = self.random.uniform(2, 7, count)
+        self.position[mask] = -np.cumsum(np.concatenate([np.zeros((count, 1)), gaps + LENGTH_M], axis=1), axis=1)
+        self.speed[mask] = self.random.uniform(15, 30, (count, 1))
+        self.acceleration[mask] = 0.0
+        self.time[mask], self.fired[mask] = 0.0, False
+        self.brakes_at[mask] = self.random.uniform(0, 5, count)
+        self.brakes_with[mask] = self.random.uniform(2, 7, count)
 
-    def seen(self):
-        """The scaled state."""
+    def observe(self):
+        """Returns the scaled state."""
         gaps = self.position[:, :-1] - LENGTH_M - self.position[:, 1:]
         numbers = np.concatenate([gaps, self.speed, self.acceleration], axis=1)
         return ((numbers - OFFSET) / SCALE).clip(-LIMIT, LIMIT).astype(np.float32)
 
     def step(self, actions):
-        """Ten steps of the simulator."""
+        """Makes ten steps of the simulator."""
         wanted = -2.25 + 5.25 * actions[:, 0]
         touched = np.zeros(self.num_envs, bool)
         for _ in range(STEPS):
@@ -61,9 +61,9 @@ class NumpyPlatoon:
             touched |= (self.position[:, :-1] - LENGTH_M <= self.position[:, 1:]).any(axis=1)
         rewards = np.where(touched, -20.0, 1.0)
         late = self.time >= 15.0
-        states = self.seen()
+        states = self.observe()
         over = touched | late
         if over.any():
-            self.begin(over)
-            states = self.seen()
+            self.reset_masked(over)
+            states = self.observe()
         return states, rewards, touched, late, {}

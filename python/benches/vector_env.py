@@ -1,7 +1,7 @@
-"""Agent steps a second of the native vector environment, beside others: in `SyncVectorEnv`, by hand in NumPy, highway-env.
+"""Measures agent steps per second of the native vector environment, `SyncVectorEnv`, plain NumPy, and highway-env.
 
-`RAYON_NUM_THREADS=1 taskset -c 0 python benches/vector_env.py [ENVIRONMENTS]`; times are the processor's, of the process.
-highway-env is left out where it is not installed; one of its steps is one of its simulator, where crumple makes ten.
+`RAYON_NUM_THREADS=1 taskset -c 0 python benches/vector_env.py [ENVIRONMENTS]` measures processor time of the process.
+highway-env is optional; an agent step is one step of its simulator, and ten of crumple's.
 """
 
 import sys
@@ -17,24 +17,24 @@ import crumple
 from crumple.env import PlatoonEnv, PlatoonVectorEnv
 
 
-class Empty(gymnasium.Env):
-    """Nothing at all: what stepping in Python costs."""
+class NoOpEnv(gymnasium.Env):
+    """Environment that does nothing, to measure the overhead of Python."""
 
     observation_space = gymnasium.spaces.Box(-1.0, 1.0, (8,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
     state = np.zeros(8, np.float32)
 
     def reset(self, *, seed=None, options=None):
-        """Begin nothing."""
+        """Returns a constant state."""
         return self.state, {}
 
     def step(self, action):
-        """Do nothing."""
+        """Returns a constant result."""
         return self.state, 0.0, False, False, {}
 
 
-def steps_a_second(env, steps):
-    """The most of five measurements, with episodes that end and begin on the way."""
+def steps_per_second(env, steps):
+    """Returns the best of five measurements, resets included."""
     random = np.random.default_rng(0)
     actions = random.uniform(-0.3, 0.3, (steps, env.num_envs, 1)).astype(np.float32)
     env.reset(seed=0)
@@ -47,36 +47,37 @@ def steps_a_second(env, steps):
     return best
 
 
-class Flat(gymnasium.ActionWrapper):
-    """An action as highway-env wants it."""
+class FlattenAction(gymnasium.ActionWrapper):
+    """Wrapper that converts an action for highway-env."""
 
     def action(self, action):
-        """The same."""
+        """Returns the action as float32."""
         return np.asarray(action, np.float32)
 
 
-def highway():
-    """One lane, three vehicles, the agent's acceleration, a decision every 0.1 s."""
+def make_highway_env():
+    """Returns highway-env with one lane, three vehicles, and a decision on acceleration every 0.1 s."""
     import highway_env
 
     gymnasium.register_envs(highway_env)
     action = {"type": "ContinuousAction", "longitudinal": True, "lateral": False}
     config = {"vehicles_count": 2, "lanes_count": 1, "simulation_frequency": 10, "policy_frequency": 10, "action": action}
-    return Flat(gymnasium.make("highway-fast-v0", config=config))
+    return FlattenAction(gymnasium.make("highway-fast-v0", config=config))
 
 
 def main():
-    """Print a line for each."""
+    """Prints a line for each environment."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1024
     print(f"{count} environments, {len(crumple.space('paper').nominal())} vehicles, space `paper`, agent steps a second")
     for estimator in ("truth", "kalman"):
-        native = steps_a_second(PlatoonVectorEnv(count, estimator=estimator, copy=False), 150)
-        python = steps_a_second(SyncVectorEnv([lambda e=estimator: PlatoonEnv(estimator=e)] * count), 15)
+        native = steps_per_second(PlatoonVectorEnv(count, estimator=estimator, copy=False), 150)
+        python = steps_per_second(SyncVectorEnv([lambda e=estimator: PlatoonEnv(estimator=e)] * count), 15)
         print(f"  {estimator:<7} native {native:>11,.0f}   SyncVectorEnv {python:>9,.0f}   ratio {native / python:.1f}")
-    print(f"  by hand in NumPy {steps_a_second(NumpyPlatoon(count), 150):>9,.0f}")
+    print(f"  by hand in NumPy {steps_per_second(NumpyPlatoon(count), 150):>9,.0f}")
     if find_spec("highway_env") is not None:
-        print(f"  highway-env in SyncVectorEnv {steps_a_second(SyncVectorEnv([highway] * 8), 100):>9,.0f} (8 environments)")
-    print(f"  an empty environment in SyncVectorEnv {steps_a_second(SyncVectorEnv([Empty] * count), 15):>9,.0f}")
+        highway = SyncVectorEnv([make_highway_env] * 8)
+        print(f"  highway-env in SyncVectorEnv {steps_per_second(highway, 100):>9,.0f} (8 environments)")
+    print(f"  an empty environment in SyncVectorEnv {steps_per_second(SyncVectorEnv([NoOpEnv] * count), 15):>9,.0f}")
 
 
 main()

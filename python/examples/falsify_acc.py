@@ -1,9 +1,8 @@
-"""Searches for the scenarios in which an adaptive cruise control written by hand fails, and shows the worst.
+"""Searches for scenarios in which a simple adaptive cruise control fails, and shows the worst.
 
     python falsify_acc.py [BUDGET]
 
-Needs NumPy alone. The controller keeps a time gap with a speed loop around it, as many do; it knows nothing of how hard the
-vehicle ahead can brake.
+Needs only NumPy. The controller keeps a time gap and a set speed, and ignores how hard the leader can brake.
 """
 
 import sys
@@ -16,16 +15,16 @@ TIME_GAP_S, STANDSTILL_M, SET_SPEED_MPS = 1.0, 3.0, 33.0
 
 
 def cruise(rows):
-    """Accelerations for rows of ``crumple.OBSERVATION``."""
+    """Returns accelerations for rows of ``crumple.OBSERVATION``."""
     gap_m, ahead_mps, own_mps = rows[:, 0], rows[:, 2], rows[:, 3]
     free = 0.4 * (SET_SPEED_MPS - own_mps)
     follow = 0.25 * (gap_m - STANDSTILL_M - TIME_GAP_S * own_mps) + 0.9 * (ahead_mps - own_mps)
-    # Without a vehicle ahead its numbers are NaN, and the set speed decides.
+    # Without a leader its values are NaN, and the set speed decides.
     return np.clip(np.fmin(free, follow), -5.0, 2.0)
 
 
 def main(budget):
-    """Search, replay and draw; the failures that were found."""
+    """Searches, replays and draws failures; returns them."""
     acc = crumple.Controller(cruise, batch=True, interval_s=0.1, name="acc", identity=f"acc {TIME_GAP_S} {STANDSTILL_M}")
     found = crumple.falsify(acc, "high-risk", budget=budget)
     print(found)

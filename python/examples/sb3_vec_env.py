@@ -1,4 +1,4 @@
-"""crumple's vector environment as one of Stable-Baselines3."""
+"""Adapter of crumple's vector environment for Stable-Baselines3."""
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -8,10 +8,10 @@ from crumple.env import PlatoonVectorEnv
 
 
 class PlatoonVecEnv(VecEnv):
-    """Episodes of ``crumple/Platoon-v0`` side by side, for any learner of Stable-Baselines3.
+    """Vector environment of ``crumple/Platoon-v0`` for learners of Stable-Baselines3.
 
-    What is given beside the number of environments is given to :class:`crumple.env.PlatoonVectorEnv`. An episode that ended
-    at the end of its time counts as cut off (``TimeLimit.truncated``), so that learners go on to value what would follow.
+    ``settings`` are arguments of :class:`crumple.env.PlatoonVectorEnv`. An episode that reaches its time limit is
+    truncated (``TimeLimit.truncated``), so that learners bootstrap the value of its last state.
     """
 
     def __init__(self, num_envs, **settings):
@@ -21,7 +21,7 @@ class PlatoonVecEnv(VecEnv):
         super().__init__(num_envs, self.inner.single_observation_space, self.inner.single_action_space)
 
     def reset(self):
-        """Begin every episode; seeds are those of ``seed``, if it was called."""
+        """Starts every episode, with the seeds of ``seed`` if it was called."""
         first = self._seeds[0]
         states, _ = self.inner.reset(seed=None if first is None else int(first))
         self._reset_seeds()
@@ -29,11 +29,11 @@ class PlatoonVecEnv(VecEnv):
         return states
 
     def step_async(self, actions):
-        """Keep the actions for ``step_wait``."""
+        """Stores the actions for ``step_wait``."""
         self.actions = actions
 
     def step_wait(self):
-        """Hold the actions until the next decision."""
+        """Holds the actions until the next decision."""
         states, rewards, terminated, truncated, info = self.inner.step(self.actions)
         ended = terminated | truncated
         self.returns += rewards
@@ -49,21 +49,21 @@ class PlatoonVecEnv(VecEnv):
         return states, rewards, ended, infos
 
     def close(self):
-        """Nothing is open."""
+        """Closes the inner environment."""
         self.inner.close()
 
     def get_attr(self, attr_name, indices=None):
-        """The same for every environment: they are one object."""
+        """Returns the attribute of the inner environment for every environment."""
         return [getattr(self.inner, attr_name, None)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name, value, indices=None):
-        """Refused: the environments have no attributes of their own."""
+        """Raises an error, because the environments have no attributes of their own."""
         raise AttributeError(f"the environments have no `{attr_name}` of their own")
 
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
-        """Refused: the environments have no methods of their own."""
+        """Raises an error, because the environments have no methods of their own."""
         raise AttributeError(f"the environments have no `{method_name}` of their own")
 
     def env_is_wrapped(self, wrapper_class, indices=None):
-        """None is."""
+        """Returns False for every environment."""
         return [False] * len(list(self._get_indices(indices)))

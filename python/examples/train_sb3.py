@@ -1,10 +1,10 @@
-"""Trains PPO, SAC and TD3 of Stable-Baselines3 on crumple's task, and lets crumple judge the models beside its own policy.
+"""Trains PPO, SAC and TD3 of Stable-Baselines3 on crumple's task, and assesses the models and crumple's policy.
 
     pip install "../[gym]" stable-baselines3
     python train_sb3.py 200000
 
-Writes ppo.zip, sac.zip, td3.zip and the report `sb3-report/`. A model sees what crumple's own policies see, so its file
-drives as it is: `crumple falsify --controller sac.zip`.
+Writes ppo.zip, sac.zip, td3.zip and the report `sb3-report/`. A model has the observation of crumple's policies, so
+its file is a controller: `crumple falsify --controller sac.zip`.
 """
 
 import sys
@@ -17,8 +17,8 @@ import crumple
 SPACE = "high-risk"
 
 
-def trained(algorithm, name, steps, **settings):
-    """Train one model and save it; the path of its file."""
+def train(algorithm, name, steps, **settings):
+    """Trains and saves one model; returns the path of its file."""
     env = PlatoonVecEnv(64, space=SPACE, estimator="truth")
     env.seed(0)
     model = algorithm("MlpPolicy", env, seed=0, device="cpu", policy_kwargs={"net_arch": [64, 64]}, **settings)
@@ -28,12 +28,12 @@ def trained(algorithm, name, steps, **settings):
 
 
 def main(steps):
-    """Train, judge, and write the report; the assessment."""
+    """Trains and assesses the models, writes the report, and returns the assessment."""
     off_policy = {"learning_starts": min(10_000, steps // 2), "train_freq": 1, "gradient_steps": 1, "batch_size": 256}
     files = [
-        trained(PPO, "ppo", steps, n_steps=64, batch_size=512),
-        trained(SAC, "sac", steps, **off_policy),
-        trained(TD3, "td3", steps, **off_policy),
+        train(PPO, "ppo", steps, n_steps=64, batch_size=512),
+        train(SAC, "sac", steps, **off_policy),
+        train(TD3, "td3", steps, **off_policy),
     ]
     for file in files:
         found = crumple.falsify(file, SPACE, budget=100)

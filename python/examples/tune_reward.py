@@ -1,9 +1,9 @@
-"""Tunes the costs of a training's reward with Optuna: as few contacts as can be had without braking for nothing.
+"""Tunes the costs of a training's reward with Optuna, for few collisions and little unnecessary braking.
 
     pip install "../[gym]" stable-baselines3 optuna
     python tune_reward.py 20 50000
 
-What is tuned is a preset of `crumple train`, so what was found can be trained by crumple as well.
+The result is a preset of `crumple train`.
 """
 
 import sys
@@ -17,15 +17,15 @@ from stable_baselines3 import PPO
 import crumple
 
 
-def preset(costs):
-    """The preset `fast` with costs beside the paper's reward, as a text."""
+def preset_with_costs(costs):
+    """Returns the preset `fast` with these costs, as a text."""
     lines = "".join(f"{name} = {value!r}\n" for name, value in costs.items())
     return f"{crumple.training_preset('fast')}\n[environment.costs]\n{lines}"
 
 
 def score(costs, steps):
-    """Train with these costs; draws of danger that end in contact, and how hard the model brakes in traffic, in m/s²."""
-    env = PlatoonVecEnv(64, space="high-risk", estimator="truth", preset=preset(costs))
+    """Trains with these costs; returns the collision rate in danger, and the mean peak braking in traffic in m/s²."""
+    env = PlatoonVecEnv(64, space="high-risk", estimator="truth", preset=preset_with_costs(costs))
     env.seed(0)
     model = PPO("MlpPolicy", env, seed=0, device="cpu", n_steps=64, batch_size=512)
     model.learn(steps)
@@ -40,7 +40,7 @@ def score(costs, steps):
 
 
 def main(trials, steps):
-    """Tune; the study."""
+    """Tunes the costs and returns the study."""
 
     def objective(trial):
         costs = {name: trial.suggest_float(name, 0.0, 1.0) for name in ("far", "relative_speed", "needless")}

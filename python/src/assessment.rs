@@ -1,4 +1,4 @@
-//! Assessments: which controller is safer, how we know, and where it still fails.
+//! Assessments of controllers.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -17,41 +17,41 @@ use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
 use crate::values::serialize_to_python;
 
-/// Everything that an assessment found out.
+/// Result of an assessment.
 #[pyclass(name = "Assessment", frozen, module = "crumple")]
 pub(crate) struct PyAssessment(report::AssessmentReport);
 
 #[pymethods]
 impl PyAssessment {
-    /// What `assessment.json` says.
+    /// Returns the content of `assessment.json`.
     #[getter]
     fn evidence<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         serialize_to_python(py, &self.0)
     }
 
-    /// The gates of the configuration: what must hold, whether it does, and why.
+    /// Returns the gates of the configuration: condition, result, and reason.
     #[getter]
     fn gates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         serialize_to_python(py, &self.0.summary.gates)
     }
 
-    /// Whether every gate holds.
+    /// True if every gate holds.
     #[getter]
     fn passed(&self) -> bool {
         self.0.summary.gates.iter().all(|gate| gate.holds)
     }
 
-    /// The whole report as one page.
+    /// Returns the report as one page of HTML.
     fn html(&self) -> String {
         self.0.to_html()
     }
 
-    /// The whole report as Markdown, without figures.
+    /// Returns the report as Markdown, without figures.
     fn markdown(&self) -> String {
         self.0.to_markdown()
     }
 
-    /// Every file of the report by its path in the report's folder.
+    /// Returns every file of the report by its path in the report's folder.
     fn files<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let files = self.0.files().map_err(|error| errors::exception(py, ExceptionClass::Assessment, &error))?;
         let dict = PyDict::new(py);
@@ -61,7 +61,7 @@ impl PyAssessment {
         Ok(dict)
     }
 
-    /// The first page, for a notebook: a frame of its own, so that neither's style changes the other.
+    /// Returns the first page for a notebook. A frame separates the styles of page and notebook.
     fn _repr_html_(&self) -> String {
         let page = self.0.first_page_to_html();
         let quoted = page.replace('&', "&amp;").replace('"', "&quot;");
@@ -77,7 +77,7 @@ impl PyAssessment {
     }
 }
 
-/// Gathers the evidence that a configuration asks for: of a file, or of a text in TOML or JSON; the built-in one without.
+/// Gathers the evidence of a configuration: a file, a text in TOML or JSON, or by default the built-in one.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn assess(
@@ -122,7 +122,7 @@ pub(crate) fn assess(
     Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
 }
 
-/// The configuration that a file or a text states, and where files that it names are.
+/// Reads the configuration from a file or a text; returns it with the folder of the files that it names.
 fn read_config(
     py: Python<'_>,
     path: Option<&Path>,

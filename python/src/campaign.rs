@@ -1,4 +1,4 @@
-//! Searches for failures.
+//! Falsification campaigns.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// Searches a space for failures of a controller; the campaign's summary, and the same as text.
+/// Searches a space for counterexamples. Returns the campaign's summary as data and as text.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn falsify<'py>(

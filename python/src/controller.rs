@@ -13,13 +13,12 @@ use pyo3::prelude::*;
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::StopFlag;
 
-/// Most characters of a traceback that a failure carries: its end.
+/// Maximum number of characters of a traceback in a failure, which keeps the end.
 const MAX_TRACEBACK_CHARS: usize = 4000;
 
-/// Numbers of a row of a batch.
 const ROW_WIDTH: usize = 8;
 
-/// What a controller may see. Numbers of a vehicle that is not there are None.
+/// Observation of a controller. Values of an absent vehicle are None.
 #[pyclass(name = "Observation", frozen, get_all, module = "crumple")]
 #[derive(Debug)]
 pub(crate) struct PyObservation {
@@ -55,7 +54,7 @@ impl PyObservation {
         }
     }
 
-    /// The row of a batch, in the paper's order; what is not there is not a number.
+    /// Returns the row of a batch in the paper's order; values of an absent vehicle are NaN.
     fn row(seen: &Seen) -> [f64; ROW_WIDTH] {
         const ABSENT: Neighbour = Neighbour { gap_m: f64::NAN, speed_mps: f64::NAN, acceleration_mps2: f64::NAN };
         let (ahead, behind) = (seen.ahead.unwrap_or(ABSENT), seen.behind.unwrap_or(ABSENT));
@@ -72,14 +71,14 @@ impl PyObservation {
     }
 }
 
-/// Allows this process to start the programs and to load the FMUs that files name, as `--allow-external` does. Without it only
-/// controllers that a call names start. Cannot be undone.
+/// Allows this process to start the programs and to load the FMUs that files name, like `--allow-external`. Without it,
+/// only controllers that a call names start. Cannot be undone.
 #[pyfunction]
 pub(crate) fn allow_external() {
     crumple_world::control::allow_external();
 }
 
-/// A name as on the command line, or a `crumple.Controller`.
+/// Resolves a name as on the command line, or a `crumple.Controller`.
 pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
@@ -106,18 +105,17 @@ pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag)
     Ok(NamedController::from_source(&name, Arc::new(PythonSource { callable: called, interval_s, identity })))
 }
 
-/// How a callable is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum CallMode {
-    /// With an observation.
+    /// Takes an observation.
     Single,
-    /// With an array of them.
+    /// Takes an array of observations.
     Batch,
-    /// It makes a callable for each run, which is asked with an observation.
+    /// Creates, for each run, a callable that takes an observation.
     PerRun,
 }
 
-/// A callable, and when not to call it any more.
+/// Callable that is not called any more once `stop` is set.
 struct PythonCallable {
     decide: Py<PyAny>,
     mode: CallMode,
@@ -182,7 +180,7 @@ impl BatchController for PythonCallable {
     }
 }
 
-/// A callable at the wheel of one vehicle.
+/// Controller of one vehicle by a callable.
 struct PythonDriver(Arc<PythonCallable>);
 
 impl Controller for PythonDriver {
@@ -204,7 +202,7 @@ fn failure(message: impl Into<String>) -> ControllerFailure {
     ControllerFailure::Died { message: message.into() }
 }
 
-/// A failure with the end of the exception's traceback.
+/// Returns a failure with the end of the exception's traceback.
 fn failure_from_exception(py: Python<'_>, error: &PyErr) -> ControllerFailure {
     let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
     let text = format!("{traceback}{error}");

@@ -1,4 +1,4 @@
-//! Episodes of the training task, many at once: what the Gymnasium environments step.
+//! Episodes of the training task in batches, for the Gymnasium environments.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -20,26 +20,25 @@ use crate::simulation::ESTIMATORS;
 use crate::threads;
 use crate::values::parse_choice;
 
-/// Episodes that a thread takes at least when they begin: fewer are begun faster than they are handed over.
+/// Minimum number of episodes per thread when they begin; below it, distribution costs more than it saves.
 const MIN_EPISODES_PER_THREAD: usize = 16;
 
 const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
 
-/// Most episodes at once.
 const MAX_EPISODES: usize = 1 << 20;
 
-/// What becomes of an episode that is over.
+/// Handling of an episode that is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Autoreset {
-    /// The next step begins another one instead of stepping.
+    /// The next step begins another episode instead of stepping.
     NextStep,
-    /// Another one begins at once.
+    /// Another episode begins in the same step.
     SameStep,
     /// The caller resets it.
     Disabled,
 }
 
-/// Where episodes come from and how they are driven.
+/// Source and configuration of the episodes.
 struct EpisodeTask {
     source: Arc<dyn ScenarioSource>,
     config: Arc<EpisodeConfig>,
@@ -52,7 +51,7 @@ impl EpisodeTask {
         if let Some(why) = unsuitability(&scenario) {
             return Err(format!("{}: {why}", scenario.spec().name));
         }
-        // The actions drive the vehicle under test: its controller is never asked.
+        // Actions replace the controller of the vehicle under test.
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.config.environment().estimator);
         let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
@@ -61,7 +60,7 @@ impl EpisodeTask {
     }
 }
 
-/// One episode after the other.
+/// Sequence of episodes of one seed.
 struct SubEnvironment {
     seed: u64,
     next_index: u64,
@@ -69,7 +68,7 @@ struct SubEnvironment {
     is_over: bool,
 }
 
-/// Where the results of a step of one lane go.
+/// Destination of the results of one sub-environment's step.
 struct StepBuffers<'a> {
     state: &'a mut [f32],
     last_state: &'a mut [f32],
@@ -79,7 +78,7 @@ struct StepBuffers<'a> {
     ending: &'a mut u8,
 }
 
-/// Lane, action, state and last state, reward, and the three flags of its end.
+/// Sub-environment, action, state and last state, reward, and the three flags of the ending.
 type StepRow<'a> = (
     ((&'a mut SubEnvironment, &'a f32), (&'a mut [f32], &'a mut [f32])),
     (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
@@ -94,7 +93,7 @@ impl SubEnvironment {
         Ok(())
     }
 
-    /// Why the next step cannot be made, if so.
+    /// Returns the reason why the next step is impossible, if any.
     fn step_error(&self, task: &EpisodeTask, action: f32) -> Option<&'static str> {
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return None;
@@ -129,7 +128,7 @@ impl SubEnvironment {
     }
 }
 
-/// The place of an ending in `crumple.env.ENDINGS`.
+/// Returns the index of an ending in `crumple.env.ENDINGS`.
 fn ending_code(ending: EpisodeEnding) -> u8 {
     match ending {
         EpisodeEnding::Contact => 1,
@@ -148,7 +147,7 @@ pub(crate) struct Episodes {
 
 #[pymethods]
 impl Episodes {
-    /// Episodes with draws of a space, or as a training preset or file says.
+    /// Creates episodes with random scenarios of a space, or of a training preset or file.
     #[new]
     fn new(
         py: Python<'_>,
@@ -184,7 +183,7 @@ impl Episodes {
         Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })
     }
 
-    /// Numbers of a state are cut to plus and minus this.
+    /// Clipping limit of the numbers of a state.
     #[getter]
     fn state_limit(&self) -> f64 {
         self.task.config.environment().observation.limit
@@ -196,14 +195,14 @@ impl Episodes {
         f64::from(self.task.config.environment().action_repeat) * crumple_world::scenario::PAPER_STEP_S
     }
 
-    /// Accelerations that the actions -1 and 1 stand for, in m/s².
+    /// Accelerations of the actions -1 and 1, in m/s².
     #[getter]
     fn acceleration_range_mps2(&self) -> (f64, f64) {
         let bounds = action_bounds(self.task.config.environment());
         (bounds.low_mps2, bounds.high_mps2)
     }
 
-    /// Begins an episode in every lane of `mask`. With `seeds`, their episodes are from then on the draws of these.
+    /// Begins an episode in every sub-environment of `mask`, from then on with `seeds`, if any.
     fn reset(
         &self,
         py: Python<'_>,
@@ -239,7 +238,7 @@ impl Episodes {
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
 
-    /// One decision of every lane, from `actions` into the arrays.
+    /// Makes one decision in every sub-environment, from `actions` into the arrays.
     #[expect(clippy::too_many_arguments, reason = "one array for each thing that a step tells")]
     fn step(
         &self,
@@ -260,7 +259,7 @@ impl Episodes {
             let widths = [actions.len(), states.len() / STATE_LEN, last_states.len() / STATE_LEN];
             check_lengths(&widths, lanes.len())?;
             check_lengths(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
-            // Before anybody moves: what is raised half-way would leave some of them a step ahead of the others.
+            // Check all actions first: an error halfway would leave some sub-environments a step ahead.
             let refused = lanes.iter().zip(actions).enumerate();
             let mut refused =
                 refused.filter_map(|(index, (lane, action))| Some((index, lane.step_error(&self.task, *action)?)));
@@ -272,7 +271,7 @@ impl Episodes {
                     let results = StepBuffers { state, last_state, reward, terminated, truncated, ending };
                     lane.step(&self.task, *action, results)
                 };
-            // A hand-over of all work to a single other thread takes a tenth of the time.
+            // Passing all work to a single other thread would take a tenth of the step's time.
             if pool.current_num_threads() == 1 {
                 let states = states.chunks_exact_mut(STATE_LEN).zip(last_states.chunks_exact_mut(STATE_LEN));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
@@ -287,7 +286,8 @@ impl Episodes {
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
 
-    /// Where the vehicles of a lane are, front to rear: front bumpers and lengths in metres. Nothing before its first reset.
+    /// Returns the positions of a sub-environment's vehicles, front to rear: front bumpers and lengths in metres. None
+    /// before its first reset.
     fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
         let lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
         let (scenario, episode) = lanes.get(lane)?.episode.as_ref()?;
@@ -300,7 +300,6 @@ impl Episodes {
     }
 }
 
-/// Every array has an entry for each lane.
 fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
     match lengths.iter().find(|length| **length != lanes) {
         Some(length) => Err(format!("there are {lanes} environments, and an array for {length}")),
@@ -308,13 +307,13 @@ fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
     }
 }
 
-/// The text of a preset of `crumple train`.
+/// Returns the text of a preset of `crumple train`.
 #[pyfunction]
 pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static str> {
     TrainingConfig::preset_text(name).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
 }
 
-/// A preset of `crumple train`, a file of one, or a text of two lines at least.
+/// Loads a preset of `crumple train` by name, from a file, or from a text of at least two lines.
 fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
     let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
     if preset.contains('\n') {

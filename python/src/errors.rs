@@ -1,4 +1,4 @@
-//! Errors as the exceptions of `crumple.errors`, with file, line and field where there are any.
+//! Errors as exceptions of `crumple.errors`, with file, line and field if known.
 
 use std::path::Path;
 
@@ -7,7 +7,6 @@ use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::FindSpaceError;
 use pyo3::prelude::*;
 
-/// The classes of `crumple.errors`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ExceptionClass {
     Scenario,
@@ -37,7 +36,6 @@ impl ExceptionClass {
     }
 }
 
-/// Where in which file something is wrong.
 #[derive(Debug, Default)]
 struct ErrorLocation<'a> {
     file: Option<&'a Path>,
@@ -45,12 +43,12 @@ struct ErrorLocation<'a> {
     field: Option<&'a str>,
 }
 
-/// An exception that says what is wrong.
+/// Creates an exception without a location.
 pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display) -> PyErr {
     new_exception(py, class, error, &ErrorLocation::default())
 }
 
-/// An exception that says which file cannot be used, and why.
+/// Creates an exception for a file that cannot be used.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
         FileError::Read { path, .. } | FileError::Extension { path } => {
@@ -72,7 +70,7 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
     new_exception(py, class, error, &place)
 }
 
-/// An exception that says which space there is none of.
+/// Creates an exception for a space that cannot be found.
 pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
     match error {
         FindSpaceError::File(error) => file_exception(py, ExceptionClass::Space, error),
@@ -80,7 +78,6 @@ pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
     }
 }
 
-/// An exception that names a field.
 pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
     new_exception(
         py,
@@ -90,7 +87,7 @@ pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
     )
 }
 
-/// An exception that says where something is wrong: file, line and field.
+/// Creates an exception with file, line and field.
 pub(crate) fn exception_at(
     py: Python<'_>,
     class: ExceptionClass,

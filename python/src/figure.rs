@@ -1,4 +1,4 @@
-//! Pictures for a notebook or a file.
+//! Figures for a notebook or a file.
 
 use std::path::PathBuf;
 
@@ -10,16 +10,16 @@ use pyo3::prelude::*;
 
 use crate::values::parse_choice;
 
-/// A picture as SVG.
+/// Figure as SVG.
 #[pyclass(name = "Figure", frozen, module = "crumple")]
 pub(crate) struct PyFigure {
-    /// The whole file.
+    /// Complete SVG file.
     #[pyo3(get)]
     svg: String,
 }
 
 impl PyFigure {
-    /// Position, speed and spacing over time of one run.
+    /// Draws position, speed and gap of one run over time.
     pub(crate) fn from_motion(
         scenario: &Scenario,
         title: &str,
@@ -40,7 +40,7 @@ impl PyFigure {
 
 #[pymethods]
 impl PyFigure {
-    /// Writes the picture to a file that ends in `.svg`.
+    /// Writes the figure to a file that ends in `.svg`.
     fn save(&self, path: PathBuf) -> PyResult<()> {
         if path.extension().is_none_or(|extension| extension != "svg") {
             return Err(PyValueError::new_err(format!("{}: a figure is saved as .svg", path.display())));

@@ -1,4 +1,4 @@
-//! Long work on a thread of its own, while the calling thread passes on progress and looks for signals.
+//! Long work on other threads, while the calling thread reports progress and checks for signals.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,13 +13,13 @@ use pyo3::types::PyTuple;
 
 use crate::threads;
 
-/// How often the calling thread looks for signals.
+/// Interval at which the calling thread checks for signals.
 const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
-/// How long the end of the interpreter waits for work to end.
+/// Time for which the exit of the interpreter waits for work to end.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Whether work is to end early. Clones are one and the same.
+/// Flag that work must stop early. Clones share it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StopFlag(Arc<AtomicBool>);
 
@@ -33,13 +33,13 @@ impl StopFlag {
     }
 }
 
-/// How far work is: what is done, of how much, and how much of it failed.
+/// Progress of work: number done, total, and failures.
 pub(crate) type ProgressCounts = (u64, u64, u64);
 
-/// What is under way, and who waits for its end.
+/// Work in progress, and the condition that signals its end.
 static ACTIVE_WORK: (Mutex<Vec<StopFlag>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
 
-/// Work under way, until it is dropped.
+/// Guard that registers work in progress until it is dropped.
 struct ActiveWork(StopFlag);
 
 impl ActiveWork {
@@ -57,28 +57,27 @@ impl Drop for ActiveWork {
     }
 }
 
-/// Ends all work that is under way when the interpreter is about to: in threads that it does not wait for. A thread of ours that
-/// called a controller in Python afterwards would be torn down in the middle, and the process with it.
+/// Stops all work before the interpreter exits; a call of a Python controller afterwards would crash.
 #[pyfunction]
 pub(crate) fn stop_all_work(py: Python<'_>) {
     py.detach(|| {
         let (all, ended) = &ACTIVE_WORK;
         let all = all.lock().unwrap_or_else(PoisonError::into_inner);
         all.iter().for_each(StopFlag::set);
-        // A callable may take its time, but not for ever.
+        // A callable may be slow, but must not block the exit forever.
         drop(ended.wait_timeout_while(all, EXIT_TIMEOUT, |all| !all.is_empty()));
     });
 }
 
-/// Does `work` on the threads that simulate, without the interpreter's lock. `work` reports its progress to the function that it receives.
-/// That function stops it once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
+/// Runs `work` on the simulation threads, without the interpreter's lock. The function that `work` reports progress to
+/// ends it once `stop` is set: at a signal (Ctrl-C), and at an exception of `progress`.
 pub(crate) fn run_interruptible<T: Send>(
     py: Python<'_>,
     stop: &StopFlag,
     progress: Option<&Py<PyAny>>,
     work: impl FnOnce(&(dyn Fn(ProgressCounts) -> ControlFlow<()> + Sync)) -> T + Send,
 ) -> PyResult<T> {
-    // It would wait for the threads that wait for it. Whether it would do so by chance must not decide: all work is done on them.
+    // Nested work can deadlock with the threads that wait for it, so it is always refused.
     if rayon::current_thread_index().is_some() {
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
@@ -90,7 +89,7 @@ pub(crate) fn run_interruptible<T: Send>(
             let worker = scope.spawn(move || {
                 pool.install(move || {
                     work(&|state| {
-                        // The channel has no receiver any more once an exception was raised.
+                        // After an exception the channel has no receiver.
                         let _ = said.send(state);
                         if stop.is_set() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
                     })

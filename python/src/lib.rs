@@ -1,7 +1,7 @@
-//! crumple from Python: the native half of the package `crumple`.
+//! Native half of the Python package `crumple`.
 //!
-//! What a Python user sees is in `python/crumple`; this module is private to it. Work of any length is done without the
-//! interpreter's lock, on threads of its own, while the calling thread looks for signals ([`watched`]).
+//! The public API is in `python/crumple`; this module is private to it. Long work runs without the interpreter's lock
+//! on other threads, while the calling thread checks for signals ([`interruptible`]).
 
 mod assessment;
 mod campaign;
@@ -21,7 +21,7 @@ mod worst_case;
 
 use pyo3::prelude::*;
 
-/// The native half of the package `crumple`.
+/// Native half of the Python package `crumple`.
 #[pymodule]
 mod _crumple {
     use std::path::PathBuf;
@@ -49,7 +49,7 @@ mod _crumple {
     #[pymodule_export]
     use crate::worst_case::worst_case;
 
-    /// Half-done work is gone on with by the same build alone: that of this file, not of the interpreter.
+    /// Only the same build resumes incomplete work. The build is identified by this library, not by the interpreter.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let leave = wrap_pyfunction!(crate::interruptible::stop_all_work, module)?;

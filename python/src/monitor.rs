@@ -1,4 +1,4 @@
-//! Robustness of formulas of signal temporal logic, on arrays.
+//! Robustness of STL formulas on arrays.
 
 use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals, SignalsError};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
@@ -8,13 +8,13 @@ use rayon::prelude::*;
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
 
-/// Traces between two looks at whether to go on.
+/// Number of traces between two checks for an interrupt.
 const TRACES_PER_BATCH: usize = 1024;
 
-/// Samples and traces that are monitored before anybody could press a key.
+/// Maximum number of samples, over all traces, that are monitored without checks for an interrupt.
 const MAX_INLINE_SAMPLES: usize = 1 << 16;
 
-/// Why a formula has no robustness on some signals.
+/// Reason why a formula has no robustness on some signals.
 #[derive(Debug, thiserror::Error)]
 enum RobustnessError {
     #[error(transparent)]
@@ -23,7 +23,7 @@ enum RobustnessError {
     Monitor(#[from] MonitorError),
 }
 
-/// Signals of several traces: of each a row for every trace, or one for all.
+/// Signals of several traces: one row for every trace, or one shared row.
 struct SignalRows<'a> {
     step_s: f64,
     samples: usize,
@@ -31,7 +31,7 @@ struct SignalRows<'a> {
 }
 
 impl SignalRows<'_> {
-    /// Robustness on one trace: at its start, or at every sample.
+    /// Returns the robustness of one trace at its start, or at every sample.
     fn robustness(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, RobustnessError> {
         let mut signals = SampledSignals::new(self.step_s, self.samples)?;
         for (name, values, is_shared) in &self.signals {
@@ -46,7 +46,7 @@ impl SignalRows<'_> {
     }
 }
 
-/// A formula's robustness on `traces` traces, a row each.
+/// Returns the robustness of a formula on `traces` traces, one row each.
 #[pyfunction]
 pub(crate) fn monitor<'py>(
     py: Python<'py>,
@@ -73,7 +73,7 @@ pub(crate) fn monitor<'py>(
     let rows = SignalRows { step_s, samples, signals: named };
     let of = |trace: usize| rows.robustness(&formula, trace, over_time);
     let found: Result<Vec<Vec<f64>>, RobustnessError> = if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
-        // A thread of its own would take longer.
+        // Another thread would take longer.
         py.detach(|| (0..traces).map(of).collect())
     } else {
         let stop = StopFlag::default();

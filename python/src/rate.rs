@@ -1,4 +1,4 @@
-//! Counting failures.
+//! Failure rates.
 
 use std::path::PathBuf;
 
@@ -13,10 +13,10 @@ use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// What was counted, and what it shows: the certificate and what the checker accepts it as, or why nothing is shown.
+/// Tally, certificate if anything is shown, and the checker's conclusion or the reason why nothing is shown.
 type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
 
-/// Counts the failures of a controller, or of two on the same draws, and certifies what that shows.
+/// Counts the failures of a controller, or of two on the same random scenarios, and certifies the result.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn rate<'py>(

@@ -1,4 +1,4 @@
-//! Scenarios and spaces as Python objects.
+//! Scenarios and scenario spaces as Python objects.
 
 use std::path::{Path, PathBuf};
 
@@ -9,14 +9,14 @@ use pyo3::prelude::*;
 use crate::errors::{self, ExceptionClass};
 use crate::values::serialize_to_python;
 
-/// A valid scenario.
+/// Valid scenario.
 #[pyclass(name = "Scenario", frozen, eq, module = "crumple")]
 #[derive(PartialEq)]
 pub(crate) struct PyScenario(pub(crate) world::Scenario);
 
 #[pymethods]
 impl PyScenario {
-    /// The built-in scenario of that name, or the one in a file.
+    /// Finds a built-in scenario by name, or loads a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
         if let Some(scenario) = built_in_scenario(name) {
@@ -30,20 +30,20 @@ impl PyScenario {
         Self::load(py, PathBuf::from(name))
     }
 
-    /// The scenario in a file.
+    /// Loads a scenario from a file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         file::load(&path).map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 
-    /// The scenario that a text says.
+    /// Parses a scenario from TOML.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_toml(text, Path::new("<toml>"));
         read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 
-    /// The same from JSON.
+    /// Parses a scenario from JSON.
     #[staticmethod]
     fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_json(text, Path::new("<dict>"));
@@ -91,19 +91,19 @@ impl PyScenario {
     }
 }
 
-/// A space in which every point is a valid scenario.
+/// Scenario space whose points are all valid scenarios.
 #[pyclass(name = "Space", frozen, module = "crumple")]
 pub(crate) struct PySpace(pub(crate) space::ScenarioSpace);
 
 #[pymethods]
 impl PySpace {
-    /// The built-in space of that name, or the one in a file.
+    /// Finds a built-in space by name, or loads a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
         find_space(name).map(Self).map_err(|error| errors::space_exception(py, &error))
     }
 
-    /// The space that a text says; a base scenario in a file is looked for in the working directory.
+    /// Parses a space from TOML. A base scenario in a file is relative to the working directory.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = space::file::from_toml(text, Path::new("<toml>"));
@@ -120,17 +120,17 @@ impl PySpace {
         self.0.coordinate_names()
     }
 
-    /// The scenario at a point of the unit cube.
+    /// Returns the scenario at a point of the unit cube.
     fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<PyScenario> {
         self.0.scenario_at(&point).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
-    /// The scenario in which every parameter is nominal.
+    /// Returns the scenario with nominal parameters.
     fn nominal(&self, py: Python<'_>) -> PyResult<PyScenario> {
         self.0.scenario(&self.0.nominal()).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
-    /// The draw of that number by the distribution.
+    /// Returns the random scenario with this index.
     fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<PyScenario> {
         self.0.draw(seed, index).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }

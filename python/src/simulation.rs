@@ -19,13 +19,13 @@ use crate::scenario::PyScenario;
 use crate::table;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// Runs between two looks at whether to go on.
+/// Number of runs between two checks for an interrupt.
 const BATCH_SIZE: usize = 512;
 
 pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] =
     [("kalman", EstimatorKind::Kalman), ("truth", EstimatorKind::Truth)];
 
-/// The motion of one vehicle: arrays with an entry a sample.
+/// Motion of one vehicle: arrays with one entry per sample.
 #[pyclass(name = "Track", frozen, get_all, module = "crumple")]
 pub(crate) struct PyTrack {
     length_m: f64,
@@ -36,7 +36,7 @@ pub(crate) struct PyTrack {
     in_lane_s: [f64; 2],
 }
 
-/// The motion of all vehicles of a run.
+/// Motion of all vehicles of a run.
 #[pyclass(name = "Trace", frozen, get_all, module = "crumple")]
 pub(crate) struct PyTrace {
     time_s: Py<PyArray1<f64>>,
@@ -44,7 +44,7 @@ pub(crate) struct PyTrace {
 }
 
 impl PyTrace {
-    /// Moves the samples; none is copied.
+    /// Moves the samples without a copy.
     fn new(py: Python<'_>, trace: sim::Trace) -> PyResult<Self> {
         let array = |samples: Vec<f64>| PyArray1::from_vec(py, samples).unbind();
         let track = |track: sim::Track| {
@@ -64,7 +64,7 @@ impl PyTrace {
         })
     }
 
-    /// The samples as they are now: the arrays are the caller's to change.
+    /// Copies the present samples; the caller may have changed the arrays.
     fn to_native(&self, py: Python<'_>) -> PyResult<sim::Trace> {
         let samples = |array: &Py<PyArray1<f64>>| Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec());
         let track = |track: &Py<PyTrack>| {
@@ -85,7 +85,7 @@ impl PyTrace {
 
 #[pymethods]
 impl PyTrace {
-    /// The table of `crumple simulate --trace` for whatever reads Arrow. No other schema is made of it.
+    /// Returns the table of `crumple simulate --trace` as an Arrow stream. Ignores a requested schema.
     #[pyo3(signature = (requested_schema = None))]
     fn __arrow_c_stream__<'py>(
         &self,
@@ -103,7 +103,7 @@ impl PyTrace {
     }
 }
 
-/// How a run ended.
+/// Result of a run.
 #[pyclass(frozen, module = "crumple")]
 pub(crate) struct Simulation {
     scenario: crumple_world::scenario::Scenario,
@@ -165,7 +165,7 @@ impl Simulation {
         serialize_to_python(py, &self.result.interventions)
     }
 
-    /// How robustly the run keeps a specification, as `crumple simulate --spec` says.
+    /// Returns the robustness of a specification, as `crumple simulate --spec` does.
     fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
         let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Formula, &error.to_string());
         let specification = Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
@@ -182,7 +182,7 @@ impl Simulation {
         specification.judge(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
     }
 
-    /// Position, speed and spacing over time.
+    /// Draws position, speed and gap over time.
     #[pyo3(signature = (layout = "wide"))]
     fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<PyFigure> {
         let title = format!("{}, {}", self.scenario.spec().name, self.controller);
@@ -207,7 +207,7 @@ impl Simulation {
     }
 }
 
-/// Simulates scenarios; one result each, in their order.
+/// Simulates scenarios; returns one result each, in their order.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn simulate(

@@ -8,8 +8,7 @@ use arrow_array::{ArrayRef, Float64Array, RecordBatch, RecordBatchIterator, UInt
 use arrow_schema::{ArrowError, DataType, Field, Schema};
 use crumple_world::sim::{Trace, Track};
 
-/// The table that `crumple simulate --trace` writes: a row a sample and vehicle, in order of time and then of vehicle. There is
-/// no gap ahead of the leader.
+/// Returns the table of `crumple simulate --trace`: by sample, then vehicle. The first one has no gap.
 pub(crate) fn arrow_stream(trace: &Trace) -> Result<FFI_ArrowArrayStream, ArrowError> {
     let (samples, vehicles) = (trace.len(), trace.vehicles.len());
     let rows = || (0..samples).flat_map(|sample| (0..vehicles).map(move |vehicle| (sample, vehicle)));

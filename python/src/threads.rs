@@ -1,4 +1,4 @@
-//! The threads that simulate.
+//! Simulation threads.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::{process, thread};
@@ -7,14 +7,14 @@ use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use rayon::{ThreadBuilder, ThreadPool, ThreadPoolBuilder};
 
-/// The threads that simulate in this process, started when they are first asked for: as many as `RAYON_NUM_THREADS` says. Work is to
-/// be handed to them without the interpreter's lock.
+/// Returns the simulation threads of this process, and starts them at the first call: `RAYON_NUM_THREADS` of them.
+/// Release the interpreter's lock before passing work to them.
 ///
-/// A process that was forked has none of its parent's threads, and gets its own. Each is known to the interpreter as long as it lives,
-/// though it seldom holds its lock: to introduce itself for every call of a controller in Python would take longer than a small one does.
+/// A forked process has none of its parent's threads and starts its own. Each thread keeps its interpreter state,
+/// because creating one takes longer than a small controller.
 ///
 /// # Errors
-/// `RuntimeError` if the system has no threads left.
+/// `RuntimeError` if the system cannot start threads.
 pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
     let run = |thread: ThreadBuilder| Python::attach(|py| py.detach(|| thread.run()));
@@ -29,7 +29,7 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     let started =
         builder.build().map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
     let started = Arc::new(started);
-    // What is left of a parent's has no threads that could be told to end.
+    // The pool of a parent process has no threads here, so dropping it would wait forever.
     std::mem::forget(pool.replace((process::id(), Arc::clone(&started))));
     Ok(started)
 }

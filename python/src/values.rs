@@ -1,11 +1,11 @@
-//! Results as Python's own values.
+//! Results as Python values.
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyString};
 use serde_json::Value;
 
-/// What would be written as JSON, as dictionaries, lists, numbers and words; numbers keep every bit.
+/// Converts JSON to dictionaries, lists, numbers and strings; numbers keep every bit.
 pub(crate) fn json_to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
         Value::Null => py.None().into_bound(py),
@@ -33,13 +33,12 @@ pub(crate) fn json_to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bo
     })
 }
 
-/// The same of anything that can be written as JSON.
 pub(crate) fn serialize_to_python<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
     let value = serde_json::to_value(value).map_err(|error| PyValueError::new_err(error.to_string()))?;
     json_to_python(py, &value)
 }
 
-/// One of a few words that stand for values.
+/// Parses a value that is one of a few words.
 pub(crate) fn parse_choice<T: Copy>(what: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
     known.iter().find(|(name, _)| *name == word).map(|(_, value)| *value).ok_or_else(|| {
         let names: Vec<_> = known.iter().map(|(name, _)| format!("'{name}'")).collect();

@@ -1,4 +1,4 @@
-//! How little lead braking makes a controller collide.
+//! Worst-case braking of the leader.
 
 use crumple_core::observer::RunProgress;
 use crumple_search::worst_case::{AttackObjective, AttackReport, Envelope, attack};
@@ -13,10 +13,9 @@ use crate::scenario::PyScenario;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
-/// Most simulations that may be asked for.
 const MAX_SIMULATIONS: u32 = 10_000_000;
 
-/// Looks for a braking profile of the leader; what was found as a scenario, and what `crumple worst-case` says of it.
+/// Searches for a braking profile of the leader. Returns its scenario and `crumple worst-case`'s report.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn worst_case<'py>(

@@ -1,4 +1,4 @@
-"""The Gymnasium environments."""
+"""Tests of the Gymnasium environments."""
 
 import os
 import resource
@@ -15,8 +15,8 @@ import crumple
 from crumple.env import PlatoonEnv, PlatoonVectorEnv
 
 
-def actions_of(seed, steps, count):
-    """Actions that are held for a while, so that some episodes end in contact."""
+def held_random_actions(seed, steps, count):
+    """Returns actions that are held for ten steps, so that some episodes end in a collision."""
     random = np.random.default_rng(seed)
     drawn = random.uniform(-1, 1, (steps // 10 + 1, count, 1)).astype(np.float32)
     return np.repeat(drawn, 10, axis=0)[:steps]
@@ -37,7 +37,7 @@ def test_the_vector_steps_to_the_bit_as_its_environments_alone(mode, estimator):
     together = PlatoonVectorEnv(count, "high-risk", estimator=estimator, autoreset_mode=mode)
     assert np.array_equal(several.reset(seed=5)[0], together.reset(seed=5)[0])
     endings = set()
-    for actions in actions_of(1, steps, count):
+    for actions in held_random_actions(1, steps, count):
         wanted, told = several.step(actions), together.step(actions)
         for one, other in zip(wanted[:4], told[:4], strict=True):
             assert np.array_equal(np.asarray(one, np.float32), np.asarray(other, np.float32))
@@ -111,10 +111,10 @@ assert process.exitcode == 0
 
 LEFT = """
 import threading, time, crumple
-def slowly(seen):
+def slow_controller(seen):
     time.sleep(0.0005)
     return -1.0
-threading.Thread(target=lambda: crumple.falsify(slowly, "high-risk", budget=100_000), daemon=True).start()
+threading.Thread(target=lambda: crumple.falsify(slow_controller, "high-risk", budget=100_000), daemon=True).start()
 time.sleep(1.0)
 """
 
@@ -142,10 +142,10 @@ def test_one_seed_decides_everything_on_any_number_of_threads():
     def drive(count):
         env = PlatoonVectorEnv(count, "high-risk")
         states = [env.reset(seed=3)[0][:20]]
-        states += [env.step(np.resize(actions, (count, 1)))[0][:20] for actions in actions_of(2, 50, 20)]
+        states += [env.step(np.resize(actions, (count, 1)))[0][:20] for actions in held_random_actions(2, 50, 20)]
         return np.stack(states)
 
-    # 20 fit on a thread or two, 300 on many.
+    # 20 episodes use one or two threads, 300 use many.
     assert np.array_equal(drive(20), drive(300))
 
 
@@ -181,22 +181,22 @@ def test_what_is_wrong_is_said():
         PlatoonEnv("no-such")
     with pytest.raises(ValueError, match="environments"):
         PlatoonVectorEnv(0)
-    # Vehicle 1 alone must be under test.
+    # Only vehicle 1 may be under test.
     everybody = crumple.space("paper").to_dict()
     with pytest.raises(crumple.TrainingError, match="under test"):
-        PlatoonEnv('version = 1\nname = "n"\nbase = "paper-3"\n' + one_parameter())
+        PlatoonEnv('version = 1\nname = "n"\nbase = "paper-3"\n' + friction_parameter())
     assert everybody["name"] == "paper"
 
 
-def one_parameter():
+def friction_parameter():
     return (
         '[[parameters]]\nname = "f"\nfield = "environment.friction"\nunit = "1"\n'
         "distribution.uniform = { low = 0.9, high = 1.0 }\n"
     )
 
 
-def used_bytes():
-    """The process's memory now."""
+def resident_bytes():
+    """Returns the resident memory of the process."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize()
 
@@ -216,10 +216,10 @@ def test_memory_stays_as_it_is():
         crumple.monitor("always x > 0", {"x": np.ones((resets // 100, 100))})
 
     live(10_000, 100)
-    before = used_bytes()
-    # A gigabyte of traces alone, were they kept.
+    before = resident_bytes()
+    # The traces take a gigabyte if they leak.
     live(1_000_000, 10_000)
-    assert used_bytes() - before < 8 << 20
+    assert resident_bytes() - before < 8 << 20
 
 
 def test_costs_count_as_often_as_the_space_says():

@@ -1,4 +1,4 @@
-"""Rates, worst cases and assessments."""
+"""Tests of failure rates, worst cases and assessments."""
 
 import json
 import signal
@@ -21,34 +21,36 @@ def follower(identity="follow, version 1"):
     return crumple.Controller(follow_all, batch=True, interval_s=0.1, name="mine", identity=identity)
 
 
-class EnoughError(Exception):
-    """Raised by a callback that has heard enough."""
+class StopEarlyError(Exception):
+    """Exception of a callback that ends the work."""
 
 
-def enough_after(share):
+def stop_after_share(share):
     def progress(done, total, failures):
         if done >= share * total:
-            raise EnoughError
+            raise StopEarlyError
 
     return progress
 
 
-def counted(command_line, folder, *arguments):
-    """The certificate that the program writes."""
-    arguments = [command_line, "verify", "rate", *map(str, arguments), "--out", folder, "--quiet"]
+def certificate_by_command_line(crumple_binary, folder, *arguments):
+    """Returns the certificate of the program."""
+    arguments = [crumple_binary, "verify", "rate", *map(str, arguments), "--out", folder, "--quiet"]
     subprocess.run(arguments, check=True, capture_output=True)
     return json.loads((folder / "certificate.json").read_text())
 
 
-def test_a_rate_is_certified_as_on_the_command_line(tmp_path, command_line):
+def test_a_rate_is_certified_as_on_the_command_line(tmp_path, crumple_binary):
     one = crumple.rate("idm", "high-risk", runs=700, seed=3, confidence=0.9)
     arguments = ("--space", "high-risk", "--runs", 700, "--seed", 3, "--confidence", 0.9)
-    assert one.certificate == counted(command_line, tmp_path / "one", "--controller", "idm", *arguments)
+    assert one.certificate == certificate_by_command_line(
+        crumple_binary, tmp_path / "one", "--controller", "idm", *arguments
+    )
     assert (one.runs, one.failures) == (700, one.certificate["statement"]["rate"]["failures"])
     assert one.failures / 700 < one.rate_at_most < 1
     two = crumple.rate("policy", "high-risk", against="match-leader", runs=300)
     arguments = ("--controller", "policy", "--against", "match-leader", "--space", "high-risk", "--runs", 300)
-    assert two.certificate == counted(command_line, tmp_path / "two", *arguments)
+    assert two.certificate == certificate_by_command_line(crumple_binary, tmp_path / "two", *arguments)
     assert two.rate_at_most is None
     nothing = crumple.rate("match-leader", "high-risk", against="policy", runs=100)
     assert nothing.certificate is None
@@ -65,8 +67,8 @@ def test_failures_of_a_callable_are_counted_if_it_has_an_identity(tmp_path):
     with pytest.raises(crumple.RateError, match="runs"):
         crumple.rate("idm", runs=0)
     folder = tmp_path / "rate"
-    with pytest.raises(EnoughError):
-        crumple.rate(follower(), "high-risk", runs=3000, folder=folder, progress=enough_after(0.3))
+    with pytest.raises(StopEarlyError):
+        crumple.rate(follower(), "high-risk", runs=3000, folder=folder, progress=stop_after_share(0.3))
     again = crumple.rate(follower(), "high-risk", runs=3000, folder=folder, resume=True)
     assert again == whole
 
@@ -75,17 +77,17 @@ def test_what_was_broken_off_halfway_leaves_no_false_failures(tmp_path):
     whole = crumple.falsify(follower(), budget=100, folder=tmp_path / "whole")
     for share in (0.05, 0.9):
         folder = tmp_path / str(share)
-        with pytest.raises(EnoughError):
-            crumple.falsify(follower(), budget=100, folder=folder, progress=enough_after(share))
+        with pytest.raises(StopEarlyError):
+            crumple.falsify(follower(), budget=100, folder=folder, progress=stop_after_share(share))
         assert crumple.falsify(follower(), budget=100, folder=folder, resume=True).summary == whole.summary
 
 
 @pytest.mark.parametrize(("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")])
-def test_a_worst_case_is_that_of_the_command_line(tmp_path, told_by_command_line, controller, aim):
+def test_a_worst_case_is_that_of_the_command_line(tmp_path, command_line_json, controller, aim):
     found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
     arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
-    told = told_by_command_line(*arguments, "--out", tmp_path / "worst.toml")
-    # What its --budget came to is said besides, and nothing else.
+    told = command_line_json(*arguments, "--out", tmp_path / "worst.toml")
+    # Only the fields about --budget are additional.
     assert (told.pop("budget"), told.pop("is_over_budget")) == (200, found.facts["evaluations"] > 200)
     assert (told.pop("over_budget_because") is None) == (found.facts["evaluations"] <= 200)
     assert told == found.facts
@@ -102,8 +104,8 @@ def test_a_callable_has_a_worst_case_too():
     assert found.replay().contact["impact_speed_mps"] == found.facts["outcome"]["impact_speed_mps"]
     assert told == sorted(told)
     assert "</svg>" in found.plot().svg
-    with pytest.raises(EnoughError):
-        crumple.worst_case("paper-1", follower(), budget=400, progress=enough_after(0.1))
+    with pytest.raises(StopEarlyError):
+        crumple.worst_case("paper-1", follower(), budget=400, progress=stop_after_share(0.1))
     with pytest.raises(crumple.RunError, match="no braking"):
         crumple.worst_case("paper-1", max_brake_mps2=0.0)
     with pytest.raises(ValueError, match="aim"):
@@ -126,7 +128,7 @@ SMALL = {
 }
 
 
-def small_file(folder):
+def write_small_config(folder):
     path = folder / "small.toml"
     path.write_text(
         'version = 1\ncontrollers = ["baseline", "idm"]\npaper = false\ndraws = 20\neveryday_draws = 0\n'
@@ -136,16 +138,16 @@ def small_file(folder):
     return path
 
 
-def test_an_assessment_is_that_of_the_command_line(tmp_path, command_line):
-    path = small_file(tmp_path)
+def test_an_assessment_is_that_of_the_command_line(tmp_path, crumple_binary):
+    path = write_small_config(tmp_path)
     assessment = crumple.assess(path)
     folder = tmp_path / "report"
-    done = subprocess.run([command_line, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False)
+    done = subprocess.run([crumple_binary, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False)
     told = json.loads((folder / "assessment.json").read_text())
     assert told["provenance"].pop("made") is not None
     said = assessment.evidence
     assert said["provenance"].pop("made") is None
-    # Hashes of what was kept: here nothing was.
+    # Without a cache folder there are no hashes of cached evidence.
     assert said == told
     assert crumple.assess(path.read_text()).evidence["summary"] == told["summary"]
     assert (done.returncode == 0) == assessment.passed == all(gate["holds"] for gate in assessment.gates)
@@ -169,20 +171,20 @@ def test_a_callable_is_assessed_and_shows_itself(tmp_path):
     assert "mine" in str(one)
     calls = []
 
-    def called(rows):
+    def counting_controller(rows):
         calls.append(len(rows))
         return follow_all(rows)
 
-    again = crumple.Controller(called, batch=True, interval_s=0.1, name="mine", identity="follow, version 1")
+    again = crumple.Controller(counting_controller, batch=True, interval_s=0.1, name="mine", identity="follow, version 1")
     assert crumple.assess(SMALL, [again], evidence=kept).evidence == one.evidence
     assert crumple.assess(SMALL, [follower(None)]).evidence["summary"]["gates"] == []
-    with pytest.raises(EnoughError):
-        crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut", progress=enough_after(0.0))
+    with pytest.raises(StopEarlyError):
+        crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut", progress=stop_after_share(0.0))
     assert crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut").evidence == one.evidence
 
 
 def test_what_is_wrong_with_an_assessment_is_said(tmp_path):
-    path = small_file(tmp_path)
+    path = write_small_config(tmp_path)
     path.write_text(path.read_text().replace("draws = 20", "draws = -1", 1))
     with pytest.raises(crumple.AssessmentError) as caught:
         crumple.assess(path)
@@ -211,7 +213,7 @@ def test_ctrl_c_ends_it(work):
     script = textwrap.dedent(f"""
         import signal, time
         import crumple
-        # Whoever starts the tests in the background has it ignored.
+        # A shell ignores this signal for background processes.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         print("begun", flush=True)
         try:

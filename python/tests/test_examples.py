@@ -1,4 +1,4 @@
-"""The examples, each on a small budget."""
+"""Tests of the examples with small budgets."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Robustness of formulas of signal temporal logic, beside rtamt's."""
+"""Tests of the robustness of STL formulas, in comparison with rtamt."""
 
 import math
 import random
@@ -23,7 +23,7 @@ def window(source):
 
 
 def formula(source, depth):
-    """A random formula that crumple and rtamt read alike."""
+    """Returns a random formula that crumple and rtamt read alike."""
     if depth == 0:
         return comparison(source)
     kind = source.choice(["not", "always", "eventually", "until", "and", "or", "implies"])
@@ -38,13 +38,13 @@ def formula(source, depth):
     return f"({kind}{window(source)} {one})"
 
 
-def samples_within(text):
-    """How many samples a formula looks at, at most: each window adds its end."""
+def horizon_samples(text):
+    """Returns the maximum number of samples that a formula needs: each window adds its end."""
     ends = [float(part.split("]")[0].split(",")[1]) for part in text.split("[")[1:]]
     return round(sum(ends) / STEP_S) + 1
 
 
-def of_rtamt(text, signals):
+def rtamt_robustness(text, signals):
     rtamt = pytest.importorskip("rtamt")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -64,13 +64,13 @@ def test_robustness_is_that_of_rtamt_on_200_random_formulas_and_traces():
     for seed in range(200):
         source = random.Random(seed)
         text = formula(source, 1 + seed % 4)
-        # Long enough for every window: where a trace ends too early the two disagree on what is not there.
-        samples = samples_within(text) + source.randint(2, 20)
+        # Long enough for every window, because the tools treat a window beyond the end of a trace differently.
+        samples = horizon_samples(text) + source.randint(2, 20)
         numbers = np.random.default_rng(seed)
         signals = {name: numbers.uniform(-5, 5, samples) for name in "xyz"}
-        told = of_rtamt(text, signals)
+        told = rtamt_robustness(text, signals)
         found = crumple.monitor(text, signals, step_s=STEP_S, over_time=True)
-        whole = samples - samples_within(text) + 1
+        whole = samples - horizon_samples(text) + 1
         assert np.array_equal(found[:whole], told[:whole]), text
         assert crumple.monitor(text, signals, step_s=STEP_S) == told[0], text
         compared += whole
@@ -132,10 +132,10 @@ def test_a_failure_of_a_formula_is_replayed_as_it_was_judged():
         assert failure.replay().robustness(text) == failure.facts["robustness"] < 0
 
 
-def test_a_run_is_judged_as_the_command_line_judges_it(told_by_command_line):
+def test_a_run_is_judged_as_the_command_line_judges_it(command_line_json):
     text = "always v1.time_gap_s > 0.3"
     run = crumple.simulate("paper-1", "idm", after_contact="continue")
-    told = told_by_command_line("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no contact")
+    told = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no contact")
     assert run.robustness(text) == told["specifications"][0]["robustness"]
     stopped = crumple.simulate("paper-1", "idm")
     assert stopped.robustness("no contact") == told["specifications"][1]["robustness"]

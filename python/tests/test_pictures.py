@@ -1,4 +1,4 @@
-"""Figures, pictures of episodes, and tables."""
+"""Tests of figures, images of episodes, and tables."""
 
 import csv
 import xml.etree.ElementTree as ElementTree
@@ -28,8 +28,8 @@ def test_a_failure_and_a_run_draw_themselves(tmp_path):
         crumple.simulate("paper-1", trace=False).plot()
 
 
-def test_a_figure_is_that_of_the_command_line(tmp_path, told_by_command_line):
-    told_by_command_line("simulate", "paper-1", "--plot", tmp_path / "run.svg")
+def test_a_figure_is_that_of_the_command_line(tmp_path, command_line_json):
+    command_line_json("simulate", "paper-1", "--plot", tmp_path / "run.svg")
     assert crumple.simulate("paper-1").plot().svg == (tmp_path / "run.svg").read_text()
 
 
@@ -42,7 +42,7 @@ def test_an_episode_is_drawn_from_above_and_over_time():
         env.step(np.zeros(1, np.float32))
     later = env.render()
     assert later.shape == first.shape
-    # The agent's vehicle, orange, stands still in the upper picture; its way grows in the lower one.
+    # The agent's orange vehicle is fixed in the upper image; its trajectory grows in the lower one.
     orange = [(picture == (213, 94, 0)).all(axis=2) for picture in (first, later)]
     assert np.array_equal(orange[0][:96], orange[1][:96])
     assert orange[1][96:].sum() > 3 * orange[0][96:].sum() > 0
@@ -51,7 +51,7 @@ def test_an_episode_is_drawn_from_above_and_over_time():
     assert gymnasium.make("crumple/Platoon-v0").unwrapped.render() is None
 
 
-def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, told_by_command_line):
+def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, command_line_json):
     pyarrow, polars, pandas = (pytest.importorskip(name) for name in ("pyarrow", "polars", "pandas"))
     run = crumple.simulate("paper-1")
     table = pyarrow.table(run.trace)
@@ -63,7 +63,7 @@ def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, told_by_com
         for name in ("position_m", "speed_mps", "acceleration_mps2"):
             assert np.array_equal(rows[name], getattr(track, name))
         assert rows["gap_m"].null_count == (len(rows) if index == 0 else 0)
-    told_by_command_line("simulate", "paper-1", "--trace", tmp_path / "trace.csv")
+    command_line_json("simulate", "paper-1", "--trace", tmp_path / "trace.csv")
     with (tmp_path / "trace.csv").open() as file:
         told = [{name: float(text) if text else None for name, text in row.items()} for row in csv.DictReader(file)]
     assert table.to_pylist() == told
@@ -72,7 +72,7 @@ def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, told_by_com
     assert frame.equals(polars.from_arrow(table))
     again = frame.group_by("vehicle").agg(polars.col("gap_m").min()).sort("vehicle")
     assert again["gap_m"][0] is None
-    # A capsule that nobody takes leaves nothing behind, and one is not used twice.
+    # An unused capsule is freed, and each call returns a new one.
     assert run.trace.__arrow_c_stream__() is not None
     gap_m = run.trace.vehicles[0].position_m
     gap_m[0] += 1.0

@@ -1,4 +1,4 @@
-"""The tour of the README says what happens."""
+"""Test of the code in the README."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Scenarios, simulations and controllers in Python."""
+"""Tests of scenarios, simulations and controllers in Python."""
 
 import json
 import math
@@ -15,27 +15,27 @@ import crumple
 
 
 def follow(seen):
-    """A follower as simple as can be."""
+    """Returns the acceleration of a simple follower."""
     if seen.gap_ahead_m is None:
         return 0.0
     return 0.2 * (seen.gap_ahead_m - 2.0 - 0.8 * seen.speed_mps) + 0.8 * (seen.speed_ahead_mps - seen.speed_mps)
 
 
 def follow_all(rows):
-    """The same for many."""
+    """Returns the accelerations of `follow` for a batch."""
     gap_m, ahead_mps, own_mps = rows[:, 0], rows[:, 2], rows[:, 3]
     return 0.2 * (gap_m - 2.0 - 0.8 * own_mps) + 0.8 * (ahead_mps - own_mps)
 
 
 @pytest.mark.parametrize("estimator", ["kalman", "truth"])
 @pytest.mark.parametrize("controller", ["baseline", "policy", "acc-aeb,ttc_s=2.0"])
-def test_the_command_line_says_the_same_to_the_bit(tmp_path, command_line, controller, estimator):
+def test_the_command_line_says_the_same_to_the_bit(tmp_path, crumple_binary, controller, estimator):
     scenarios = [crumple.space("high-risk").draw(7, index) for index in range(3)]
     for index, scenario in enumerate(scenarios):
         (tmp_path / f"{index}.toml").write_text(scenario.to_toml())
     arguments = ["simulate", *(str(tmp_path / f"{index}.toml") for index in range(3)), "--controller", controller]
     arguments += ["--estimator", estimator, "--format", "json", "--trace", str(tmp_path / "trace.csv")]
-    printed = subprocess.run([command_line, *arguments], check=True, capture_output=True, text=True).stdout
+    printed = subprocess.run([crumple_binary, *arguments], check=True, capture_output=True, text=True).stdout
     said = [json.loads(line) for line in printed.splitlines()]
     done = crumple.simulate(scenarios, controller, estimator)
     for told, one in zip(said, done, strict=True):
@@ -114,12 +114,12 @@ def test_a_callable_a_batch_and_a_callable_of_each_run_drive_alike():
     alone = crumple.simulate(scenarios, follow, trace=False)
     seen_rows = []
 
-    def watched(rows):
+    def recording(rows):
         assert rows.shape[1] == len(crumple.OBSERVATION)
         seen_rows.append(len(rows))
         return follow_all(rows)
 
-    batch = crumple.simulate(scenarios, crumple.Controller(watched, batch=True), trace=False)
+    batch = crumple.simulate(scenarios, crumple.Controller(recording, batch=True), trace=False)
     each = crumple.simulate(scenarios, crumple.Controller(lambda vehicle, seed: follow, each_run=True), trace=False)
     for one, other, third in zip(alone, batch, each, strict=True):
         assert one.vehicles == other.vehicles == third.vehicles
@@ -165,11 +165,11 @@ def test_progress_is_told_and_may_end_the_work():
     crumple.simulate(scenarios, trace=False, progress=lambda *state: told.append(state))
     assert told[-1][:2] == (1500, 1500)
 
-    def enough(done, total, failures):
+    def stop_early(done, total, failures):
         raise KeyError("enough")
 
     with pytest.raises(KeyError):
-        crumple.simulate(scenarios, trace=False, progress=enough)
+        crumple.simulate(scenarios, trace=False, progress=stop_early)
 
 
 def test_ctrl_c_stops_work_that_would_last():
@@ -206,11 +206,11 @@ def test_others_run_meanwhile():
     assert len(ticks) > before, "the interpreter's lock was held"
 
 
-def test_falsify_finds_the_same_with_a_name_as_the_command_line(tmp_path, told_by_command_line):
+def test_falsify_finds_the_same_with_a_name_as_the_command_line(tmp_path, command_line_json):
     found = crumple.falsify("match-leader", budget=100, seed=3)
     arguments = ["falsify", "--controller", "match-leader", "--budget", "100", "--seed", "3"]
-    told = told_by_command_line(*arguments, "--out", tmp_path / "campaign")
-    # Which figures are of which methods is said besides, and nothing else.
+    told = command_line_json(*arguments, "--out", tmp_path / "campaign")
+    # Only the fields about methods are additional.
     assert told.pop("of_method_asked_for") == found.summary["methods"][0]
     assert told.pop("of_all_methods")["methods"] == len(found.summary["methods"])
     assert told == found.summary
@@ -237,13 +237,13 @@ def test_a_campaign_that_was_broken_off_goes_on_to_the_same_end(tmp_path):
     whole = crumple.falsify("match-leader", budget=200, folder=tmp_path / "whole")
     told = []
 
-    def enough(done, total, failures):
+    def stop_early(done, total, failures):
         told.append(done)
         if done >= 100:
             raise KeyError("enough")
 
     with pytest.raises(KeyError):
-        crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", progress=enough)
+        crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", progress=stop_early)
     assert max(told) < 600
     assert crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", resume=True).summary == whole.summary
 

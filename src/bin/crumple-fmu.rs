@@ -1,4 +1,4 @@
-//! The program that loads FMUs, in a process of its own: `crumple-fmu describe F.fmu` lists what one can be wired to.
+//! The program that loads FMUs, in a separate process: `crumple-fmu describe F.fmu` lists the variables of an FMU.
 
 use std::process::ExitCode;
 

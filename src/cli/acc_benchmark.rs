@@ -1,4 +1,4 @@
-//! `crumple benchmark acc`: adaptive cruise control by a network, proved.
+//! `crumple benchmark acc`: proof of a network for adaptive cruise control.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,7 +11,7 @@ use crumple_world::network::NetworkFile;
 use super::simulate::OutputFormat;
 use super::{CliError, output, reach};
 
-/// Proves of a network that it keeps its distance: ARCH-COMP AINNCS, adaptive cruise control
+/// Prove that a network keeps its distance: ARCH-COMP AINNCS, adaptive cruise control
 #[derive(Args)]
 #[command(after_long_help = "\
 Two cars, x' = v, v' = γ, γ' = -2 γ + 2 a - 0.0001 v². The lead car's a is -2; the own car's is what the network answers every 0.1 s \
@@ -24,30 +24,30 @@ subtracts 1 from every input and the .mat does not: they are two networks.
 Example:
   crumple benchmark acc --network corpora/controllers/acc-5x20.onnx --certificate acc.json")]
 pub(super) struct AccBenchmark {
-    /// The network: F.onnx, or a model of Stable-Baselines3, F.zip
+    /// Network: F.onnx, or a model of Stable-Baselines3, F.zip
     #[arg(long, value_name = "F")]
     network: PathBuf,
-    /// How many parts D_rel at the start is cut in: 1 to 10 000
+    /// Number of parts into which the initial D_rel is divided: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = DEFAULT_CELLS, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     cells: u32,
-    /// Random starts that are simulated beside it, besides the corners of the box: 1 to 10 000 000
+    /// Random initial states to simulate in addition to the corners of the box: 1 to 10 000 000
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     samples: u32,
-    /// Seed of the random starts
+    /// Seed of the random initial states
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Where the certificate goes, and the file of the network beside it
+    /// File for the certificate; the file of the network goes next to it
     #[arg(long, value_name = "FILE")]
     certificate: Option<PathBuf>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What is worth its time.
+/// More cells cost more time than they gain in margin.
 const DEFAULT_CELLS: u32 = 16;
 
-/// A network as the benchmark sees it.
+/// Loads the network of the benchmark.
 pub(super) fn load_network(path: &Path) -> Result<CruisePlan, CliError> {
     let file = NetworkFile::load(path).map_err(CliError::input)?;
     CruisePlan::new(file).map_err(|error| CliError::Input(format!("{}: {error}", path.display())))
@@ -91,7 +91,7 @@ impl AccBenchmark {
         sampled: &CruiseSamples,
     ) -> String {
         let width = |[low, high]: [f64; 2]| high - low;
-        // Bounds rounded to the side on which they hold.
+        // Round each bound to the side on which it holds.
         let down = |value: f64| (100.0 * value).floor() / 100.0;
         let up = |value: f64| (100.0 * value).ceil() / 100.0;
         format!(

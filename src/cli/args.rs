@@ -1,4 +1,4 @@
-//! Arguments that several subcommands share: which scenario, which controller.
+//! Arguments that several subcommands share, such as scenarios and controllers.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 
-/// A built-in scenario, or the one in a file.
+/// Returns a built-in scenario, or loads one from a file.
 pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
     if let Some(scenario) = built_in_scenario(name_or_path) {
         return Ok(scenario);
@@ -27,8 +27,8 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
         )));
     }
     let scenario = file::load(path)?;
-    // Programs that drive in it start once now: a missing one is an error of the scenario. Loading has refused them unless
-    // --allow-external is given.
+    // Start the programs that drive in the scenario once, so that a missing one is an error of the scenario. Without
+    // --allow-external, loading has refused them already.
     for (index, vehicle) in scenario.vehicles().iter().enumerate() {
         if let Driver::File(driver) = &vehicle.driver
             && let Some(controller) = driver.controller()
@@ -41,7 +41,6 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
     Ok(scenario)
 }
 
-/// A whole number of a range, for clap.
 pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {
     move |words| {
         let (low, high) = (range.start(), range.end());
@@ -50,7 +49,7 @@ pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Resul
     }
 }
 
-/// Reads a specification of runs like `nominal`, and warns where a formula is judged at the first instant only.
+/// Parses a specification of runs like `nominal`. Warns if a formula is evaluated at the first instant only.
 pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, CliError> {
     let read = Specification::parse(text, nominal).map_err(|error| CliError::Input(format!("--spec: {error}")))?;
     if let Some(warning) = read.warning() {
@@ -59,7 +58,7 @@ pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -
     Ok(read)
 }
 
-/// A built-in space, or the one in a file, for clap; with the name it was asked for by.
+/// Finds a built-in scenario space or loads one from a file, for clap. Returns it with the given name.
 pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), String> {
     if name_or_path.trim().is_empty() {
         return Err("no space is named".to_owned());
@@ -68,7 +67,7 @@ pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace),
     Ok((name_or_path.to_owned(), space))
 }
 
-/// Parses a built-in controller or reads the one in a file, for clap. Starts nothing: [`try_controllers`] does.
+/// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
 pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
     let found = NamedController::find_for_user(name, Path::new("")).map_err(|error| error.to_string())?;
     let mut named = NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -78,7 +77,6 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
     Ok(found)
 }
 
-/// A policy of crumple's own, for clap.
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
     if NetworkFile::is_network(Path::new(name)) {
         return Err(
@@ -92,16 +90,16 @@ pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
 /// Controllers that arguments name. Their programs start only after all arguments are read.
 static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 
-/// What may be wrong with a controller, a line each.
+/// Returns warnings about a controller, one per line.
 pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<Item = String> {
     let name = controller.name.clone();
     controller.kind.warnings().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
 }
 
-/// Starts the program of each controller that an argument names, once as a trial, and prints notes on the controllers.
+/// Starts the program of each controller that an argument names, as a trial, and prints warnings about controllers.
 ///
 /// # Errors
-/// [`Failure::Input`] for a program that does not start or does not introduce itself.
+/// [`CliError::Input`] for a program that does not start or fails the handshake.
 pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
     let named = std::mem::take(&mut *NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner));
     for controller in &named {
@@ -113,7 +111,7 @@ pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
     Ok(())
 }
 
-/// What a scenario of scripts and fixed drivers does.
+/// Simulates a scenario in which only scripts and fixed controllers drive.
 pub(super) fn replay(scenario: &Scenario) -> Result<SimulationResult, CliError> {
     let run = Run::new(
         scenario,

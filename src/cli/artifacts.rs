@@ -1,4 +1,4 @@
-//! What `avoid` and `worst-case` do with a scenario they have found: write it, draw it, print about it.
+//! Output of `avoid` and `worst-case`: the scenario file, the plot and the report.
 
 use std::path::PathBuf;
 
@@ -12,22 +12,22 @@ use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::SimulationResult;
 
-/// Where a finding goes.
+/// Output options.
 #[derive(Args)]
 pub(super) struct ArtifactArgs {
-    /// Write what was found as a scenario for `crumple simulate`; a file there is replaced
+    /// Write the scenario found, for `crumple simulate`; replaces an existing file
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
-    /// Draw it; a file there is replaced
+    /// Plot the scenario found; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
 impl ArtifactArgs {
-    /// Stages the files asked for: the scenario, and a drawing of what `replay` says of it.
+    /// Stages the requested files: the scenario, and a plot of the result of `replay`.
     pub(super) fn stage(
         &self,
         scenario: &Scenario,
@@ -53,14 +53,13 @@ impl ArtifactArgs {
         Ok(())
     }
 
-    /// Says that there is nothing to write, if something was to be.
+    /// Notes that there is nothing to write, if a file was requested.
     pub(super) fn note_nothing_to_write(&self, why: &str, quiet: bool) {
         if self.out.is_some() || self.plot.is_some() {
             output::note(&format!("note: {why} to write or draw"), quiet);
         }
     }
 
-    /// Prints a report, in words or as one JSON object.
     pub(super) fn print_report<R: Serialize>(
         &self,
         report: &R,

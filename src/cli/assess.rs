@@ -1,4 +1,4 @@
-//! `crumple assess`: gather the evidence and write the report.
+//! `crumple assess`: gathers evidence and writes the report.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
@@ -59,31 +59,31 @@ depends on and of itself: one that was cut, edited or swapped is gathered again.
 writes numbers and hashes anew is believed, so do not go on from a folder that others may write to; --fresh believes nothing that is \
 there. Certificates are checked in every run, kept or not.")]
 pub(super) struct Assess {
-    /// What to assess; built-in defaults without it
+    /// Configuration of the assessment; built-in defaults without it
     #[arg(value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Folder for the report, made if it is not there; `report.sha256` lists its files. Files that crumple wrote there and that have not
-    /// changed are replaced or removed, all others stay
+    /// Folder for the report, created if missing; `report.sha256` lists its files. crumple replaces or removes only
+    /// files that it wrote there and that have not changed
     #[arg(long, value_name = "DIR", default_value = "crumple-report")]
     out: PathBuf,
-    /// Say what got better, worse, new and gone since an earlier assessment
+    /// List changes since an earlier assessment: better, worse, new and removed
     #[arg(long, value_name = "OLD.json")]
     against: Option<PathBuf>,
     /// Gather all evidence again
     #[arg(long)]
     fresh: bool,
-    /// Gather shard I of N of the evidence only, N at most the number of its pieces, and write no report: `crumple merge` puts it together
-    /// where `assess` finds it; interrupted, the same command goes on
+    /// Gather only shard I of N of the evidence, N at most the number of its pieces, and write no report. `crumple
+    /// merge` combines shards for `assess`. The same command resumes an interrupted shard
     #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
     shard: Option<ShardId>,
-    /// How to print: the first page in words, or the summary that is in assessment.json
+    /// Output format: the first page as text, or the summary of assessment.json
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// The folder in a report's in which evidence is kept for the next one.
+/// Folder in the report folder that keeps evidence for later reports.
 pub(super) const EVIDENCE_FOLDER: &str = "evidence";
-/// The file that lists the files of a report.
+/// File that lists the files of a report.
 pub(super) const LISTING_FILE: &str = "report.sha256";
 
 impl Assess {
@@ -117,7 +117,7 @@ impl Assess {
                 self.out.display()
             )));
         }
-        // Reports of earlier builds have no listing, but a manifest.
+        // Reports of earlier builds have a manifest instead of a listing.
         let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
             .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
@@ -175,7 +175,6 @@ impl Assess {
     }
 }
 
-/// What a shard has gathered, for programs.
 #[derive(Serialize)]
 struct EvidenceShardReport {
     pieces: u64,
@@ -183,7 +182,7 @@ struct EvidenceShardReport {
     shard: ShardId,
 }
 
-/// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
+/// Writes the evidence of shards to the folder in which `assess` looks for it. Missing shards end with exit code 1.
 pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: OutputFormat) -> Result<(), CliError> {
     check_no_symlinks(out)?;
     let folder = out.join(EVIDENCE_FOLDER);
@@ -207,21 +206,19 @@ pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: OutputFormat) -
     CliError::gate_first(gate, output::print_result(format, &merged, || words))
 }
 
-/// What shards of an assessment come to, for programs.
 #[derive(Serialize)]
 struct MergedEvidenceReport {
-    /// Pieces of evidence that were put into the folder, or were there.
+    /// Pieces of evidence that were copied into the folder, or were there.
     pieces: usize,
     folder: String,
-    /// Whether `assess` of this build can write the report.
+    /// True if `assess` of this build can write the report.
     is_of_this_build: bool,
-    /// Pieces that no shard has gathered.
     missing: Vec<String>,
     #[serde(flatten)]
     shards: MissingShards,
 }
 
-/// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
+/// Refuses a report folder that contains symbolic links to folders: a report writes and removes files in its folders.
 fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
     REPORT_FOLDERS
         .into_iter()
@@ -229,7 +226,7 @@ fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
         .try_for_each(|name| ensure_no_symlinks(&out.join(name.trim_end_matches('/'))))
 }
 
-/// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.
+/// Checks that neither a folder nor any folder below it is a symbolic link. Ignores a path that is no folder.
 fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
     if folder.is_symlink() && !folder.is_file() {
         return Err(symlink_error(folder));
@@ -243,20 +240,21 @@ fn symlink_error(folder: &Path) -> CliError {
     CliError::Input(format!("{}: {problem}", folder.display()))
 }
 
-/// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.
+/// Returns the commit of the repository of the assessed files, with a mark if files differ from it; `None` without a
+/// repository.
 fn git_commit(folder: &Path) -> Option<String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let git = |arguments: &[&str]| {
         let no_programs = ["-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null"];
         let mut command = process::Command::new("git");
         command.arg("-C").arg(folder).args(no_programs.iter().chain(arguments));
-        // Git then writes no index, whose hooks it would run, and fetches nothing, for which it would start a transport.
+        // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
         command.env("GIT_OPTIONAL_LOCKS", "0").env("GIT_NO_LAZY_FETCH", "1").env("GIT_ALLOW_PROTOCOL", "none");
         let said = command.output().ok()?;
         said.status.success().then(|| String::from_utf8_lossy(&said.stdout).trim().to_owned())
     };
     let commit = git(&["rev-parse", "HEAD"])?;
-    // `git status` starts the filters that a repository names in its own configuration.
+    // `git status` starts the filters that the configuration of a repository names.
     let names_programs = |scope| git(&["config", scope, "--get-regexp", r"^(filter|include|includeif)\."]).is_some();
     if names_programs("--local") || names_programs("--worktree") {
         return Some(commit + ", not compared with the files: the repository configures filters");
@@ -265,7 +263,6 @@ fn git_commit(folder: &Path) -> Option<String> {
     Some(commit + if is_clean { "" } else { " with changes" })
 }
 
-/// When and where.
 fn build_info(folder: &Path, program_sha256: &str, took: Duration) -> BuildInfo {
     let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;

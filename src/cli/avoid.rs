@@ -1,4 +1,4 @@
-//! `crumple avoid`: could any driver have avoided the collision?
+//! `crumple avoid`: decides whether any driver could have avoided a collision.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use crumple_search::worst_case::{
 use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
 
-/// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
+/// Decide whether a collision was avoidable: find an escape, or prove that none exists
 #[derive(Args)]
 #[command(after_long_help = "\
 The vehicles under test may accelerate and brake as they like within their limits, knowing the future; all other vehicles keep \
@@ -50,27 +50,27 @@ pub(super) struct Avoid {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: String,
-    /// Ranges in place of some numbers of the scenario: decide for all of them at once (a file as above, not a box of `verify reach`)
+    /// Ranges that replace some numbers of the scenario: decide for all of them at once (not a box of `verify reach`)
     #[arg(long = "box", value_name = "F.toml")]
     ranges: Option<PathBuf>,
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     grid: Option<f64>,
-    /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all firings of the
-    /// brake behind and has other drivers in the loop
+    /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all trigger times
+    /// of the follower's emergency brake and simulates other controllers in the loop
     #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = value_enums::one_of(value_enums::ESCAPES))]
     escape: EscapeKind,
-    /// Write what `crumple check` accepts: the escape or the proof; a file there is replaced
+    /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
-    /// Write what `crumple check` accepts: why nobody keeps more than the bound, where there is an escape; a file there is replaced
+    /// Write a certificate that no driver keeps a larger gap than the bound, if there is an escape; replaces an
+    /// existing file
     #[arg(long, value_name = "F.json")]
     bound_certificate: Option<PathBuf>,
     #[command(flatten)]
     finding: ArtifactArgs,
 }
 
-/// What `--format json` prints.
 #[derive(Serialize)]
 struct AvoidReport<'a> {
     scenario: &'a str,
@@ -79,17 +79,16 @@ struct AvoidReport<'a> {
     escape_min_gap_m: Option<f64>,
     min_gap_bound_m: Option<f64>,
     min_gap_bound_is_certified: bool,
-    /// Reason why no driver keeps more: `bound` or `initial-gap`, or `best-found` if nothing shows it.
+    /// Reason why no driver keeps a larger gap: `bound` or `initial-gap`; `best-found` if that is not shown.
     optimality: Option<&'static str>,
     trigger_time_s: Option<f64>,
-    /// Whether an emergency brake behind fires in the replay; none if some driver there is not known.
+    /// True if the follower's emergency brake fires in the replay; `None` if a driver behind is unknown.
     emergency_brake_fires: Option<bool>,
     effort_m2ps3: Option<f64>,
     escape_is_best_for: Option<String>,
     /// `programs`, or `closed-loop` if the programs do not model every driver.
     escape_found_by: Option<&'static str>,
     programs: usize,
-    /// Profiles simulated with every other driver in the loop.
     simulations: usize,
     reason: Option<&'a UndecidedReason>,
 }
@@ -186,7 +185,6 @@ impl Avoid {
     }
 }
 
-/// The certificate of the verdict.
 fn verdict_certificate(family: &ScenarioBox, avoidance: &Avoidance) -> Result<Certificate, UndecidedReason> {
     match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
@@ -205,7 +203,7 @@ fn stage_certificate(
             let text = serde_json::to_string(&certificate).map_err(CliError::input)? + "\n";
             files.stage(&output::resolve_output_path(path)?, text)?;
         }
-        // Asked for and not written: that is said even where only errors are wanted.
+        // Shown with `--quiet` too: a requested file is missing.
         Err(reason) => output::note(
             &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
             false,
@@ -217,7 +215,6 @@ fn stage_certificate(
 fn describe(report: &AvoidReport<'_>) -> String {
     let AvoidReport { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
     let mut text = format!("{}: {verdict}\n", TerminalText(scenario));
-    // Writing to a string cannot fail.
     if let Some(gap_m) = escape_min_gap_m {
         let is_largest = report.best_min_gap_m == Some(*gap_m);
         let optimality = match report.optimality {

@@ -1,4 +1,4 @@
-//! `crumple benchmark`: how search and proofs compare with others, on public problems.
+//! `crumple benchmark`: public problems for search methods and for proofs.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use crumple_search::falsify::Method;
 use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, run_benchmark};
 use crumple_store::disk::{DiskError, StagedFiles};
 
-/// Measure it on a public problem: the search, or what is proved of a network
+/// Run a public benchmark (falsification or neural-network verification)
 #[derive(Args)]
 pub(super) struct BenchmarkCommand {
     #[command(subcommand)]
@@ -25,7 +25,7 @@ enum BenchmarkSubcommand {
     Acc(AccBenchmark),
 }
 
-/// How good is a search method? ARCH-COMP falsification, Chasing Cars, instance 2
+/// Benchmark a search method: ARCH-COMP falsification, Chasing Cars, instance 2
 #[derive(Args)]
 #[command(after_long_help = "\
 Chasing Cars, instance 2 of the ARCH-COMP falsification category: five cars, throttle and brake in 20 pieces of 5 s each, \
@@ -36,19 +36,19 @@ struct ChasingCars {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Most evaluations of a run: 1 to 1 000 000
+    /// Maximum number of evaluations of a run: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     budget: u32,
     /// Runs of each specification, with successive seeds: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// The first seed
+    /// First seed
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
-    /// Folder for the counterexamples, new or empty: one file each, rechecked from it
+    /// Folder for the counterexamples, new or empty; crumple reads each file back and checks it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// How to print; JSON also holds every run and its counterexample
+    /// Output format; JSON also contains every run and its counterexample
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
@@ -76,7 +76,7 @@ impl ChasingCars {
     }
 }
 
-/// Refuses a folder that holds anything: old counterexamples could not be told from new ones.
+/// Refuses a folder that is not empty: earlier counterexamples could not be distinguished from new ones.
 fn check_empty(folder: &Path) -> Result<(), CliError> {
     match std::fs::read_dir(folder).map(|mut entries| entries.next().is_none()) {
         Ok(false) => Err(CliError::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),
@@ -86,7 +86,7 @@ fn check_empty(folder: &Path) -> Result<(), CliError> {
     }
 }
 
-/// Writes each counterexample to a file of its own, reads it back and replays it from there.
+/// Writes each counterexample to a separate file, reads it back and replays it.
 fn write_counterexamples(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), CliError> {
     std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
     let found: Vec<CounterexampleFile> = measured.counterexample_files();
@@ -115,7 +115,6 @@ fn write_counterexamples(measured: &Benchmark, folder: &Path, quiet: bool) -> Re
 }
 
 fn format_table(measured: &Benchmark) -> String {
-    // Writing to a string cannot fail.
     let mut text = format!("Chasing Cars, {}, at most {} evaluations\n", measured.method, measured.budget);
     for row in &measured.rows {
         let mean = row.mean_evaluations.map_or("-".to_owned(), |mean| format!("{mean:.1}"));

@@ -1,4 +1,4 @@
-//! `crumple check`: accept or reject certificates, by the checker alone; and count again, if asked to.
+//! `crumple check`: accepts or rejects certificates by the checker alone, and repeats counted runs on request.
 
 use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
@@ -44,27 +44,28 @@ pub(super) struct Check {
     /// Certificates
     #[arg(required = true, value_name = "CERTIFICATE")]
     certificates: Vec<PathBuf>,
-    /// Also check that the certificates speak about this scenario
+    /// Also check that the certificates are about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<String>,
-    /// The policy file of certificates about a policy; the one beside the certificate without it. Of those about a network, its source
-    /// (F.onnx, F.zip, or the controller file F.toml), to be read again
+    /// Policy file of certificates about a policy [default: the one next to the certificate]; for certificates about a
+    /// network, its source to read again (F.onnx, F.zip, or the controller file F.toml)
     #[arg(long, value_name = "F")]
     policy: Option<PathBuf>,
-    /// Draw and simulate counted runs again: all of them, or PERCENT of the blocks they come in
+    /// Simulate counted runs again: all of them, or PERCENT of their blocks
     #[arg(long, value_name = "PERCENT", num_args = 0..=1, require_equals = true, default_missing_value = "100",
           value_parser = parse_percent)]
     rerun: Option<f64>,
-    /// What decides which blocks are made again; nobody may have known it when the certificate was made [default: random]
+    /// Seed that selects the blocks to repeat; must have been unknown when the certificate was made [default: random]
     #[arg(long, value_name = "N", requires = "rerun")]
     rerun_seed: Option<u64>,
-    /// A controller of counted runs that is not built in, for --rerun; may be given twice
+    /// Controller of counted runs that is not built in, for --rerun; may be given twice
     #[arg(long, value_name = "C", requires = "rerun", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
-    /// Billions of operations that checking one certificate may take; the default is some ten minutes of one core
+    /// Maximum number of operations to check one certificate, in billions; the default takes about ten minutes on one
+    /// core
     #[arg(long, value_name = "N", default_value_t = WorkLimit::default().to_billions())]
     work_limit: u64,
-    /// How to print: for a reader, or one JSON object a certificate
+    /// Output format: text, or one JSON object per certificate
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
@@ -82,7 +83,7 @@ impl Check {
         if self.rerun.is_some() {
             interrupt::set_exit_message("nothing was confirmed or refuted".to_owned(), quiet);
         }
-        // What is wrong with one says nothing of the others.
+        // Check the other certificates even if one cannot be read.
         let (mut certificates, mut others) = (Vec::new(), Vec::new());
         for path in &self.certificates {
             match load_certificate(path) {
@@ -147,7 +148,7 @@ impl Check {
     ) -> Result<CountsStatus, CliError> {
         let cannot = |error: RerunError| CliError::Input(format!("{}: {error}", path.display()));
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
-        // The keys of a new table's hashes are random: nobody could know them when the certificate was made.
+        // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
         let bar = progress::run_bar("counting again", rerun.run_count(sample), quiet);
@@ -160,8 +161,8 @@ impl Check {
         }
     }
 
-    /// What the checker needs of a policy. The reference policy comes with the program: only its digest, which the checker
-    /// computes again, says that it is the one meant.
+    /// Returns the policy that the checker needs. The reference policy comes with the program; the checker computes its
+    /// digest again.
     fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, CliError> {
         if certificate.policy_reference().is_some()
             && let Some(source) = self.policy.as_deref().filter(|path| is_network_source(path))
@@ -181,7 +182,7 @@ impl Check {
             return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is no network")));
         }
         let found = certificate.read_policy(path, self.policy.as_deref());
-        // The reference policy need not lie beside a certificate that is about it.
+        // The reference policy need not be next to its certificate.
         let is_of_reference = match &certificate.statement {
             Statement::Reach(reach) => reach.policy_sha256 == Policy::reference().digest(),
             _ => false,
@@ -190,7 +191,6 @@ impl Check {
     }
 }
 
-/// Certificate that could not be judged, one line of `--format json`.
 #[derive(Serialize)]
 struct UncheckedCertificate<'a> {
     certificate: &'a str,
@@ -198,7 +198,6 @@ struct UncheckedCertificate<'a> {
     error: String,
 }
 
-/// Formats certificates that could not be judged as one JSON object a line.
 fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> {
     let line = |(certificate, failure): &(String, CliError)| {
         let line = UncheckedCertificate { certificate, accepted: false, error: failure.to_string() };
@@ -207,7 +206,6 @@ fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> 
     others.iter().map(line).collect()
 }
 
-/// Which certificates are refused, if any is.
 fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     let of = |is_wanted: &dyn Fn(&CertificateReport<'_>) -> bool| {
         let paths: Vec<&str> = all.iter().filter(|one| is_wanted(one)).map(|one| one.path.as_str()).collect();
@@ -221,7 +219,7 @@ fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
-/// Whether a file is the source of a network, and not what the checker reads.
+/// Returns true if a file is the source of a network, which the checker does not read.
 fn is_network_source(path: &Path) -> bool {
     NetworkFile::is_network(path) || path.extension().is_some_and(|extension| extension == "toml")
 }

@@ -1,4 +1,4 @@
-//! `crumple describe`: what the file of a controller from outside says of itself. Starts no program and loads no library.
+//! `crumple describe`: metadata of external controller files. Starts no program and loads no library.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crumple_world::network::{
 };
 use crumple_world::sim::{NamedController, UnknownController};
 
-/// Describe the file of a network, as a controller file to begin with, or of an FMU
+/// Inspect an ONNX/SB3 network and print a starter controller file, or inspect an FMU
 #[derive(Args)]
 #[command(after_long_help = "\
 The command starts no program and loads no library, whatever the file is. Of an FMU it lists the variables of modelDescription.xml.
@@ -30,10 +30,10 @@ Examples:
   crumple describe acc.onnx --format json
   crumple describe acc.fmu")]
 pub(super) struct Describe {
-    /// The network, F.onnx or F.zip of Stable-Baselines3, or the FMU, F.fmu
+    /// Network, F.onnx or F.zip of Stable-Baselines3, or FMU, F.fmu
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// How to print: for a reader (a network as a controller file with comments), or one JSON object
+    /// Output format: text (for a network, a controller file with comments), or one JSON object
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
@@ -47,12 +47,13 @@ struct NetworkDescription {
     functions: Vec<String>,
     inputs: usize,
     answers: usize,
-    /// Bounds that the network itself sets to each answer; none where it sets none.
+    /// Bounds that the network itself sets for each output; `None` without a bound.
     answer_bounds: Vec<[Option<f64>; 2]>,
-    /// Of Stable-Baselines3: algorithm, version, bounds of observations and actions (none where there are none), `VecNormalize`.
+    /// Algorithm, version, bounds of observations and actions (`None` without a bound) and `VecNormalize` of
+    /// Stable-Baselines3.
     #[serde(skip_serializing_if = "Option::is_none")]
     model: Option<SavedModelDescription>,
-    /// Whether it drives as it is, without a controller file.
+    /// True if the network needs no controller file.
     drives_as_it_is: bool,
     controller_file: String,
 }
@@ -64,12 +65,12 @@ struct SavedModelDescription {
     observations: Vec<[Option<f32>; 2]>,
     actions: Vec<[Option<f32>; 2]>,
     vec_normalize: VecNormalizeUse,
-    /// The file that seems to have the statistics, and what it says of observations.
+    /// File that seems to contain the statistics, and their normalisation of observations.
     statistics: Option<String>,
     normalisation: Option<Normalisation>,
 }
 
-/// What inputs are taken for, for want of anything better, in this order.
+/// Default quantities of the inputs, in this order.
 const DEFAULT_QUANTITIES: [ObservedQuantity; 6] = [
     ObservedQuantity::GapAheadM,
     ObservedQuantity::SpeedMps,
@@ -121,7 +122,7 @@ impl Describe {
 }
 
 impl Describe {
-    /// Why there is nothing to describe: of what drives as it is, that.
+    /// Returns the error for a file that is not a network, with a note if crumple can drive with it directly.
     fn not_a_network_error(&self, error: &NetworkError) -> CliError {
         let place = self.file.display();
         let names_no_network = !NetworkFile::is_network(&self.file);
@@ -135,13 +136,12 @@ impl Describe {
     }
 }
 
-/// Returns true if the file drives as it is. A program counts, and is not started.
+/// Returns true if the file is a controller. A program counts, and is not started.
 fn is_controller(file: &Path) -> bool {
     let found = NamedController::find(&file.to_string_lossy(), Path::new(""));
     matches!(found, Ok(_) | Err(UnknownController::StartRefused(_)))
 }
 
-/// Bounds of single numbers; none where there is no bound.
 fn finite_bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
     low.iter()
         .zip(high)
@@ -149,12 +149,10 @@ fn finite_bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
         .collect()
 }
 
-/// Replaces infinite bounds by none.
 fn without_infinities(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
     bounds.into_iter().map(|pair| pair.map(|bound| Some(bound).filter(|bound| bound.is_finite()))).collect()
 }
 
-/// The functions between the products by name, each once, in order.
 fn activation_names(steps: &[NetworkStep]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for step in steps {
@@ -168,7 +166,7 @@ fn activation_names(steps: &[NetworkStep]) -> Vec<String> {
     names
 }
 
-/// `2 numbers from -1 to 1`, or each by itself.
+/// Formats bounds: `2 numbers from -1 to 1`, or each separately.
 fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
     let one = |[low, high]: &[Option<f32>; 2]| {
         let end = |bound: &Option<f32>, open: &str| bound.map_or_else(|| open.to_owned(), |bound| bound.to_string());
@@ -183,7 +181,6 @@ fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
 }
 
 impl NetworkDescription {
-    /// What is known of it, a comment a line.
     fn comments(&self) -> String {
         let mut lines = vec![format!("{}: layers {}, {}", self.file, self.layers, self.functions.join(", "))];
         if let Some(model) = &self.model {
@@ -212,19 +209,19 @@ impl NetworkDescription {
         lines.iter().map(|line| format!("# {}\n", line.escape_debug())).collect()
     }
 
-    /// A controller file that runs.
+    /// Returns a controller file that can be loaded.
     fn draft_controller_file(&self, saved: Option<&SavedModel>) -> String {
         let own = Mapping::native();
         let model = self.model.as_ref();
         let normalisation = model.and_then(|model| model.normalisation.as_ref());
-        // Escaped as TOML wants it, too.
+        // A JSON string is also a valid TOML string.
         let path = serde_json::Value::from(self.file.as_str());
         let mut text = format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
             text += "normalised = true # the inputs hold the statistics\n";
         } else if saved.is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind) {
-            // Nothing is said in the place of who knows: the file is refused until somebody does.
+            // No default: crumple refuses the file until the user decides.
             text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
         }
         for index in 0..self.inputs {
@@ -250,15 +247,16 @@ impl NetworkDescription {
         text + &self.output_section(&own.output)
     }
 
-    /// Returns the rest of `[output]`. A network that limits its answers itself, as by tanh at its end, needs a scale to m/s².
+    /// Returns the rest of `[output]`. A network that limits its outputs itself, as by a final tanh, needs a scale to
+    /// m/s².
     fn output_section(&self, own: &OutputMapping) -> String {
         let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
         let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
-        // The space of actions is wider than what the network reaches where it cuts the mean before tanh.
+        // The action space is wider than the network's range if the network clips the mean before tanh.
         let actions = self.model.as_ref().and_then(|model| model.actions.first());
         let actions = actions.map(|bounds| bounds.map(|bound| bound.map(f64::from)));
         match actions.as_ref().or(self.answer_bounds.first()) {
-            // Taken for accelerations.
+            // These bounds look like accelerations.
             Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
                 format!(
                     "# The limits of the network's answers are taken for m/s², a guess. Otherwise add scale_mps2 and offset_mps2.\n\

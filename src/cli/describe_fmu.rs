@@ -9,7 +9,6 @@ use super::simulate::OutputFormat;
 use super::{CliError, output};
 use crumple_core::quoting::TerminalText;
 
-/// An FMU, for programs.
 #[derive(Serialize)]
 struct FmuReport<'a> {
     file: String,
@@ -19,7 +18,6 @@ struct FmuReport<'a> {
     variables: Vec<FmuVariableReport<'a>>,
 }
 
-/// A variable of an FMU, for programs.
 #[derive(Serialize)]
 struct FmuVariableReport<'a> {
     name: &'a str,
@@ -30,7 +28,7 @@ struct FmuVariableReport<'a> {
     description: Option<&'a str>,
 }
 
-/// Prints what an FMU can be wired to. Runs nothing of it.
+/// Prints the variables of an FMU. Runs none of its code.
 pub(super) fn describe(file: &Path, format: OutputFormat) -> Result<(), CliError> {
     let fmu = Fmu::open(file).map_err(|error| CliError::Input(format!("{}: {error}", file.display())))?;
     let description = fmu.description();

@@ -1,4 +1,4 @@
-//! `crumple doctor`: what this build can do on this machine.
+//! `crumple doctor`: capabilities of this build on this machine.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -11,41 +11,36 @@ use super::feature::{FEATURES, Feature};
 use super::simulate::OutputFormat;
 use super::{CliError, output};
 
-/// Say what this build can do on this machine, and what it would need for the rest
+/// Show what this build can do on this machine, and what the rest requires
 #[derive(Args)]
 pub(super) struct Doctor {
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What was found.
 #[derive(Serialize)]
 struct DoctorReport {
     version: &'static str,
     system: &'static str,
     processor: &'static str,
-    /// Width of the widest vector registers that both the program and the processor have. It changes times, and no bit of a result.
+    /// Width of the widest vector registers that the program and the processor share. Affects times, never results.
     register_bits: usize,
-    /// Whether the processor multiplies and adds in one operation. Without it networks are slow, and no bit of a result is another.
+    /// True if the processor has fused multiply-add. Without it networks are slow, with the same results.
     fused_multiply_add: bool,
     threads: usize,
-    /// SHA-256 of the program: interrupted work is gone on with by the same one alone.
+    /// SHA-256 of the program: only the same program can resume interrupted work.
     program_sha256: Option<&'static str>,
-    /// Optional features of the build.
     features: [Feature; 3],
     needs: Vec<Dependency>,
 }
 
-/// Something that a part of crumple needs besides itself.
+/// External program that a part of crumple needs.
 #[derive(Serialize)]
 struct Dependency {
     name: &'static str,
-    /// Where it is; null if it is not there.
     found: Option<String>,
-    /// What needs it.
     used_for: &'static str,
-    /// How to have it.
     install: &'static str,
 }
 
@@ -76,7 +71,6 @@ impl DoctorReport {
         let mut text = format!(
             "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
         );
-        // Writing to a string cannot fail.
         match &self.program_sha256 {
             Some(identity) => drop(writeln!(text, "  this program is {identity}")),
             None => drop(writeln!(text, "  this program cannot be read: nothing that is kept can be gone on with")),
@@ -154,7 +148,6 @@ fn dependencies() -> Vec<Dependency> {
     ]
 }
 
-/// A program on the `PATH`.
 fn find_program(name: &str) -> Option<PathBuf> {
     let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
     let path = std::env::var_os("PATH")?;
@@ -175,7 +168,7 @@ fn is_program(path: &Path) -> bool {
     path.is_file()
 }
 
-/// What a program prints, if it succeeds.
+/// Returns the standard output of a program, if it succeeds.
 fn program_output(command: &mut Command) -> Option<String> {
     let done = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     done.status.success().then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())

@@ -1,4 +1,4 @@
-//! How a subcommand fails, and the exit code each way has.
+//! Errors of subcommands, and their exit codes.
 
 use std::fmt;
 use std::io;
@@ -18,7 +18,6 @@ use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{RefusedController, RunError};
 
-/// Why a subcommand did not succeed.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CliError {
     /// A gate did not hold: exit code 1.
@@ -33,17 +32,16 @@ pub(super) enum CliError {
 }
 
 impl CliError {
-    /// Unusable input, from any error that explains itself.
+    /// Converts any error into one of unusable input.
     pub(super) fn input(error: impl fmt::Display) -> Self {
         Self::Input(error.to_string())
     }
 
-    /// A gate holds or does not, even where the results cannot be printed; only then that is the failure.
+    /// Returns the error of the gate if there is one, otherwise that of printing the results.
     pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
         gate.and(printed)
     }
 
-    /// The exit code, as `--help` documents it.
     #[must_use]
     pub(super) fn exit_code(&self) -> ExitCode {
         match self {
@@ -53,7 +51,7 @@ impl CliError {
         }
     }
 
-    /// Prints the failure to standard error, in one line: what it quotes of a file cannot look like more than one message.
+    /// Prints the error to standard error, in one line, so that quoted file content cannot imitate further messages.
     pub(super) fn print(&self) {
         let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
         output::note(&format!("{kind}: {self}"), false);
@@ -61,7 +59,8 @@ impl CliError {
 }
 
 impl CliError {
-    /// A file that could not be read: a wrong argument if it is not there or not text, otherwise the environment's fault.
+    /// Converts an error of reading a file: unusable input if the file is missing or not text, otherwise a failed
+    /// environment.
     pub(super) fn from_read_error(path: PathBuf, source: io::Error) -> Self {
         match source.kind() {
             io::ErrorKind::NotFound
@@ -101,7 +100,7 @@ impl From<RecordingError> for CliError {
     }
 }
 
-/// Converts errors. Those of the named variants have an exit code of their own; all others mean unusable input.
+/// Converts errors. Those of the named variants have separate exit codes; all others mean unusable input.
 macro_rules! from_errors {
     ($($error:ident { $($inner:ident),* })*) => {$(
         impl From<$error> for CliError {

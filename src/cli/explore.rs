@@ -12,7 +12,7 @@ use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
-/// Drag scenarios about in the browser, and watch campaigns
+/// Explore scenarios interactively in a browser and follow running campaigns
 #[derive(Args)]
 #[command(after_long_help = "\
 Prints an address for the browser of this machine and serves it until Ctrl-C: on 127.0.0.1 alone, and only to who knows the token in that \
@@ -24,33 +24,30 @@ Examples:
   crumple explore my-scenario.toml --controller baseline --controller policy --out drawn
   crumple explore runs/match-leader runs/idm")]
 pub(super) struct Explore {
-    /// Scenarios to begin with, built-in ones or files, and folders of campaigns (`crumple falsify --out`), finished or under way. The
-    /// first one is shown first
+    /// Initial scenarios, built-in or files, and folders of campaigns (`crumple falsify --out`), finished or running.
+    /// The browser shows the first one
     #[arg(value_name = "SCENARIO|CAMPAIGN")]
     what: Vec<String>,
-    /// Port; 0 for any that is free
+    /// Port; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     port: u16,
-    /// Controller to begin with (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4, side by side
+    /// Initial controller (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
-    /// What the vehicles under test look through at first
+    /// Initial estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Folder in which scenarios can be saved, beside being downloaded
+    /// Folder in which scenarios can be saved, in addition to downloads
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// How to print the address: for a reader, or as one JSON object
+    /// Output format of the address: text, or one JSON object
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What `--format json` prints.
 #[derive(Serialize)]
 struct Address {
-    /// The beginning of all addresses.
     address: String,
-    /// The page to open.
     page: String,
     port: u16,
 }
@@ -63,7 +60,6 @@ impl Explore {
             save_folder: self.out,
             ..ExploreConfig::default()
         };
-        // What is named first is shown first.
         let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {
             if Path::new(&name).is_dir() {

@@ -1,10 +1,10 @@
-//! `crumple explore` in a build without the feature `explore`: an error that says how to enable it.
+//! `crumple explore` in a build without the feature `explore`: an error that explains how to enable it.
 
 use clap::Args;
 
 use super::{Failure, feature};
 
-/// Edit scenarios and watch campaigns in the browser (this build lacks the feature `explore`)
+/// Edit scenarios and follow campaigns in the browser (this build lacks the feature `explore`)
 #[derive(Args)]
 pub(super) struct Explore {
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]

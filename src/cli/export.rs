@@ -37,46 +37,45 @@ pub(super) struct Export {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
-    /// The format
+    /// Format
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: ExportFormat,
-    /// What is written
+    /// Content of the export
     #[arg(long = "as", value_enum, value_name = "WHAT", default_value = "trajectories")]
     what: ExportContent,
-    /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one that a
-    /// counterexample is recorded with, `baseline` in built-in scenarios; needed in all other scenarios with a vehicle under test]
+    /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one
+    /// recorded with a counterexample, `baseline` in built-in scenarios; required in all other scenarios with a vehicle
+    /// under test]
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Option<NamedController>,
     /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
     #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: Option<EstimatorKind>,
-    /// What happens when vehicles touch
+    /// Behaviour after a collision
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
     after_contact: AfterContact,
-    /// Folder for the files, made if it is not there; `exported.sha256` lists them. Files that crumple wrote there and that have not changed
-    /// are replaced, all others stay
+    /// Folder for the files, created if missing; `exported.sha256` lists them. crumple replaces only files that it
+    /// wrote there and that have not changed
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What was written of a scenario.
 #[derive(Serialize)]
 struct ExportedScenario {
     scenario: String,
-    /// The files.
     openscenario: String,
     opendrive: String,
     vehicles: usize,
     vertices: usize,
-    /// What drove the vehicles under test; none where there is none, or where that is left to the user.
+    /// Controller of the vehicles under test; `None` without such a vehicle, or if the user supplies the controller.
     controller: Option<String>,
     estimator: Option<&'static str>,
 }
 
-/// What drives the vehicles under test.
+/// Controller and estimator of the vehicles under test.
 struct ExportController {
     controller: NamedController,
     estimator: EstimatorKind,
@@ -91,9 +90,9 @@ enum ExportFormat {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum ExportContent {
-    /// What every vehicle did
+    /// Motion of every vehicle
     Trajectories,
-    /// What the scripted vehicles do
+    /// Actions of the scripted vehicles
     Actions,
 }
 
@@ -147,8 +146,8 @@ impl Export {
         output::print_result(self.format, &exported, || exported.iter().map(line).collect())
     }
 
-    /// Returns what drives the vehicles under test: what the user names, or else what a counterexample is recorded with. None where no
-    /// vehicle is under test, or where that is left to the user.
+    /// Returns the controller of the vehicles under test: the one that the user names, or else that of the
+    /// counterexample. `None` if no vehicle is under test, or the user supplies the controller in the other simulator.
     fn controller_setup(&self, given: &str, scenario: &Scenario) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
@@ -199,7 +198,6 @@ impl Export {
         if self.what == ExportContent::Actions {
             return openscenario::export_actions(scenario, road).map_err(|error| failed(&error));
         }
-        // Without a vehicle under test, the controller has no effect.
         let (kind, estimator) = match driven {
             Some(driven) => (driven.controller.kind.clone(), driven.estimator),
             None => (ControllerSpec::Baseline(Default::default()).into(), EstimatorKind::default()),
@@ -216,7 +214,7 @@ impl Export {
     }
 }
 
-/// A scenario's name as that of a file.
+/// Returns a file name for a scenario's name.
 fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
     name.chars().map(plain).take(60).collect()

@@ -1,4 +1,4 @@
-//! Failures per hour and per 1000 km, in words.
+//! Text output of failures per hour and per 1000 km.
 
 use std::fmt::Write;
 
@@ -6,7 +6,7 @@ use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::exposure::{FailureRates, IntervalEstimate, MIN_RESAMPLES, RatePerExposure, WithDataUncertainty};
 
-/// The option `--resamples`: none, or enough for an interval.
+/// Parses the option `--resamples`: 0, or enough for an interval.
 pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
     match text.parse() {
         Ok(found @ (0 | MIN_RESAMPLES..=2000)) => Ok(found),
@@ -14,10 +14,8 @@ pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
     }
 }
 
-/// What a rate comes to on the road.
 pub(super) fn format_rate(rate: &RatePerExposure) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     let _ = write_rate(rate, &mut text);
     text
 }

@@ -1,4 +1,4 @@
-//! `crumple falsify`: look for failures of a controller, and keep the distinct ones.
+//! `crumple falsify`: searches for failures of a controller and keeps the distinct ones.
 
 use std::path::{Path, PathBuf};
 
@@ -52,17 +52,18 @@ Examples:
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
-    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
+    /// `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// Where to search: a built-in space (see `crumple list spaces`) or a space file
+    /// Scenario space to search: built-in (see `crumple list spaces`) or a file
     #[arg(long, value_name = "S", default_value = "high-risk")]
     space: String,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Which failures the search is after once it knows some: severest, likeliest or nearest (to nominal)
+    /// Failures to prefer once the search knows some: severest, likeliest or nearest (to nominal)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
@@ -71,49 +72,51 @@ pub(super) struct Falsify {
     /// Seed of the search and of all noise
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
-    /// What must hold: `no contact`, a formula of signal temporal logic, or one of the rules below
+    /// Specification: `no contact`, a formula of signal temporal logic, or one of the named specifications below
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
-    /// Only what this other controller passes counts as a failure
+    /// Count only failures in scenarios that this other controller passes
     #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
-    /// Only what the controller passes with less of this counts: `larger-gap=M` (everybody ahead starts M metres further away) or
-    /// `more-friction=F`
+    /// Count only failures that vanish in an easier scenario: `larger-gap=M` (all vehicles ahead start M metres further
+    /// away) or `more-friction=F`
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
-    /// What the vehicles under test look through
+    /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// What is kept of every evaluation [default: full; of a shard, summary]
+    /// Detail of the log of evaluations [default: full; for a shard, summary]
     #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]
     log: Option<EvaluationLog>,
-    /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
+    /// Run only shard I of N: a part of the budget of every method; `crumple merge` combines shards into one campaign
     #[arg(long, value_name = "I/N")]
     shard: Option<ShardId>,
-    /// Make the search a gate: exit code 1 unless it found a failure, or nothing
+    /// Make the search a gate: exit code 1 unless it found a failure, or none
     #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
     expect: Option<SearchExpectation>,
-    /// Folder of the campaign; made if it is not there [default: crumple-campaign; of a shard, crumple-campaign-shard-I-of-N]
+    /// Folder of the campaign, created if missing [default: crumple-campaign; for a shard,
+    /// crumple-campaign-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with the campaign in the folder
+    /// Resume the campaign in the folder
     #[arg(long)]
     resume: bool,
-    /// How to print the summary
+    /// Output format of the summary
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SearchExpectation {
-    /// Some method found a failure
+    /// At least one method found a failure
     Failure,
-    /// No method found any
+    /// No method found a failure
     Nothing,
 }
 
 impl SearchExpectation {
-    /// Whether it came so; a search that found nothing has shown nothing but how hard it looked, which the gate says.
+    /// Checks the expectation. The message states the number of evaluations, since a search without failures proves
+    /// nothing.
     fn check(self, summary: &CampaignSummary) -> Result<(), CliError> {
         let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
         match (self, summary.falsified) {
@@ -126,7 +129,7 @@ impl SearchExpectation {
                     if kinds == 1 { "is 1 distinct failure" } else { &format!("are {kinds} distinct failures") };
                 Err(CliError::Gate(format!("expected nothing, and there {found} in {evaluations} evaluations")))
             }
-            // What was not judged does not speak for the controller.
+            // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
                 let alone: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
                 if alone > 0 && alone == evaluations {
@@ -214,7 +217,6 @@ impl Falsify {
     }
 }
 
-/// Says what came of a shard.
 fn print_shard_summary(shard: ShardId, done: ShardSummary, out: &Path, format: OutputFormat) -> Result<(), CliError> {
     let words = || {
         format!(
@@ -229,8 +231,8 @@ fn print_shard_summary(shard: ShardId, done: ShardSummary, out: &Path, format: O
     output::print_result(format, &done, words)
 }
 
-/// Puts shards together to a campaign, and prints its summary. What is missing ends with exit code 1, and keeps it from being written
-/// unless a part is asked for.
+/// Merges shards into a campaign and prints its summary. Missing shards end with exit code 1; the campaign is then
+/// written only if `--partial` is given.
 pub(super) fn merge(
     merged: &MergedCampaign,
     folder: &Path,
@@ -259,8 +261,8 @@ pub(super) fn merge(
     CliError::gate_first(gate, printed)
 }
 
-/// A summary for programs. Its figures are some of the method that was asked for and some of all methods together; these two say which,
-/// under names of their own.
+/// JSON summary. Some fields refer to the requested method and some to all methods; the two additional fields
+/// distinguish them.
 #[derive(Serialize)]
 struct SummaryReport<'a> {
     #[serde(flatten)]
@@ -271,15 +273,14 @@ struct SummaryReport<'a> {
     all_methods: AllMethodsSummary,
 }
 
-/// What the method that was asked for and the reference searches found together.
+/// Joint results of the requested method and the reference searches.
 #[derive(Serialize)]
 struct AllMethodsSummary {
     methods: usize,
     evaluations: u64,
-    /// Evaluations that failed.
     failures: u64,
     falsified: bool,
-    /// Failures told apart, as they are listed in `counterexamples`.
+    /// Failures after de-duplication, as listed in `counterexamples`.
     distinct_failures: usize,
     #[serde(serialize_with = "non_finite::optional::serialize")]
     best_robustness: Option<f64>,
@@ -309,7 +310,6 @@ fn format_failure_count(count: u64) -> String {
     format!("{count} failure{}", if count == 1 { "" } else { "s" })
 }
 
-/// A built-in space, or the one in a file.
 fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
     if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
         return Err(CliError::Input(format!("{name}: a space file ends in .toml")));

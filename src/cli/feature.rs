@@ -1,4 +1,4 @@
-//! Optional features of the program, which are selected when it is compiled.
+//! Optional features, which are selected when the program is compiled.
 
 use serde::Serialize;
 
@@ -6,7 +6,6 @@ use super::CliError;
 use crumple_report::draw::Svg;
 use crumple_world::sim::Trace;
 
-/// Optional feature.
 #[derive(Serialize)]
 pub(super) struct Feature {
     pub(super) name: &'static str,
@@ -21,7 +20,6 @@ pub(super) const PARQUET: Feature =
 pub(super) const PNG: Feature =
     Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
 
-/// All optional features.
 pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
 
 impl Feature {
@@ -33,7 +31,7 @@ impl Feature {
     /// Checks that this build has the feature.
     ///
     /// # Errors
-    /// A text that says how to enable the feature.
+    /// A text that explains how to enable the feature.
     pub(super) fn require(&self) -> Result<(), String> {
         if self.enabled {
             return Ok(());
@@ -61,7 +59,7 @@ pub(super) fn require_format(extension: &str) -> Result<(), String> {
 /// Renders a figure as PNG.
 ///
 /// # Errors
-/// [`Failure::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
+/// [`CliError::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
 #[cfg(feature = "png")]
 pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
     figure.to_png(crumple_report::draw::PNG_SCALE).map_err(CliError::input)
@@ -75,7 +73,7 @@ pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, Failure> {
 /// Encodes a trace as Parquet.
 ///
 /// # Errors
-/// [`Failure::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
+/// [`CliError::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
 #[cfg(feature = "parquet")]
 pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
     crumple_report::export::to_parquet(trace).map_err(CliError::input)

@@ -1,13 +1,13 @@
-//! What a file of crumple's own is that stands where another was wanted.
+//! Detection of crumple's file kinds, for a better error when a command gets the wrong kind.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The header of a policy or a checkpoint begins within so many bytes.
+/// Number of bytes within which the header of a policy or a checkpoint begins.
 const HEADER_BYTES: u64 = 4096;
 
-/// What a file is, and which command takes it; none of any file that is not told by how it begins.
+/// Returns the kind of a file and the command that reads it; `None` if the first bytes do not identify it.
 pub(super) fn detect(path: &Path) -> Option<&'static str> {
     let mut begin = Vec::new();
     if path.is_file() {

@@ -1,4 +1,4 @@
-//! `crumple fit`: recorded episodes become a search space.
+//! `crumple fit`: fits a scenario space to recorded episodes.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -23,7 +23,7 @@ use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{LeaderSelection, load};
 use crumple_world::scenario::space::file;
 
-/// Fit a search space to the braking episodes of recordings
+/// Fit a scenario space to the braking episodes of recordings
 #[derive(Args)]
 #[command(after_long_help = "\
 Takes recordings as `crumple import` does, and describes each braking episode by numbers: the leader's speed, the deceleration of its \
@@ -44,42 +44,42 @@ pub(super) struct Fit {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// What the columns of the recordings mean: a map, see docs/exchange.md
+    /// Map with the meanings of the recordings' columns, see docs/exchange.md
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
-    /// Whose braking makes an episode
+    /// Vehicles whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
-    /// Vehicles of a scenario, the leader among them: 2 to 5. Episodes of fewer are left out, and of more the first ones taken
+    /// Vehicles of a scenario, including the leader: 2 to 5. Episodes with fewer are ignored; of more, the first ones
+    /// count
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=MAX_VEHICLES as i64))]
     vehicles: u8,
-    /// The space's name: 1 to 100 characters
+    /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
     name: String,
-    /// Samples drawn to judge how well each number fits: 19 to 9999
+    /// Samples for the goodness-of-fit test of each parameter: 19 to 9999
     #[arg(long, value_name = "N", default_value_t = 199, value_parser = clap::value_parser!(u32).range(19..=9999))]
     samples: u32,
     /// Seed of these samples
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Where the space goes
+    /// File for the scenario space
     #[arg(long, value_name = "SPACE.toml", value_parser = parse_space_path)]
     out: PathBuf,
-    /// Draw what was observed and what was fitted, a panel for each number
+    /// Plot observed and fitted values, one panel per parameter
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
-    /// Overwrite a space, or a picture, that is there and says something else
+    /// Overwrite an existing scenario space or plot with other contents
     #[arg(long)]
     force: bool,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// A path that a space will be known by.
 fn parse_space_path(path: &str) -> Result<PathBuf, String> {
     if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
 }
@@ -94,7 +94,7 @@ impl Fit {
         };
         let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
         for path in &self.recordings {
-            // Its episodes and hours would count twice, and everything look twice as certain.
+            // A duplicate would count episodes and hours twice and understate the uncertainty.
             if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
                 return Err(CliError::Input(format!("{}: is given twice", path.display())));
             }
@@ -134,7 +134,6 @@ fn cluster_count(sample: &EpisodeSample) -> u32 {
 
 fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     let _ = write_fit(sample, fitted, &mut text);
     text
 }
@@ -218,7 +217,6 @@ fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
     Ok(())
 }
 
-/// The parameters of a fit and their intervals.
 fn format_estimates(fit: &FamilyFit) -> String {
     let of = |which: usize| {
         let estimate = format!("{} {:.4}", fit.parameter_names[which], fit.estimates[which]);

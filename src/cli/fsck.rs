@@ -1,4 +1,4 @@
-//! `crumple fsck`: is what lies in a folder of work what was written there?
+//! `crumple fsck`: checks the integrity of run folders.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crumple_report::assessment::REPORT_KIND;
 use crumple_search::falsify::campaign::{CAMPAIGN_KIND, Sharding, verify_journal};
 use crumple_store::run_folder::{FolderExamination, examine, is_run_folder};
 
-/// Look at folders of work: is every file what was written there?
+/// Check result folders for missing or modified files
 #[derive(Args)]
 #[command(after_long_help = "\
 A folder of `crumple falsify`, `verify rate`, `train` or `retrain` holds `work.json`, which says of every file how long it is and its SHA-256. \
@@ -34,16 +34,14 @@ pub(super) struct Fsck {
     /// Folders of campaigns, counts, trainings, retrainings and reports
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What was found in a folder, for programs.
 #[derive(Serialize)]
 struct FolderReport {
     folder: String,
-    /// Why it could not be looked at, if it could not.
     error: Option<String>,
     kind: Option<String>,
     complete: bool,
@@ -51,7 +49,7 @@ struct FolderReport {
     is_whole: bool,
     files: usize,
     damaged: Vec<DamagedFile>,
-    /// What lies where nothing but the work may be, and beside it.
+    /// Files that do not belong to the run, inside its folders and next to them.
     #[serde(rename = "strangers")]
     unlisted_files: Vec<String>,
     #[serde(rename = "beside")]
@@ -66,7 +64,6 @@ struct DamagedFile {
 }
 
 impl FolderReport {
-    /// Of what cannot be looked at.
     fn unreadable(folder: &Path, failure: &CliError) -> Self {
         Self {
             folder: folder.display().to_string(),
@@ -135,7 +132,7 @@ impl Fsck {
         CliError::gate_first(gate, printed)
     }
 
-    /// What there is in a folder; the text says it to a reader.
+    /// Checks a folder, and appends a description to `text`.
     fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
         if !is_run_folder(folder) {
             let problem = "no folder of work: it holds no work.json";
@@ -143,10 +140,10 @@ impl Fsck {
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
         if found.kind == REPORT_KIND {
-            // Both are for the next report, and have hashes of their own.
+            // Evidence and listing serve the next report and have separate hashes.
             found.unrelated_files.retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
         }
-        // A part of a campaign is as it was written, and yet is not all of it.
+        // A partial campaign is intact, but incomplete.
         let part = Sharding::load_from_folder(folder).filter(|_| found.kind == CAMPAIGN_KIND && found.is_complete);
         let missing = part.map_or(0, |part| part.missing_evaluation_count());
         *text += &format_report(folder, &found, missing);
@@ -154,7 +151,7 @@ impl Fsck {
     }
 }
 
-/// The folders of work in a folder of trainings, one a seed; of any other, itself.
+/// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.
 fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
     let is_seed = |path: &PathBuf| {
         path.is_dir() && path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed-"))

@@ -1,4 +1,4 @@
-//! `crumple import`: recorded platoons become scenarios.
+//! `crumple import`: converts recorded platoons into scenarios.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -42,31 +42,30 @@ pub(super) struct Import {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// What the columns of the recordings mean: a map, see docs/exchange.md
+    /// Map with the meanings of the recordings' columns, see docs/exchange.md
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
-    /// Say what was understood of the one recording, and draw it; no scenario is written, and no threshold matters
+    /// Print and plot the interpretation of one recording; writes no scenario and ignores thresholds
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]),
           conflicts_with_all = ["out", "leaders", "min_brake"])]
     preview: Option<PathBuf>,
-    /// Whose braking makes an episode
+    /// Vehicles whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
-    /// Folder for the scenario files; made if it is not there
+    /// Folder for the scenario files, created if missing
     #[arg(long, value_name = "DIR", default_value = "episodes")]
     out: PathBuf,
-    /// Overwrite scenario files, or a picture, that are there and say something else, such as edited ones
+    /// Overwrite existing scenario files or plots with other contents, such as edited ones
     #[arg(long)]
     force: bool,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// What was understood of a recording, for programs.
 #[derive(Serialize)]
 struct RecordingSummary<'a> {
     recording: &'a str,
@@ -75,17 +74,15 @@ struct RecordingSummary<'a> {
     samples: usize,
     time_s: [f64; 2],
     step_s: Option<f64>,
-    /// Lowest, median and highest.
+    /// Minimum, median and maximum.
     speed_mps: [f64; 3],
     gap_m: Option<[f64; 3]>,
     hardest_braking: String,
     left_out: Vec<String>,
 }
 
-/// What an import came to, for programs.
 #[derive(Serialize)]
 struct ImportReport {
-    /// Scenario files.
     scenarios: Vec<String>,
     recordings: Vec<RecordingImport>,
     left_out: Vec<String>,
@@ -116,13 +113,11 @@ impl ImportReport {
     }
 }
 
-/// The threshold of the option `--min-brake`.
 pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliError> {
     let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
     MinBrake::new(mps2).map_err(|error| CliError::Input(format!("--min-brake: {error}")))
 }
 
-/// A picture as the file's name wants it: PNG, or else SVG.
 pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliError> {
     match path.extension() {
         Some(png) if png == "png" => feature::render_png(drawn),
@@ -139,7 +134,7 @@ impl Import {
         self.import(map.as_ref(), quiet)
     }
 
-    /// What was understood, in words and as a picture.
+    /// Prints and plots the interpretation of a recording.
     fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let [path] = self.recordings.as_slice() else {
             return Err(CliError::Input("--preview: shows one recording at a time".to_owned()));
@@ -225,7 +220,7 @@ impl Import {
         output::print_result(self.format, &ImportReport::new(&imported, &self.out), words)
     }
 
-    /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
+    /// Counts scenario files in the folder that this import did not write, such as those of an earlier threshold.
     fn count_other_scenarios(&self, imported: &ImportResult) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);

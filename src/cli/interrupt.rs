@@ -1,9 +1,7 @@
-//! Signals: Ctrl-C, on which commands that keep what they have done say how to go on with it; and a limit on the size of files.
+//! Signals: Ctrl-C, with a hint how to resume, and the file size limit.
 
-/// From now on an interruption ends the program at once, with exit code 130 and a message on standard error. Only for commands
-/// that lose nothing by that: whatever they have done is on disk.
-///
-/// Where no handler can be set, an interruption ends the program without a word, and as safely.
+/// Makes Ctrl-C end the program immediately with exit code 130 and a message on standard error. Only for commands whose
+/// results are on disk at any time. If no handler can be set, the default action ends the program without the message.
 pub(super) fn set_exit_message(message: String, quiet: bool) {
     #[cfg(unix)]
     {
@@ -13,7 +11,7 @@ pub(super) fn set_exit_message(message: String, quiet: bool) {
         let Ok(mut signals) = Signals::new([SIGINT]) else { return };
         std::thread::spawn(move || {
             if signals.forever().next().is_some() {
-                // A progress bar may be in the line.
+                // Ends the line of a progress bar.
                 super::output::note("", quiet);
                 super::output::note(&format!("interrupted: {message}"), quiet);
                 std::process::exit(INTERRUPTED_EXIT_CODE);
@@ -24,17 +22,15 @@ pub(super) fn set_exit_message(message: String, quiet: bool) {
     let _ = (message, quiet);
 }
 
-/// From now on a file that grows beyond what the system allows (`ulimit -f`) is an error, as a full disk is, and not the end of the
-/// program.
+/// Turns exceeding the file size limit (`ulimit -f`) into an I/O error instead of ending the program.
 pub(super) fn ignore_file_size_signal() {
     #[cfg(unix)]
     {
         let unread = std::sync::Arc::default();
-        // Where it cannot be set, the program ends as the system has it, and loses nothing either.
+        // On failure the default action ends the program, which loses nothing.
         let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, unread);
     }
 }
 
-/// Exit code of a command that was interrupted.
 #[cfg(unix)]
 const INTERRUPTED_EXIT_CODE: i32 = 130;

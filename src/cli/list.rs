@@ -1,4 +1,4 @@
-//! `crumple list`: what there is to choose from.
+//! `crumple list`: names of built-in items.
 
 use std::fmt::Write;
 
@@ -15,32 +15,31 @@ use crumple_world::scenario::space::BUILT_IN_SPACES;
 const SHIELD_ENTRY: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
-/// What is no name, for a reader alone.
 const FILE_ENTRY: (&str, &str) = (
     "FILE",
     "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
      answers: docs/controllers.md; `crumple describe F.zip` begins one",
 );
 
-/// List the built-in scenarios, controllers, spaces and search methods
+/// List the built-in scenarios, controllers, scenario spaces and search methods
 ///
-/// `crumple show NAME` prints a scenario, a space, a preset, a suite or a map as a file.
+/// `crumple show NAME` prints a scenario, a scenario space, a preset, a suite or a map as a file.
 #[derive(Args)]
 pub(super) struct ListCommand {
-    /// What to list; everything if nothing is named
+    /// Items to list [default: all]
     what: Option<Catalogue>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Catalogue {
-    /// Scenarios `simulate` and `assess` know by name
+    /// Scenarios that `simulate` and `assess` know by name
     Scenarios,
     /// Controllers that can be put under test
     Controllers,
-    /// Distributions of scenarios, to search and to draw from
+    /// Distributions of scenarios, for searches and random scenarios
     Spaces,
     /// Search methods
     Methods,
@@ -100,7 +99,6 @@ fn format_catalogues(catalogues: &[Catalogue]) -> String {
     for (index, catalogue) in catalogues.iter().enumerate() {
         if catalogues.len() > 1 {
             let gap = if index == 0 { "" } else { "\n" };
-            // Writing to a string cannot fail.
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
         for CatalogueEntry { name, summary } in catalogue.entries() {

@@ -1,4 +1,4 @@
-//! `crumple merge`: put the shards of work together that was divided over machines.
+//! `crumple merge`: combines the shards of divided work.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_store::shard::{MergeError, format_ranges};
 use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 
-/// Put shards together that were made on several machines (see --shard)
+/// Combine shards produced on several machines (see --shard)
 #[derive(Args)]
 #[command(after_long_help = "\
 Folders are those of `verify rate` (with --rare or without), `falsify`, `suite run`, `assess` and `train --seeds`, each with --shard I/N, of one kind, in \
@@ -53,26 +53,26 @@ pub(super) struct Merge {
     /// Folders of shards
     #[arg(required = true, value_name = "FOLDER")]
     folders: Vec<PathBuf>,
-    /// Where the whole goes, none of the shards; of a suite, the scenarios that failed
+    /// Folder for the result, not one of the shards; for a suite, the folder of failed scenarios
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Of a search: write the part that is there, though shards are missing; the exit code is 1 all the same
+    /// For a search: write the result even if shards are missing; the exit code is still 1
     #[arg(long)]
     partial: bool,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: MergeFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum MergeFormat {
-    /// For a reader
+    /// Text
     Text,
     /// One JSON object
     Json,
-    /// Of a suite: for a build server
+    /// For a suite: JUnit XML for a build server
     Junit,
-    /// Of a suite: a page, with drawings of failures of the controllers that are found here with the recorded identity
+    /// For a suite: a page, with plots of failures of the controllers that are found here with the recorded identity
     Html,
 }
 
@@ -87,21 +87,18 @@ impl MergeFormat {
     }
 }
 
-/// The most folders that are read.
 const MAX_FOLDERS: usize = 100_000;
-/// Missing ranges that are printed.
 const MAX_PRINTED_RANGES: usize = 20;
 
-/// What a folder holds.
 enum ShardFolder {
-    /// A part of trainings, finished or not: each seed has a folder of its own.
+    /// A shard of trainings, finished or not: each seed has a separate folder.
     Trainings,
-    /// Any other, finished.
+    /// Any other shard, finished.
     Finished(CompletedRun),
 }
 
 impl ShardFolder {
-    /// What could be merged, or why there is nothing yet.
+    /// Opens a shard, or returns the reason why it cannot be merged yet.
     fn open(folder: &Path) -> Result<Result<Self, String>, CliError> {
         if is_trainings_folder(folder) {
             return Ok(Ok(Self::Trainings));
@@ -123,7 +120,6 @@ impl ShardFolder {
 
 const SHARD_OF_TRAININGS: &str = "shard of trainings";
 
-/// Shards of one work.
 enum AnyMerged {
     Count(MergedCount),
     Estimate(Box<MergedEstimate>),
@@ -182,7 +178,7 @@ impl AnyMerged {
     }
 }
 
-/// A path without links, of which the end may not be there yet.
+/// Resolves the symbolic links of a path whose last components may not exist.
 fn resolve_path(path: &Path) -> PathBuf {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let real = |ancestor: &Path| Some(ancestor.canonicalize().ok()?.join(whole.strip_prefix(ancestor).ok()?));
@@ -226,7 +222,7 @@ impl Merge {
         }
     }
 
-    /// Whether the whole goes into none of the shards, where it would be taken for theirs.
+    /// Checks that the output folder is in none of the shards, where it would be taken for a part of one.
     fn check_out_folder(&self) -> Result<(), CliError> {
         let out = resolve_path(&self.out);
         match self.folders.iter().find(|folder| folder.canonicalize().is_ok_and(|folder| out.starts_with(folder))) {
@@ -252,7 +248,7 @@ impl Merge {
 
     fn write_count(&self, merged: &MergedCount, format: OutputFormat) -> Result<(), CliError> {
         let written = match merged.write_in(&self.out) {
-            // What was counted is an answer, too.
+            // Print the counts even if the claim was rejected.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let printed = match format {
                     OutputFormat::Json => output::print_json(&merged.partial_count()),
@@ -291,17 +287,15 @@ impl Merge {
     }
 }
 
-/// A count whose runs are all there, for programs.
 #[derive(Serialize)]
 struct MergedCountReport {
     #[serde(flatten)]
     count: PartialCount,
-    /// What the failures come to per hour, where the space says in how much driving it was seen.
+    /// Failures per hour, if the scenario space states the exposure of its recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     exposed: Option<RatePerExposure>,
 }
 
-/// What is there, and what is not.
 fn format_incomplete(so_far: &PartialCount) -> String {
     let PartialCount { registered_runs, runs, shards, missing_runs, missing_shards, .. } = so_far;
     let plural = if *shards == 1 { "" } else { "s" };

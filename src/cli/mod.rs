@@ -1,4 +1,4 @@
-//! The command line: one file a subcommand, all of them thin.
+//! The command line, with one file per subcommand.
 
 mod acc_benchmark;
 mod args;
@@ -65,15 +65,15 @@ Exit codes:
   3    the environment failed: disk, permission
   130  interrupted";
 
-/// Crash-tests longitudinal driving controllers before the road does.
+/// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
 #[command(version, after_help = EXIT_CODES, max_term_width = 100)]
 struct Cli {
-    /// No progress and no notes on standard error; errors are still shown
+    /// Print no progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
-    /// Also start programs and FMUs that files name: scenarios, spaces, suites, shards, campaigns, certificates. Without it crumple
-    /// starts only what this command line names, or a configuration or controller file on it
+    /// Also start programs and FMUs that files name: scenarios, spaces, suites, shards, campaigns, certificates.
+    /// Without it crumple starts only those named on this command line, or in a configuration or controller file on it
     #[arg(long, global = true)]
     allow_external: bool,
     #[command(subcommand)]
@@ -89,7 +89,7 @@ enum CliCommand {
     Export(export::Export),
     Explore(explore::Explore),
     Train(train::Train),
-    // Far more arguments than any other.
+    // Boxed: it has far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
     Falsify(falsify::Falsify),
     Avoid(avoid::Avoid),
@@ -109,7 +109,7 @@ enum CliCommand {
     Man(shell::Man),
 }
 
-/// Runs the command line with given arguments, the program's name first.
+/// Runs the command line. The first argument is the name of the program.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::ignore_file_size_signal();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
@@ -120,12 +120,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         match build_command().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
             Ok(arguments) => arguments,
             Err(usage) => {
-                // Help and version are not errors; clap prints them to standard output.
                 let code = if usage.use_stderr() { 2 } else { 0 };
                 match usage.use_stderr() {
-                    // Without colours: it quotes what was typed, which may hold sequences of its own.
+                    // Without colours: the message quotes arguments, which may contain escape sequences.
                     true => output::warn(usage.render().to_string().trim_end()),
-                    // Nothing can be done about a standard stream that is closed.
+                    // Ignore a closed standard stream.
                     false => drop(usage.print()),
                 }
                 return ExitCode::from(code);
@@ -167,25 +166,24 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// Returns true if the arguments hold the option `--allow-external`. Asked before clap reads values, since some values are names
-/// of files that clap has read.
+/// Returns true if the arguments contain `--allow-external`. Evaluated before clap parses values, since that reads
+/// files.
 fn allows_external(arguments: &[OsString]) -> bool {
     arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--allow-external")
 }
 
-/// All commands, as `--help` shows them.
 fn build_command() -> clap::Command {
     Cli::command().mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
 }
 
-/// Has a negative number behind an option refused for what it is: else it would be taken for another option.
+/// Lets options take negative numbers, so that errors name the value instead of an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let takes_one = |arg: &clap::Arg| arg.get_long().is_some() && arg.get_action().takes_values();
     let allowed = |arg: clap::Arg| if takes_one(&arg) { arg.allow_negative_numbers(true) } else { arg };
     command.mut_args(allowed).mut_subcommands(with_negative_numbers)
 }
 
-/// Puts the exit codes at the end of a command's long help, and of that of its own subcommands.
+/// Appends the exit codes to the long help of a command and of its subcommands.
 fn with_exit_codes(command: clap::Command) -> clap::Command {
     let text =
         command.get_after_long_help().map_or_else(|| EXIT_CODES.to_owned(), |help| format!("{help}\n\n{EXIT_CODES}"));

@@ -1,5 +1,4 @@
-//! Printing: a reader that has gone changes nothing of what a command says by its exit code, and nothing that a user or a file
-//! named reaches a terminal but as text.
+//! Printing. A closed output stream does not change the exit code, and text from users and files is escaped.
 
 use std::fs;
 use std::io::{self, Write};
@@ -14,7 +13,7 @@ use super::simulate::OutputFormat;
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_store::disk::DiskError;
 
-/// Prints to standard output. If its reader has gone, nobody misses the rest.
+/// Prints to standard output. Ignores a closed pipe.
 pub(super) fn print(text: &str) -> Result<(), CliError> {
     emit(&TerminalLines(text).to_string())
 }
@@ -28,7 +27,7 @@ fn emit(text: &str) -> Result<(), CliError> {
     }
 }
 
-/// Prints what came of something, for a reader with its verdicts in colour where that is a terminal that has some.
+/// Prints a result, with coloured verdicts on a terminal that supports colours.
 pub(super) fn print_coloured(format: OutputFormat, text: &str) -> Result<(), CliError> {
     let has_colour = AutoStream::choice(&io::stdout()) != ColorChoice::Never;
     if format == OutputFormat::Json || !has_colour {
@@ -38,7 +37,8 @@ pub(super) fn print_coloured(format: OutputFormat, text: &str) -> Result<(), Cli
     emit(&safe.lines().map(|line| colour_verdict(line) + "\n").collect::<String>())
 }
 
-/// Words that are a verdict where they stand alone, and their colour. Of those that begin at one place the first counts.
+/// Words that are a verdict if they stand alone, and their colours. Of those that begin at one position the first
+/// counts.
 const VERDICTS: &[(&str, AnsiColor)] = &[
     ("CONTROLLER FAILED", AnsiColor::Red),
     ("COLLISION", AnsiColor::Red),
@@ -63,7 +63,6 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
     ("failed", AnsiColor::Red),
 ];
 
-/// A line with its first verdict in colour.
 fn colour_verdict(line: &str) -> String {
     let stands_alone = |at: usize, word: &str| {
         let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
@@ -85,7 +84,6 @@ fn colour_verdict(line: &str) -> String {
     }
 }
 
-/// Prints a result, in words or as one JSON object.
 pub(super) fn print_result(
     format: OutputFormat,
     object: &impl Serialize,
@@ -97,19 +95,18 @@ pub(super) fn print_result(
     }
 }
 
-/// Prints one JSON object in a line.
 pub(super) fn print_json(object: &impl Serialize) -> Result<(), CliError> {
     print(&(serde_json::to_string(object).map_err(CliError::input)? + "\n"))
 }
 
-/// Says something on standard error, in one line, unless told to be quiet.
+/// Prints a note of one line on standard error, unless `quiet`.
 pub(super) fn note(text: &str, quiet: bool) {
     if !quiet {
         warn(&TerminalText(text).to_string());
     }
 }
 
-/// Says that there is nothing to go on with, where `--resume` asks for it: a typing error in `--out` would begin everything anew.
+/// Notes that `--resume` found nothing to resume: with a misspelt `--out` the work would restart unnoticed.
 pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     let is_empty = fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     if resume && (is_empty || !folder.exists()) {
@@ -117,14 +114,13 @@ pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     }
 }
 
-/// Says something of several lines on standard error.
+/// Prints several lines on standard error.
 pub(super) fn warn(text: &str) {
-    // A closed standard error leaves nowhere to complain.
     let _ = writeln!(io::stderr(), "{}", TerminalLines(text));
 }
 
-/// Where a single file goes that the user named. A symbolic link stays, and what it leads to is written; what is no file, such as
-/// a terminal or `/dev/null`, is refused, for files are moved into their places whole and one would be in its place.
+/// Returns the file to write for a path that the user named. Follows a symbolic link, which stays. Refuses anything but
+/// a plain file, such as a terminal or `/dev/null`, since writing moves a whole file into place.
 pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
     let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
     let place = match there.is_symlink() {

@@ -1,9 +1,9 @@
 //! Results whose file names crumple chooses, in a folder that the user named.
 //!
-//! One rule holds for all of them. crumple writes a file if its place is free, or if crumple wrote the file that is there and that file
-//! has not changed since. Any other file stays, symbolic links are not followed, and if one file may not be written, none is.
-//! A listing in the folder, in the form of `sha256sum`, records what crumple wrote. A file that the user named is not subject to
-//! this rule: see [`output::place`].
+//! crumple writes a file if none exists, or if crumple wrote the existing file and it has not changed since. Any other
+//! file stays. Symbolic links are not followed. If one file may not be written, none is. A listing in the folder, in
+//! the format of `sha256sum`, records the files that crumple wrote. Files that the user named are not subject to this:
+//! see [`output::resolve_output_path`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,22 +15,21 @@ use crumple_core::digest::{Sha256, sha256};
 use crumple_store::disk::{self, DiskError, StagedFiles};
 use crumple_world::scenario::file;
 
-/// Folder with results.
 #[derive(Debug)]
 pub(super) struct OutputFolder {
     path: PathBuf,
-    /// Name of the listing; none where only equal files, and with `force` any plain file, may be there.
+    /// Name of the listing; with `None`, only equal files, and with `force` any plain file, may exist.
     listing: Option<&'static str>,
     force: bool,
     /// SHA-256 of every file that crumple wrote there, by name. During a change there are two.
     recorded: BTreeMap<String, BTreeSet<String>>,
 }
 
-/// Files of earlier commands in the same folder.
+/// Policy for files of earlier commands in the same folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EarlierFiles {
     Keep,
-    /// The new files replace all of them. Those that have changed since stay.
+    /// The new files replace all of them, except those that have changed since.
     Replace,
 }
 
@@ -47,7 +46,6 @@ impl OutputFolder {
         Self { path: path.to_owned(), listing: None, force, recorded: BTreeMap::new() }
     }
 
-    /// Adds files to those that crumple wrote, by their names and SHA-256.
     pub(super) fn with_known_files(mut self, files: impl IntoIterator<Item = (String, String)>) -> Self {
         for (name, digest) in files {
             self.recorded.entry(name).or_default().insert(digest);
@@ -55,7 +53,7 @@ impl OutputFolder {
         self
     }
 
-    /// Checks before long work that results of these names may be written whatever they contain.
+    /// Checks, before long work, that files of these names may be written with any contents.
     pub(super) fn check(&self, names: &[&str]) -> Result<(), CliError> {
         let is_own =
             |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
@@ -65,7 +63,7 @@ impl OutputFolder {
         }
     }
 
-    /// Writes files by their names, and the listing. Makes the folder if it is not there. A file with the same contents stays as it is.
+    /// Writes files and the listing. Creates the folder if it is missing. A file with equal contents stays as it is.
     pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), CliError> {
         disk::make_folder(&self.path)?;
         disk::remove_unfinished(&self.path)?;
@@ -96,7 +94,7 @@ impl OutputFolder {
             false => files.stage(&self.path.join(listing), after)?,
         }
         files.commit()?;
-        // The announcement goes last: until then it knows the stale files.
+        // Removed last: until then the pending listing knows the stale files.
         stale.push(announced);
         Ok(disk::remove(&stale)?)
     }
@@ -121,7 +119,7 @@ impl OutputFolder {
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
 
-    /// Returns the first folder between this one and a file in it that leads elsewhere.
+    /// Returns the first folder between this one and a file in it that is a symbolic link.
     fn find_symlink<'a>(&self, path: &'a Path) -> Option<&'a Path> {
         let between = path.ancestors().skip(1).take_while(|folder| *folder != self.path);
         between.into_iter().find(|folder| folder.is_symlink())
@@ -142,7 +140,7 @@ pub(super) fn stage_unless_edited(
     stage(files, &output::resolve_output_path(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
 }
 
-/// Stages a file if its place is free, or `is_own` accepts the digest of the plain file that is there.
+/// Stages a file if none exists, or `is_own` accepts the digest of the existing plain file.
 pub(super) fn stage(
     files: &mut StagedFiles,
     path: &Path,
@@ -165,18 +163,17 @@ pub(super) fn stage(
     }
 }
 
-/// Returns the file that holds both listings, the last and the next one, while files are moved to their places. A process that ends
-/// in between leaves it, and the next one knows the files of both.
+/// Returns the path of the pending listing, which exists while files are moved into place. After a crash the next
+/// process finds the old and the new digests in it.
 fn pending_listing(folder: &Path, listing: &str) -> PathBuf {
     folder.join(format!(".{listing}.next"))
 }
 
-/// Formats a line as `sha256sum` does.
 fn listing_line(name: &str, digest: &str) -> String {
     format!("{digest}  {name}\n")
 }
 
-/// Reads a listing: names and SHA-256 of files beside it. There is none if there is no such file.
+/// Reads a listing: names and SHA-256 of files next to it. Empty if there is no such file.
 fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -188,7 +185,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     }
     let text = file::read(path)?;
     let entry = |(index, line): (usize, &str)| {
-        // A name that leads elsewhere is none of a file of this folder.
+        // Reject names outside the folder.
         let is_within = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
         let found = line.split_once("  ").filter(|(digest, name)| digest.len() == 64 && is_within(name));
         found.map(|(digest, name)| (name.to_owned(), digest.to_owned())).ok_or_else(|| {
@@ -199,7 +196,6 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     text.lines().enumerate().map(entry).collect()
 }
 
-/// Computes the SHA-256 of a file.
 fn file_digest(path: &Path) -> Result<String, DiskError> {
     let mut digest = Sha256::default();
     let mut copied = fs::File::open(path).map_err(DiskError::at(path))?;

@@ -1,4 +1,4 @@
-//! The preset of a training: a committed one by its name, or a file like theirs.
+//! Presets of trainings: built-in ones and files.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use super::{CliError, file_kind};
 use crumple_learn::rl::{PRESETS, TrainingConfig, TrainingConfigError};
 use crumple_world::scenario::file;
 
-/// A configuration with the file that says it, so that what turns out to be wrong later still has a line.
+/// A configuration with the text of its file, so that later errors can state a line.
 pub(super) struct TrainingPreset {
     pub(super) config: TrainingConfig,
     text: String,
@@ -14,7 +14,6 @@ pub(super) struct TrainingPreset {
 }
 
 impl TrainingPreset {
-    /// The committed preset of that name, or the one in a file.
     pub(super) fn find(name: &str) -> Result<Self, CliError> {
         if let Some(preset) = Self::from_file(name)? {
             return Ok(preset);
@@ -23,7 +22,8 @@ impl TrainingPreset {
         Ok(Self { config: TrainingConfig::preset(name).map_err(CliError::input)?, text, path: PathBuf::from(name) })
     }
 
-    /// As [`Self::find`], for a command that has a preset of its own besides, which is not the one of that name.
+    /// Finds a preset as [`Self::find`] does, for a command with a special preset `own`, which is not found by that
+    /// name.
     pub(super) fn find_with_own(own: &str, name: &str) -> Result<Self, CliError> {
         match Self::from_file(name)? {
             Some(preset) => Ok(preset),
@@ -32,16 +32,16 @@ impl TrainingPreset {
         }
     }
 
-    /// Its configuration, if its spaces are there to be drawn from.
+    /// Returns the configuration, if its scenario spaces are available.
     pub(super) fn into_checked_config(self) -> Result<TrainingConfig, CliError> {
         self.config.scenario_source().map_err(|error| self.error_at_line(error))?;
         Ok(self.config)
     }
 
-    /// The preset in a file; none where the name can only be that of a committed one.
+    /// Loads the preset from a file; `None` if the name can only be that of a built-in preset.
     pub(super) fn from_file(name: &str) -> Result<Option<Self>, CliError> {
         let path = Path::new(name);
-        // A committed preset's name is its own, whatever lies in the folder.
+        // A built-in name takes precedence over a file.
         if path.extension().is_none() && (TrainingConfig::preset_text(name).is_ok() || !path.exists()) {
             return Ok(None);
         }
@@ -53,13 +53,11 @@ impl TrainingPreset {
         Ok(Some(Self { config, text, path: path.to_owned() }))
     }
 
-    /// An error in what the configuration names, with the line that names it.
     pub(super) fn error_at_line(&self, error: TrainingConfigError) -> CliError {
         CliError::input(error.with_location(&self.text, &self.path))
     }
 }
 
-/// What presets there are instead, with the command's own.
 fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
     if name.trim().is_empty() {
         return CliError::Input("--preset: none is named".to_owned());
@@ -73,5 +71,5 @@ fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
     CliError::Input(format!("there is no preset `{name}`, and no such file{hint}; there are {}", names.join(", ")))
 }
 
-/// The preset of `crumple retrain`, and what it was called before.
+/// Preset of `crumple retrain`, and its former name.
 pub(super) const RETRAIN_PRESET_NAMES: [&str; 2] = ["retrain", "harden"];

@@ -1,42 +1,36 @@
-//! Progress on a terminal, and silence in a pipe.
+//! Progress bars on a terminal; nothing in a pipe.
 
 use crumple_core::observer::{Listener, Observer, RunProgress};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Draws on standard error, and only if that is a terminal.
+/// Creates a bar on standard error, shown only on a terminal.
 fn progress_bar(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
     let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::with_draw_target(total, target).with_style(style)
 }
 
-/// Shows a bar for `total` runs.
 pub(super) fn run_bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     let template = "{msg} {bar:30} {human_pos}/{human_len} runs, {eta} left";
     progress_bar(template, Some(total), quiet).with_message(what)
 }
 
-/// Shows a bar for `total` episodes of training, with a message.
 pub(super) fn training_bar(total: u64, quiet: bool) -> ProgressBar {
     progress_bar("training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}", Some(total), quiet)
 }
 
-/// Shows a bar for `total` evaluations of a campaign, as wide as the terminal, with a message.
 pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
     progress_bar("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
 }
 
-/// Counts runs whose total is unknown.
 pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
     progress_bar("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
 }
 
-/// Shows a line for `total` depths of a partition, with a message.
 pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     progress_bar("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
 }
 
-/// Shows a line for work of unknown length, with a message.
 pub(super) fn status_line(quiet: bool) -> ProgressBar {
     progress_bar("{spinner} {msg} ({elapsed})", None, quiet)
 }

@@ -1,4 +1,4 @@
-//! `crumple verify rate --rare`: an estimate, and how far it can be trusted.
+//! `crumple verify rate --rare`: estimates of rare failure rates, and their limits.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -15,7 +15,8 @@ use crumple_evidence::rare::{
 use crumple_store::shard::{MissingShards, ShardId};
 use crumple_world::observation::EstimatorKind;
 
-/// Estimates, writes the estimate to `folder` and prints it; with `resume` goes on with what is there, which may be all of it.
+/// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it continues from the existing
+/// results.
 pub(super) fn estimate(
     plan: &RarePlan,
     resamples: u32,
@@ -26,7 +27,7 @@ pub(super) fn estimate(
 ) -> Result<(), CliError> {
     let mut kept = plan.open_folder(folder, resume)?;
     let report = match kept.read_report()? {
-        // What it comes to per hour takes estimates in resamples, which are not kept for long.
+        // The rate per hour requires estimates in resamples.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
             let report = kept.with_exposure(plan, report, resamples, &progress::bar_observer(&bar));
@@ -46,7 +47,7 @@ pub(super) fn estimate(
     output::print_result(format, &report, || format_report(&report))
 }
 
-/// Makes all runs of an estimate that are not kept in its folder.
+/// Makes all runs of an estimate that are not in its folder.
 fn run_estimate(
     plan: &RarePlan,
     resamples: u32,
@@ -65,7 +66,6 @@ fn run_estimate(
     Ok(report?)
 }
 
-/// What becomes of an estimate, or a shard of one, that is interrupted.
 fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
     match plan.controller.kind.identity() {
         Some(_) => format!("what is done is kept in {}: the same command with --resume goes on", folder.display()),
@@ -73,7 +73,7 @@ fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
     }
 }
 
-/// Makes a shard of an estimate, in `folder`, unless it is there.
+/// Makes a shard of an estimate in `folder`, unless it exists.
 pub(super) fn run_shard(
     plan: &RarePlan,
     (shard, resamples): (ShardId, u32),
@@ -97,14 +97,12 @@ pub(super) fn run_shard(
     output::print_result(format, &ShardReport { folder, shard }, words)
 }
 
-/// A shard that is made, for programs.
 #[derive(Serialize)]
 struct ShardReport<'a> {
     folder: &'a Path,
     shard: ShardId,
 }
 
-/// What is missing of an estimate, for programs.
 #[derive(Serialize)]
 struct MissingRepetitions {
     missing_repetitions: u64,
@@ -112,7 +110,6 @@ struct MissingRepetitions {
     shards: MissingShards,
 }
 
-/// Puts shards of an estimate together, and prints the estimate.
 pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: OutputFormat) -> Result<(), CliError> {
     let Some((_, report)) = merged.write_in(folder)? else {
         let (missing_repetitions, shards) = (merged.missing_part_count(), merged.missing_shards());
@@ -126,12 +123,11 @@ pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: OutputFormat
     output::print_result(format, &report, || format_report(&report))
 }
 
-/// A larger share of one run in an estimate is worth a word.
+/// Share of one run in an estimate from which crumple warns.
 const LARGE_WEIGHT_SHARE: f64 = 0.1;
 
 fn format_report(report: &RareReport) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     let _ = write_report(report, &mut text);
     text
 }
@@ -162,7 +158,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 "  probability of a failure {}, coefficient of variation {variation:.2}",
                 digits::format_rounded(*probability, 4)
             )?;
-            // Where the spread of weights leaves nothing below 1.
+            // Fallback if the spread of the weights gives no upper bound below 1.
             let of_draws =
                 report.method == RareMethod::Importance && *interval_95 == estimate.independent_interval(0.95);
             let from = match of_draws {

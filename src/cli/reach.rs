@@ -1,4 +1,4 @@
-//! `crumple verify reach`: how much of a box of starts a policy keeps free of contact.
+//! `crumple verify reach`: computes the share of a box of initial states from which a policy avoids collisions.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ use crumple_evidence::{BoxSpec, InvalidBox, Partition, ReachPlan, UndecidedCount
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
-/// From which part of a box of starts a learned policy or a network touches nobody
+/// Prove from which part of a box of initial states a policy or a network avoids every collision
 #[derive(Args)]
 #[command(after_long_help = "\
 The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
@@ -38,28 +38,26 @@ Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
   crumple verify reach --controller acc.toml --box my-box.toml --certificate reach/acc.json")]
 pub(super) struct ReachCommand {
-    /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
+    /// Policy (`policy`, or a policy file), or network (F.onnx, F.zip, F.toml)
     #[arg(long, value_name = "C", default_value = "policy", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// The box: paper-1 or paper-2, which are built in, or a file
+    /// Box of initial states: the built-in paper-1 or paper-2, or a file
     #[arg(long = "box", value_name = "BOX")]
     starts: PathBuf,
-    /// How often one box is cut at most: 0 to 40
+    /// Maximum number of bisections of one box: 0 to 40
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
     depth: u32,
-    /// Where the certificate goes, and the policy or network beside it; a file there is replaced
+    /// File for the certificate; the policy or network goes next to it; replaces an existing file
     #[arg(long, value_name = "FILE")]
     certificate: Option<PathBuf>,
-    /// How results are printed
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// Boxes that are built in.
 pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] =
     [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
 
-/// The text of the box of that name, or in that file.
 fn load_box_text(place: &Path) -> Result<String, CliError> {
     let built_in = BUILT_IN_BOXES.iter().find(|(name, _)| Path::new(name) == place);
     match built_in {
@@ -126,12 +124,12 @@ impl ReachCommand {
 }
 
 impl ReachCommand {
-    /// What was found, for programs: of the certificate what `crumple check` says of it, under the same names.
+    /// Returns the report. Fields of the certificate have the names of `crumple check`.
     fn report<'a>(&'a self, partition: &'a Partition, accepted: &ProvedClaim) -> ReachReport<'a> {
         let Partition { certificate, shares, undecided: doubts } = partition;
         let (smallest_gap_m, verified_share) = match *accepted {
             ProvedClaim::Reach { min_gap_m: smallest_gap_m, verified_share, .. } => {
-                // Of no start nothing is known, and JSON has no infinity.
+                // `None` if no initial state is verified; JSON has no infinity.
                 (Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()), Some(verified_share))
             }
             _ => (None, None),
@@ -153,30 +151,28 @@ impl ReachCommand {
     }
 }
 
-/// What `--format json` prints.
 #[derive(Serialize)]
 struct ReachReport<'a> {
     controller: &'a str,
-    /// Of the policy or network that the certificate is about.
+    /// Digest of the policy or network of the certificate.
     policy_sha256: Option<&'a str>,
     #[serde(rename = "box")]
     starts: &'a Path,
     scenario: &'a str,
-    /// Where it was written, if it was.
     certificate: Option<&'a Path>,
     certificate_sha256: String,
-    /// Whether the checker accepts it: what it does not accept is not printed.
+    /// Always true: crumple prints no certificate that the checker rejects.
     accepted: bool,
-    /// Of the box, proved.
+    /// Proved share of the box.
     verified_share: Option<f64>,
-    /// Proved for that share; none where that is nothing.
+    /// Smallest proved gap in that share; `None` if the share is 0.
     smallest_gap_m: Option<f64>,
     horizon_s: Option<f64>,
     shares: &'a [VolumeShares],
     doubts: UndecidedCounts,
 }
 
-/// Writes a certificate, and beside it the file of the network that it names. Another network in that place stays.
+/// Writes a certificate, and its network file next to it. Keeps another network in that place.
 pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), CliError> {
     let mut files = StagedFiles::default();
     let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
@@ -189,14 +185,14 @@ pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network:
     Ok(files.commit()?)
 }
 
-/// Whether there is some of it in the end.
+/// Returns true if the last share is positive.
 fn is_positive(shares: &[VolumeShares], share: impl Fn(&VolumeShares) -> f64) -> bool {
     shares.last().is_some_and(|last| share(last) > 0.0)
 }
 
-/// What is known at a depth. Starts that end in contact are looked for at the last one.
+/// Formats the shares at a depth. Colliding initial states are searched for at the last depth only.
 fn format_depth(now: &VolumeShares, is_last: bool) -> String {
-    // As the checker says them: lower bounds, rounded down.
+    // Lower bounds, rounded down as in the checker.
     let down = |share: f64| (1e4 * share).floor() / 1e2;
     let (verified, falsified) = (down(now.verified), down(now.falsified));
     let falsified_words = if is_last { format!(" {falsified:6.2} % falsified,") } else { String::new() };

@@ -1,4 +1,4 @@
-//! `crumple retrain`: retrain a policy against what a search finds.
+//! `crumple retrain`: retrains a policy on counterexamples of a search.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// Retrain a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
+/// Retrain a policy: search for failures, train on the avoidable ones, accept only results without regressions
 #[derive(Args)]
 #[command(after_long_help = "\
 Each round searches for contacts of the policy, keeps those that somebody could have avoided, trains on with them mixed into \
@@ -38,56 +38,57 @@ Examples:
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
-    /// Policy to begin with: `policy`, or a policy file
+    /// Initial policy: `policy`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
-    /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
+    /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file
     #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
-    /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here but must be there
+    /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces are ignored
+    /// but must exist
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
-    /// Rounds at most: 1 to 99
+    /// Maximum number of rounds: 1 to 99
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
     rounds: u64,
-    /// Episodes of training in a round: 1 to 1 000 000
+    /// Training episodes per round: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
     episodes: u64,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Evaluations of the search method in a round, and of each reference search: 1 to 1 000 000
+    /// Evaluations of the search method per round, and of each reference search: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
     budget: u64,
-    /// Draws of the space that each search drives beside: up to 1 000 000
+    /// Random scenarios of the space that each search simulates in addition: up to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
     draws: u64,
-    /// Avoidable draws kept aside, which accept or reject a round: 1 to 1 000 000
+    /// Avoidable random scenarios of the validation set, which accepts or rejects a round: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().validation_draws, value_parser = value_parser!(u64).range(1..=1_000_000))]
     kept_aside: u64,
-    /// Draws of the paper's distribution, likewise: 1 to 1 000 000
+    /// Random scenarios of the paper's distribution in the validation set: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
     nominal: u64,
-    /// A space in which no round may make the policy worse, built-in or a file; may be given several times, `none` is none of them
+    /// Scenario space in which no round may make the policy worse, built-in or a file; may be repeated, `none` for none
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
-    /// Draws of each of them: 1 to 10 000
+    /// Random scenarios of each of these spaces: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
     regression_draws: u64,
-    /// Avoidable draws on which the result is judged: 1 to 10 000 000
+    /// Avoidable random scenarios of the test set, which evaluates the result: 1 to 10 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().test_draws, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
     seed: u64,
-    /// Folder of the retraining; made if it is not there
+    /// Folder of the retraining, created if missing
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]
     out: PathBuf,
-    /// Go on with the retraining in the folder
+    /// Resume the retraining in the folder
     #[arg(long)]
     resume: bool,
-    /// How to print the report: as Markdown, or one JSON object
+    /// Output format of the report: Markdown, or one JSON object
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
@@ -142,7 +143,7 @@ impl Retrain {
     }
 }
 
-/// An error about the preset by the name it was asked for by: the committed one is still called by its former name in itself.
+/// Returns an error about the preset under the given name: its file still contains the former name.
 fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
     match error {
         RetrainError::PolicyMismatch { policy, what, .. } => {
@@ -152,8 +153,6 @@ fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
     }
 }
 
-/// Rounds were made and none was accepted: the policy is the first one.
-/// Draws the picture of the report.
 fn render_report_figure(report: &RetrainingReport) -> String {
     let round = |round: &Round| {
         let trained = &round.training;
@@ -180,7 +179,6 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     Err(CliError::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
 }
 
-/// The spaces of these names and files; without any, all that are built in.
 fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
@@ -207,15 +205,13 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
     Ok(spaces)
 }
 
-/// Most regression spaces.
 const MAX_REGRESSION_SPACES: usize = 32;
 
-/// The preset of that name, or the one in a file.
 fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
     if RETRAIN_PRESET_NAMES.contains(&name) {
         return training_preset().map_err(CliError::input);
     }
-    // What it names has to be there, though nothing is drawn from it here: else it is a mistake.
+    // Its scenario spaces must exist although they are not used here: anything else is a mistake.
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
 }
 

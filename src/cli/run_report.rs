@@ -1,4 +1,4 @@
-//! What `crumple simulate` says of a run: one line of JSON, or a text.
+//! Report of `crumple simulate` about a run: one line of JSON, or text.
 
 use std::path::Path;
 
@@ -9,7 +9,6 @@ use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasure
 use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
 use crumple_world::sim::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
 
-/// One line of `--format json`.
 #[derive(Serialize)]
 pub(super) struct RunReport<'a> {
     pub(super) scenario: &'a str,
@@ -17,30 +16,29 @@ pub(super) struct RunReport<'a> {
     pub(super) estimator: &'static str,
     pub(super) dt_s: f64,
     pub(super) seed: u64,
-    /// The controller says of itself that another run may end otherwise.
+    /// True if the controller declares that it is not deterministic.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub(super) nondeterministic: bool,
     pub(super) outcome: Outcome,
     pub(super) vehicles: &'a [VehicleSummary],
     pub(super) impacts: &'a [Impact],
     pub(super) vehicles_involved: usize,
-    /// Who entered the lane or left it, or was to.
+    /// Lane changes, including scheduled ones that did not happen.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) lane_changes: Vec<LaneChanges>,
     #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
     pub(super) interventions: &'a [Intervention],
-    /// One entry a vehicle under test.
+    /// One entry per vehicle under test.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[serde(rename = "braking_without_cause")]
     pub(super) unnecessary_braking: Vec<UnnecessaryBrakingReport>,
-    /// Vehicles under test that end far slower than the one ahead drives on.
+    /// Vehicles under test that are far slower than their leader at the end.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) left_behind: Vec<usize>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) specifications: Vec<SpecificationResult>,
 }
 
-/// Braking without cause of a vehicle.
 #[derive(Serialize)]
 pub(super) struct UnnecessaryBrakingReport {
     pub(super) vehicle: usize,
@@ -48,17 +46,16 @@ pub(super) struct UnnecessaryBrakingReport {
     pub(super) braking: UnnecessaryBraking,
 }
 
-/// What a specification says of a scenario.
 #[derive(Serialize)]
 pub(super) struct SpecificationResult {
     pub(super) specification: String,
     pub(super) satisfied: bool,
-    /// Below 0 if and only if it does not hold.
+    /// Negative if and only if the specification is violated.
     #[serde(with = "crumple_search::falsify::non_finite")]
     pub(super) robustness: f64,
 }
 
-/// When a vehicle entered the lane and left it, in seconds; none for what did not happen.
+/// Times at which a vehicle entered and left the lane, in seconds; `None` for an event that did not happen.
 #[derive(Serialize)]
 pub(super) struct LaneChanges {
     vehicle: usize,
@@ -66,7 +63,6 @@ pub(super) struct LaneChanges {
     left_s: Option<f64>,
 }
 
-/// The report for a reader.
 pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     let mut text = String::new();
     let RunReport { scenario: name, controller, estimator, dt_s, seed, .. } = report;
@@ -146,7 +142,6 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     text
 }
 
-/// When vehicles that may change lanes did, front to rear.
 pub(super) fn lane_changes(scenario: &Scenario, result: &SimulationResult) -> Vec<LaneChanges> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let vehicles = scenario.vehicles().iter().zip(&trace.vehicles).enumerate();
@@ -178,7 +173,7 @@ fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
     format!("vehicle {vehicle} {entered}{both}{left}")
 }
 
-/// How the vehicles under test brake without cause, front to rear.
+/// Returns the unnecessary braking of the vehicles under test, front to rear.
 pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult) -> Vec<UnnecessaryBrakingReport> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
@@ -189,7 +184,6 @@ pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult
     under_test.filter_map(of).collect()
 }
 
-/// The vehicles under test that are left behind, front to rear.
 pub(super) fn left_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let is_left = |vehicle: &usize| {
@@ -200,7 +194,7 @@ pub(super) fn left_behind(scenario: &Scenario, result: &SimulationResult) -> Vec
     (0..trace.vehicles.len()).filter(is_left).collect()
 }
 
-/// What the shield of a vehicle did, in a line; none if it did nothing.
+/// Summarises the interventions of a vehicle's shield in one line; `None` without interventions.
 fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
     let own = || interventions.iter().filter(move |one| one.vehicle == vehicle);
     let first_s = own().next()?.from_s;

@@ -1,4 +1,4 @@
-//! `crumple completions` and `crumple man`: what a shell and `man` want to know of the command line.
+//! `crumple completions` and `crumple man`: shell completions and manual pages.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use clap_complete::Shell;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
 
-/// Print what a shell needs to complete commands and options
+/// Print a completion script for a shell
 #[derive(Args)]
 #[command(after_long_help = "\
   bash        crumple completions bash > ~/.local/share/bash-completion/completions/crumple
@@ -16,7 +16,7 @@ use super::{CliError, output};
   fish        crumple completions fish > ~/.config/fish/completions/crumple.fish
   powershell  crumple completions powershell >> $PROFILE")]
 pub(super) struct Completions {
-    /// The shell
+    /// Shell
     #[arg(value_enum)]
     shell: Shell,
 }
@@ -33,15 +33,15 @@ impl Completions {
 /// Write manual pages: `man -l DIR/crumple.1`
 #[derive(Args)]
 pub(super) struct Man {
-    /// Folder for them, one for each command; `crumple-man.sha256` lists them. Pages that crumple wrote there and that have not changed are
-    /// replaced, all other files stay
+    /// Folder for the pages, one per command, created if missing; `crumple-man.sha256` lists them. crumple replaces
+    /// only pages that it wrote there and that have not changed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
 impl Man {
     pub(super) fn run(self, mut commands: Command, quiet: bool) -> Result<(), CliError> {
-        // Before, subcommands go by their last name alone.
+        // Sets the full names of subcommands.
         commands.build();
         let mut pages = Vec::new();
         render_pages(commands, &mut pages)?;
@@ -51,11 +51,11 @@ impl Man {
     }
 }
 
-/// Renders the pages of a command and of all below it, by the names of their files.
+/// Renders the pages of a command and its subcommands, by file name.
 fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), CliError> {
     let below: Vec<Command> =
         command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
-    // The usage of `--help`: the synopsis that clap makes of the options says neither what they take nor which are required.
+    // The usage of `--help`: the synopsis of clap_mangen omits the values of options and does not mark required ones.
     let usage = command.render_usage().to_string();
     let usage = usage.strip_prefix("Usage:").unwrap_or(&usage).trim().to_owned();
     let page = clap_mangen::Man::new(command.override_usage(usage));

@@ -1,4 +1,4 @@
-//! `crumple show`: what is built in, as files.
+//! `crumple show`: built-in items as files.
 
 use clap::{Args, ValueEnum};
 
@@ -13,7 +13,7 @@ use crumple_world::scenario::space::BUILT_IN_SPACES;
 use crumple_world::scenario::{Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
-/// Print something built in as the file that a user could write
+/// Print a built-in item as a file that a user could write
 #[derive(Args)]
 #[command(after_long_help = "\
 Save what is printed, change it, and pass the file where the name was passed. A vehicle class is printed as the lines of a vehicle in a \
@@ -25,7 +25,7 @@ Examples:
   crumple show fast > mine.toml && crumple train --preset mine.toml --episodes 10
   crumple show openacc > mine.toml && crumple import platoon.csv --map mine.toml")]
 pub(super) struct Show {
-    /// Name of something built in; for an unknown name, crumple lists all names
+    /// Name of a built-in item; for an unknown name, crumple lists all names
     #[arg(value_name = "NAME")]
     name: String,
     /// Print only a file of this kind
@@ -33,7 +33,7 @@ pub(super) struct Show {
     kind: Option<BuiltInKind>,
 }
 
-/// A kind of things that are built in and could be files.
+/// A kind of built-in items that have a file format.
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 enum BuiltInKind {
     /// Scenarios, for `simulate`
@@ -82,7 +82,6 @@ impl BuiltInKind {
     }
 }
 
-/// A vehicle class as the lines of a vehicle in a scenario file.
 fn vehicle_class_toml(class: VehicleClass) -> String {
     format!(
         "# A vehicle of class `{name}` has these numbers, and a scenario file may state others.\n[[vehicles]]\nclass = \"{name}\"\nlength_m = {:?}\n\

@@ -1,4 +1,4 @@
-//! `crumple simulate`: run scenarios and say what happened.
+//! `crumple simulate`: simulates scenarios and reports their outcomes.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use crumple_world::sim::{
     simulate_batch,
 };
 
-/// Run scenarios and say what happened
+/// Run scenarios and print their outcomes
 #[derive(Args)]
 #[command(after_long_help = "\
 Where several scenarios are given, --plot and --trace write one file each, with the scenario's name before the extension.
@@ -43,46 +43,49 @@ pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
-    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
+    /// `exec:`
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// What the vehicles under test look through
+    /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
-    /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the scenario's
+    /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the
+    /// scenario's
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
-    /// What happens when vehicles touch
+    /// Behaviour after a collision
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
     after_contact: AfterContact,
-    /// Draw position, speed and spacing over time; a file there is replaced
+    /// Plot position, speed and spacing over time; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
-    /// Write the motion as a table, one row a sample and vehicle; a file there is replaced
+    /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
     #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"]))]
     trace: Option<PathBuf>,
-    /// Say whether this holds, and how robustly: `no contact`, or a formula of signal temporal logic; may be repeated
+    /// Evaluate a specification and its robustness: `no contact`, or a formula of signal temporal logic; may be
+    /// repeated
     #[arg(long, value_name = "STL")]
     spec: Vec<String>,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
     expect: Option<RunExpectation>,
-    /// How to print results: for a reader, or one JSON object a scenario
+    /// Output format of results: text, or one JSON object per scenario
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum RunExpectation {
-    /// No vehicles touch, and no controller fails
+    /// No collision, and no controller fails
     Safe,
-    /// The same, and vehicles under test, of which there is one, brake with a cause and are not left behind
+    /// Like `safe`, and each vehicle under test (at least one) brakes only when necessary and is not left behind
     Useful,
-    /// Vehicles touch
+    /// A collision
     Collision,
     /// Every --spec holds
     Satisfied,
@@ -112,16 +115,14 @@ impl RunExpectation {
     }
 }
 
-/// How results are printed.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 pub(super) enum OutputFormat {
-    /// For a reader
+    /// Text
     Text,
-    /// For a program
+    /// JSON
     Json,
 }
 
-/// What becomes of one run.
 struct RenderedRun {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
@@ -131,7 +132,6 @@ struct RenderedRun {
     violated: bool,
 }
 
-/// A length of time that steps can have.
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(found) if found > 0.0 && f64::is_finite(found) => Ok(found),
@@ -145,7 +145,7 @@ impl Simulate {
         if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
             return Err(CliError::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
         }
-        // `*.toml` of a folder that version 0.1.0 wrote includes its recorded verdicts.
+        // `*.toml` matches the recorded verdicts in folders of version 0.1.0.
         let is_verdicts = |name: &str| {
             Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(Path::new(name)).is_ok()
         };
@@ -168,7 +168,7 @@ impl Simulate {
             output::note(&format!("note: {name} has no vehicle under test, so --controller drives nobody"), quiet);
         }
         let many = runs.len() > 1;
-        // Braking without cause shows in the motion alone.
+        // Unnecessary braking is computed from the trace.
         let results = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
             self.render(&runs[index], &simulated, many)
         });
@@ -183,7 +183,7 @@ impl Simulate {
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
-    /// Everything to print and write of one run, so that its trace need not be kept.
+    /// Renders all output of one run, so that its trace can be dropped.
     fn render(&self, run: &Run, simulated: &SimulationResult, is_one_of_many: bool) -> Result<RenderedRun, CliError> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
@@ -223,11 +223,11 @@ impl Simulate {
         })
     }
 
-    /// Says which scenario files are recorded with other controllers than the one that drives here.
+    /// Notes which scenario files are recorded with other controllers than the present one.
     fn note_other_controllers(&self, quiet: bool) {
         let mut records = VerdictRecordReader::default();
         for name in self.scenarios.iter().filter(|name| built_in_scenario(name).is_none()) {
-            // A record that cannot be read says nothing of a run.
+            // Ignore records that cannot be read.
             let Ok(Some(recorded)) = records.find(Path::new(name)) else { continue };
             let others: Vec<_> = recorded.by_controller().iter().map(|verdict| verdict.controller.as_str()).collect();
             if !others.contains(&self.controller.name.as_str()) {
@@ -282,7 +282,7 @@ impl Simulate {
         })
     }
 
-    /// What each specification says; those that need the same kind of run share one.
+    /// Evaluates the specifications; those that need the same kind of run share one.
     fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<SpecificationResult>, SpecificationError> {
         let mut runs: Vec<(Run, RecordingLevel, SimulationResult)> = Vec::new();
         let judge = |text: &String| {
@@ -320,7 +320,7 @@ impl Simulate {
     }
 }
 
-/// The three diagrams of a run, as the file's extension says.
+/// Renders the three diagrams of a run, in the format of the file's extension.
 pub(super) fn render_motion_figure(
     path: &Path,
     scenario: &Scenario,
@@ -338,7 +338,7 @@ pub(super) fn render_motion_figure(
     }
 }
 
-/// Parses a path that ends in one of two extensions, in a format that this build writes.
+/// Parses a path with one of two extensions, in a format that this build writes.
 pub(super) fn parse_path_ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
     let [one, other] = extensions;
     match extension(Path::new(path)) {
@@ -351,7 +351,7 @@ fn extension(path: &Path) -> Option<&str> {
     path.extension()?.to_str()
 }
 
-/// `path` with a scenario's name before its extension.
+/// Inserts a scenario's name before the extension of `path`.
 fn path_for_scenario(path: &Path, name: Option<&str>) -> PathBuf {
     let (Some(name), Some(stem), Some(extension)) = (name, path.file_stem(), extension(path)) else {
         return path.to_owned();

@@ -1,4 +1,4 @@
-//! `crumple suite`: tests after regulations.
+//! `crumple suite`: tests modelled on regulations.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
-/// Run tests after regulations: suites of clauses, grids of figures, verdicts and margins
+/// Run tests modelled on regulations: suites of clauses, parameter grids, verdicts and margins
 #[derive(Args)]
 pub(super) struct SuiteCommand {
     #[command(subcommand)]
@@ -29,15 +29,15 @@ pub(super) struct SuiteCommand {
 
 #[derive(Subcommand)]
 enum SuiteSubcommand {
-    /// List the suites that are shipped
+    /// List the built-in suites
     List {
-        /// How to print
+        /// Output format
         #[arg(long, value_enum, default_value = "text")]
         format: super::simulate::OutputFormat,
     },
-    /// Print the file of a suite, to read or to change
+    /// Print the file of a suite
     Show {
-        /// A suite that is shipped, or a file
+        /// Built-in suite, or a file
         suite: String,
     },
     Run(RunSuite),
@@ -65,48 +65,48 @@ Examples:
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed
   crumple suite run fmvss-127 --controller policy --shard 2/4 --out tests/2")]
 struct RunSuite {
-    /// A suite that is shipped (see `crumple suite list`), or a file
+    /// Built-in suite (see `crumple suite list`), or a file
     suite: String,
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
     #[arg(long = "controller", value_name = "C", required = true, value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
-    /// What the vehicle under test looks through
+    /// Estimator of the vehicle under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Write the scenario of every point that failed into this folder, in place of those of the run before; of a shard, where it goes [default of a shard:
-    /// crumple-suite-shard-I-of-N]
+    /// Write the scenario of every failed point into this folder, and replace those of the previous run; for a shard,
+    /// its folder [default for a shard: crumple-suite-shard-I-of-N]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Make shard I of N only: a range of the tests, each with a controller, N at most their number; `crumple merge` puts shards
-    /// together and prints what one machine would
+    /// Run only shard I of N: a range of the tests, each with a controller, N at most their number; `crumple merge`
+    /// combines shards into the result of one machine
     #[arg(long, value_name = "I/N", conflicts_with_all = ["expect", "format"])]
     shard: Option<ShardId>,
-    /// Go on with an interrupted shard
+    /// Resume an interrupted shard
     #[arg(long, requires = "shard")]
     resume: bool,
     /// Exit with 1 unless every test ends like this
     #[arg(long, value_enum)]
     expect: Option<SuiteExpectation>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: SuiteFormat,
 }
 
-/// Run every suite that is shipped, and print one table
+/// Run every built-in suite, and print one table
 #[derive(Args)]
 #[command(after_long_help = "\
 Examples:
   crumple suite table > suites.md
   crumple suite table --controller idm --controller acc-aeb --controller policy")]
 struct SuiteTable {
-    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated [default: every built-in one, and
-    /// those that were learned behind the shield, too]
+    /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated [default: every built-in
+    /// one, and the learned ones also behind the shield]
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
-    /// What the vehicle under test looks through
+    /// Estimator of the vehicle under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// How to print: a table in Markdown, or one JSON object a suite, as `crumple suite run` has it
+    /// Output format: a Markdown table, or one JSON object per suite, as in `crumple suite run`
     #[arg(long, value_enum, default_value = "text")]
     format: super::simulate::OutputFormat,
 }
@@ -125,7 +125,6 @@ impl SuiteTable {
     }
 }
 
-/// A controller that is named twice is a mistake.
 fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
     let names = || controllers.iter().map(|controller| controller.name.as_str());
     match names().enumerate().find(|(place, name)| names().take(*place).any(|before| before == *name)) {
@@ -134,7 +133,7 @@ fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
     }
 }
 
-/// Every built-in controller, and those that were learned behind the shield, too.
+/// Returns every built-in controller, and the learned ones also behind the shield.
 fn default_controllers() -> Result<Vec<NamedController>, CliError> {
     let all = ControllerSpec::all();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
@@ -145,19 +144,20 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SuiteExpectation {
-    /// No contact and no controller that fails, wherever a test can be run, and none found within the ranges that a clause allows
+    /// No collision and no failed controller wherever a test can be run, and none found within the ranges that a clause
+    /// allows
     Passed,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 pub(super) enum SuiteFormat {
-    /// For a reader
+    /// Text
     Text,
     /// One JSON object
     Json,
-    /// For a build server
+    /// JUnit XML for a build server
     Junit,
-    /// A page that needs nothing else: the matrix, and what failed, drawn
+    /// Self-contained page with the matrix and plots of the failures
     Html,
 }
 
@@ -173,7 +173,6 @@ impl SuiteCommand {
     }
 }
 
-/// The suite that is shipped under a name, or the one in a file.
 fn find_suite(name: &str) -> Result<TestSuite, CliError> {
     if let Some(suite) = TestSuite::shipped(name) {
         return Ok(suite?);
@@ -188,7 +187,6 @@ fn find_suite(name: &str) -> Result<TestSuite, CliError> {
 
 fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
     let mut suites = Vec::new();
-    // Writing to a string cannot fail.
     let mut text = String::new();
     for (name, _) in SHIPPED_SUITES {
         let suite = find_suite(name)?;
@@ -222,7 +220,7 @@ impl RunSuite {
         if let Some(shard) = self.shard {
             return self.run_shard(&suite, shard, quiet);
         }
-        // Known before the work is done.
+        // Fail before the simulations if the folder cannot be used.
         self.out.as_deref().map(suite_folder::open).transpose()?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(CliError::input)?;
         if let Some(folder) = &self.out {
@@ -280,7 +278,7 @@ impl RunSuite {
     }
 }
 
-/// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
+/// Merges shards, prints the result that one machine would print, and writes the failed scenarios to a folder.
 pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, quiet: bool) -> Result<(), CliError> {
     let Some(result) = merged.result() else {
         let (missing_tests, shards) = (merged.missing_tests(), merged.missing_shards());
@@ -297,7 +295,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
         return CliError::gate_first(Err(CliError::Gate(gate)), printed);
     };
     suite_folder::write(&result, folder, quiet)?;
-    // Only a page drives again, for its drawings.
+    // Only a page simulates again, for its plots.
     let drives = if let SuiteFormat::Html = format { merged.controllers(Path::new("")).collect() } else { Vec::new() };
     let mut controllers = Vec::new();
     for found in drives {
@@ -309,16 +307,13 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
     output::print(&render(&result, &controllers, Some(folder), format)?)
 }
 
-/// What is missing of a suite, for programs.
 #[derive(Serialize)]
 struct MissingTests {
-    /// Each with its controller.
     missing_tests: Vec<String>,
     #[serde(flatten)]
     shards: MissingShards,
 }
 
-/// Missing tests that are named.
 const MAX_SHOWN: usize = 20;
 
 fn render(
@@ -337,7 +332,6 @@ fn render(
     })
 }
 
-/// The command that shows a failure.
 fn replay_command(
     out: &Path,
     failed: &FailedPoint,

@@ -1,4 +1,4 @@
-//! Folder of scenarios that failed in a suite: those of the last run, and none of an earlier one.
+//! Folder of the scenarios that failed in the last run of a suite.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,12 +10,12 @@ use crumple_store::disk::DiskError;
 use crumple_suites::{ControllerResult, FailedPoint, SuiteResult};
 use crumple_world::scenario::file;
 
-/// Opens the folder, and reads which files an earlier run wrote there. The ending keeps the listing from being read as a scenario.
+/// Opens the folder, and reads the listing of an earlier run. Its extension keeps it from being read as a scenario.
 pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {
     OutputFolder::with_listing(folder, "failures.sha256")
 }
 
-/// Writes the scenario of every point that failed, once, in place of those of the run before, and names the files that stay.
+/// Writes the scenario of every failed point once, replaces those of the previous run, and lists the files that stay.
 pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<(), CliError> {
     let tested = result.tests().flat_map(|(_, test)| &test.controllers);
     let text = |one: &FailedPoint| {
@@ -28,7 +28,7 @@ pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<
     note_other_files(folder, &failed.iter().map(|(name, _)| name.as_str()).collect(), quiet)
 }
 
-/// Names the scenario files in a folder that are not of this run.
+/// Notes the scenario files in a folder that are not of this run.
 fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), CliError> {
     let entries = fs::read_dir(folder).map_err(DiskError::at(folder))?.flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());

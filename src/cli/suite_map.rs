@@ -12,7 +12,7 @@ use crumple_suites::{CrashMap, CrashMapSituation, CrashMapSpec, MapProblem};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
-/// Draw a crash map: where reference drivers and controllers collide, over two figures of a situation
+/// Draw a crash map: collisions of reference drivers and controllers over two parameters of a situation
 #[derive(Args)]
 #[command(after_long_help = "\
 Every cell is the scenario at its middle. Hatched is contact of a driver that never braked: reference drivers react to what they are \
@@ -25,43 +25,43 @@ Examples:
   crumple suite map cut-in-time --controller idm --own-speed 130 --out cut-in.html --out cut-in.svg
   crumple suite map cut-in-gap --controller idm --cells 12x8 --format json")]
 pub(super) struct MapCommand {
-    /// What is driven
+    /// Situation
     #[arg(value_enum)]
     situation: MapKind,
-    /// Controller beside the reference drivers (see `crumple list controllers`); may be repeated
+    /// Controller in addition to the reference drivers (see `crumple list controllers`); may be repeated
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
-    /// What the controllers look through; reference drivers see the truth
+    /// Estimator of the controllers; reference drivers use the true state
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Of car-following alone: the gap at the start as the time that driving it takes, 0.2 to 10 s [default: 1.5]
+    /// For car-following: initial time headway, 0.2 to 10 s [default: 1.5]
     #[arg(long, value_name = "S")]
     time_gap: Option<f64>,
-    /// Of cut-ins alone: speed of the vehicle under test, 30 to 250 km/h [default: 100]
+    /// For cut-ins: speed of the vehicle under test, 30 to 250 km/h [default: 100]
     #[arg(long, value_name = "KM/H")]
     own_speed: Option<f64>,
-    /// Cells across and up, 2 to 100 each
+    /// Horizontal and vertical number of cells, 2 to 100 each
     #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = parse_cells)]
     cells: [usize; 2],
-    /// Write the map here; may be repeated; a file there is replaced
+    /// Write the map to this file; may be repeated; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = MapFile::parse)]
     out: Vec<MapFile>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum MapKind {
-    /// The vehicle ahead brakes: over its braking and the speed of both
+    /// The leader brakes: its deceleration and the initial speed of both vehicles
     CarFollowing,
-    /// A slower vehicle cuts in: over how much slower it is and the gap when it enters
+    /// A slower vehicle cuts in: the speed difference and the gap at the cut-in
     CutInGap,
-    /// A slower vehicle cuts in: over how much slower it is and the time to collision when it enters
+    /// A slower vehicle cuts in: the speed difference and the time to collision at the cut-in
     CutInTime,
 }
 
-/// A file, and what its ending says that it is.
+/// A file, and the format of its extension.
 #[derive(Clone)]
 struct MapFile {
     path: PathBuf,
@@ -92,7 +92,6 @@ impl MapFile {
     }
 }
 
-/// Two counts, such as `24x18`.
 fn parse_cells(text: &str) -> Result<[usize; 2], String> {
     let pair = text.split_once('x').and_then(|(across, up)| Some([across.parse().ok()?, up.parse().ok()?]));
     pair.ok_or_else(|| "must be two counts, such as 24x18".to_owned())

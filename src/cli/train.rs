@@ -1,4 +1,4 @@
-//! `crumple train`: learn to drive.
+//! `crumple train`: trains policies.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -54,11 +54,11 @@ Examples:
   crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
-    /// How to train: fast, paper-net, paper or road, or a TOML file like theirs
+    /// Training preset: fast, paper-net, paper or road, or a TOML file like theirs
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: String,
-    /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
-    /// times, each space once, and replaces the preset's, with all costs counting once
+    /// Draw episodes from this scenario space, built-in or a file, with a weight relative to others (1 by default); may
+    /// be repeated, each space once; replaces the preset's spaces, with all costs counted once
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
     /// Train this seed [default: 0]
@@ -67,25 +67,26 @@ pub(super) struct Train {
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = args::whole_number(1..=100_000))]
     seeds: Option<u64>,
-    /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
+    /// Train only shard I of N of these seeds, N at most their number; `crumple merge` combines shards, including
+    /// training.json
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
     shard: Option<ShardId>,
-    /// Folder for policies, logs and checkpoints, made if it is not there; `training.sha256` lists the results that every command with this
-    /// folder writes anew
+    /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the results that every
+    /// command with this folder writes anew
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
     out: PathBuf,
-    /// Go on from the checkpoints in the folder
+    /// Resume from the checkpoints in the folder
     #[arg(long)]
     resume: bool,
-    /// Episodes at most, instead of the preset's: 1 to 10 000 000
+    /// Maximum number of episodes, instead of the preset's: 1 to 10 000 000
     #[arg(long, value_name = "N", value_parser = args::whole_number(1..=10_000_000))]
     episodes: Option<u64>,
-    /// How to print what the trained seeds come to
+    /// Output format of the results
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// `traffic`, or `wet.toml=0.2`.
+/// Parses `traffic`, or `wet.toml=0.2`.
 fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     let (space, weight) = match words.rsplit_once('=') {
         Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
@@ -98,7 +99,7 @@ fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     Ok(TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 })
 }
 
-/// The file `training.json`: all finished trainings in the folder.
+/// Contents of `training.json`: all finished trainings in the folder.
 #[derive(Serialize)]
 struct TrainingResult<'a> {
     version: &'static str,
@@ -120,7 +121,7 @@ impl Train {
             return Err(CliError::Input(format!("{taken} is there already: use --resume, or another --out")));
         }
         disk::make_folder(&self.out)?;
-        // What cannot stand beside these is known before the work begins.
+        // Fail before training if existing results conflict.
         read_finished_trainings(&self.out, &config)?;
         let check = || results_folder(&self.out)?.check(&RESULT_FILES);
         // Another training with the same --out may be writing them.
@@ -137,7 +138,7 @@ impl Train {
             let problem = "holds other work: trainings need an --out of their own";
             return Err(CliError::Input(format!("{}: {problem}", self.out.display())));
         }
-        // Seeds may be added to those that are there: only where none is, a typing error is likely.
+        // Seeds may be added to existing ones; without any, a misspelt --out is likely.
         if !seeds.iter().any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed))) {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
         }
@@ -151,7 +152,7 @@ impl Train {
             result
         });
         bar.finish_and_clear();
-        // A seed that failed takes nothing from the others.
+        // An error of one seed does not stop the others.
         let (mut done, mut failure) = (Vec::new(), None);
         for result in trained {
             match result {
@@ -174,7 +175,7 @@ impl Train {
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
-        // What cannot be drawn from is known before a folder is made.
+        // Check the scenario spaces before a folder is created.
         match config.scenario_source() {
             Ok(_) => Ok(config),
             Err(error) if self.space.is_empty() => Err(preset.error_at_line(error)),
@@ -182,7 +183,7 @@ impl Train {
         }
     }
 
-    /// An error of the spaces that options name, by what was written there.
+    /// Returns an error about scenario spaces that options name, in terms of the option.
     fn option_error(&self, error: &TrainingConfigError) -> CliError {
         let (TrainingConfigError::Field { field, .. } | TrainingConfigError::Range { field, .. }) = error else {
             return CliError::Input(format!("--space: {error}"));
@@ -214,14 +215,14 @@ impl Train {
     }
 }
 
-/// The files that every training with the same --out writes anew.
+/// Files that every training with the same --out writes anew.
 const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
 
 fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
     OutputFolder::with_listing(out, "training.sha256")
 }
 
-/// Writes what all seeds in the folder have come to, those of earlier commands with these.
+/// Writes the results of all seeds in the folder, including those of earlier commands.
 fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), CliError> {
     let (results, logs): (Vec<_>, Vec<_>) = read_finished_trainings(out, config)?.into_iter().unzip();
     let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
@@ -240,19 +241,17 @@ fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(),
     Ok(())
 }
 
-/// What shards of trainings come to, for programs.
 #[derive(Serialize)]
 struct MergedTrainingReport<'a> {
-    /// Those that are finished.
     seeds: &'a [SeedResult],
-    /// Of how many, from 0.
+    /// Number of seeds, from 0.
     of_seeds: u64,
     missing_seeds: &'a [u32],
     #[serde(flatten)]
     shards: MissingShards,
 }
 
-/// Puts the seeds of several shards together, with what they come to. Seeds that are missing end with exit code 1.
+/// Merges the seeds of several shards and their results. Missing seeds end with exit code 1.
 pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, quiet: bool) -> Result<(), CliError> {
     if run_folder::is_run_folder(out) {
         return Err(CliError::Input(format!(
@@ -282,7 +281,7 @@ pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, 
     CliError::gate_first(gate, printed)
 }
 
-/// Every seed has learned something.
+/// Checks that every seed has a checkpoint better than the untrained network.
 fn check_learned(results: &[SeedResult]) -> Result<(), CliError> {
     let unlearned = results.iter().filter(|result| !result.has_learned());
     let seeds: Vec<_> = unlearned.map(|result| result.seed.to_string()).collect();
@@ -295,7 +294,6 @@ fn check_learned(results: &[SeedResult]) -> Result<(), CliError> {
     )))
 }
 
-/// What the progress bar says of a seed.
 struct SeedProgress<'a> {
     seed: u64,
     bar: &'a ProgressBar,
@@ -303,7 +301,6 @@ struct SeedProgress<'a> {
     safe_share: Option<f64>,
 }
 
-/// Episodes whose mean reward the progress bar shows.
 const REWARD_WINDOW: usize = 20;
 
 impl<'a> SeedProgress<'a> {
@@ -327,13 +324,12 @@ impl<'a> SeedProgress<'a> {
                 self.bar.inc(1);
             }
             TrainingEvent::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
-            // The log has it; the bar has no place for it.
+            // Shown in the log only.
             _ => {}
         }
     }
 }
 
-/// The result for a reader.
 fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
         "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",

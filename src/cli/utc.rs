@@ -4,8 +4,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Formats a time as RFC 3339 in UTC, to the second. A time before 1970 is shown as 1970.
 ///
-/// Days become a date by the algorithm `civil_from_days` of <https://howardhinnant.github.io/date_algorithms.html>, in which a year
-/// begins in March.
+/// Converts days by `civil_from_days` of <https://howardhinnant.github.io/date_algorithms.html>, whose years begin in
+/// March.
 pub(super) fn rfc_3339(time: SystemTime) -> String {
     let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let (days, second) = (seconds / 86_400 + 719_468, seconds % 86_400);

@@ -1,4 +1,4 @@
-//! Arguments that choose one of a few values by name.
+//! Arguments with a few named values.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_evidence::rare::RareMethod;
@@ -8,16 +8,14 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::recording::LeaderSelection;
 use crumple_world::sim::AfterContact;
 
-/// A value, the name it goes by, and what it means in the long help.
+/// A value, its name, and its description in the long help.
 type ArgValue<T> = (T, &'static str, &'static str);
 
-/// What vehicles under test may look through.
 pub(super) const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
     (EstimatorKind::Kalman, "kalman", "Noisy sensors and a Kalman filter"),
     (EstimatorKind::Truth, "truth", "The true state"),
 ];
 
-/// What may happen at a contact.
 pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
     (AfterContact::Stop, "stop", "End the run at the instant of contact"),
     (
@@ -27,14 +25,12 @@ pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
     ),
 ];
 
-/// What an attack may be after.
 pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
     (AttackObjective::Mildest, AttackObjective::Mildest.name(), "A collision with the least ∫ a² of the leader"),
     (AttackObjective::LeastPeak, AttackObjective::LeastPeak.name(), "A collision with the least peak of its braking"),
     (AttackObjective::Severest, AttackObjective::Severest.name(), "The fastest impact"),
 ];
 
-/// Which of all escapes may be shown.
 pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
     (EscapeKind::LargestGap, "largest-gap", "The one with the largest smallest gap"),
     (
@@ -56,7 +52,6 @@ pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
     (LeaderSelection::First, "first", "Those that had no recorded vehicle ahead of them"),
 ];
 
-/// Methods that estimate the probability of a rare failure.
 pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
     (RareMethod::Splitting, "splitting", "Populations climb level by level"),
     (
@@ -66,13 +61,12 @@ pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
     ),
 ];
 
-/// Detail of the log of a search.
 pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
     (EvaluationLog::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
     (EvaluationLog::Summary, "summary", "Nothing: the summary and the counterexamples alone"),
 ];
 
-/// One of `choices`, by its name.
+/// Returns a clap parser that selects one of `choices` by its name.
 pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
     choices: &'static [ArgValue<T>],
 ) -> impl TypedValueParser<Value = T> {

@@ -22,7 +22,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
-/// Make claims and write certificates that `crumple check` accepts by itself
+/// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]
 pub(super) struct Verify {
     #[command(subcommand)]
@@ -36,7 +36,7 @@ enum VerifySubcommand {
     Reach(Box<reach::ReachCommand>),
 }
 
-/// The kernel a shield relies on, one certificate for each pair of vehicle classes
+/// Certify the safety kernel of a shield, one certificate for each pair of vehicle classes
 #[derive(Args)]
 #[command(after_long_help = "\
 A road that scales both brake limits by a friction scales the demanded gaps by its inverse, so the certificates for a dry road \
@@ -46,16 +46,16 @@ What is proved are the kernel and, in verify/obligations, the shield's test of a
 errors of what is seen, of the functions that drive and in real numbers. Rounding is paid for by a margin. That noise and an estimator \
 keep their bounds, six standard deviations of the noise, is not proved.")]
 struct ShieldCommand {
-    /// Folder for the certificates, made if it is not there; `shield.sha256` lists them. Files that crumple wrote there and that have not
-    /// changed are replaced, all others stay
+    /// Folder for the certificates, created if missing; `shield.sha256` lists them. crumple replaces only files that it
+    /// wrote there and that have not changed
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]
     out: PathBuf,
-    /// How to print: for a reader, or one JSON object a certificate, as `crumple check` has it
+    /// Output format: text, or one JSON object per certificate, as in `crumple check`
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
 
-/// How often a controller fails at most, or that it fails less often than another
+/// Bound a controller's failure rate, or show that it is lower than another's
 #[derive(Args)]
 #[command(after_long_help = "\
 What decides the count (controllers, space, seed, runs, confidence) is written to DIR/registration.json, with its digest on \
@@ -77,58 +77,59 @@ Examples:
   crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
   crumple verify rate --controller policy --space high-risk --rare")]
 struct RateCommand {
-    /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
+    /// Controller of the vehicles under test (see `crumple list controllers`), or its file
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// Another controller on the same draws: show that the first fails less often
+    /// Another controller on the same random scenarios: show that the first fails less often
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     against: Option<NamedController>,
-    /// Space that runs are drawn from (see `crumple list spaces`), or a space file
+    /// Scenario space of the runs (see `crumple list spaces`), or its file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
     runs: Option<u64>,
-    /// Confidence of the claim: above 0.5 and below 1
+    /// Confidence level of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
-    /// Estimate the probability of a rare failure instead of counting: no certificate
+    /// Estimate the probability of a rare failure instead of counting; writes no certificate
     #[arg(long, value_name = "METHOD", value_parser = value_enums::one_of(value_enums::RARE_METHODS), num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
         conflicts_with_all = ["runs", "against", "confidence"])]
     rare: Option<RareMethod>,
-    /// With --rare: what must hold, as in `crumple falsify` [default: no contact]
+    /// With --rare: specification, as in `crumple falsify` [default: no contact]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
-    /// With --rare: runs of a population, 50 to 100 000; each repetition makes one for each of up to 18 levels [default: 500]
+    /// With --rare: runs of a population, 50 to 100 000, for each repetition and each of up to 18 levels [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
     samples: Option<u32>,
     /// With --rare: independent populations, 5 to 1000 [default: 20]
     #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(5..=1000))]
     repetitions: Option<u32>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
-    /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 79 to 2000 [default: 200, with
-    /// --rare 80, each with an estimate of about 20 000 runs]
+    /// In a scenario space fitted to episodes: resamples of the episodes, with a new fit for each: 0 (none) or 79 to
+    /// 2000 [default: 200, with --rare 80, each with an estimate of about 20 000 runs]
     #[arg(long, value_name = "N", value_parser = exposure::parse_resamples)]
     resamples: Option<u32>,
-    /// Runs made in each of them, without --rare: 50 to 100 000 [default: 500]
+    /// Runs in each resample, without --rare: 50 to 100 000 [default: 500]
     #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
     resample_runs: Option<u32>,
-    /// Seed of all draws
+    /// Seed of all random scenarios
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// What the vehicles under test look through
+    /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Make shard I of N only: a range of the blocks of runs (runs/100, at most 1000; of more than 100 000 000 runs 10 000), with
-    /// --rare of the repetitions; `crumple merge` puts shards together, and certifies
+    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000),
+    /// or with --rare of the repetitions; `crumple merge` combines shards and certifies
     #[arg(long, value_name = "I/N")]
     shard: Option<ShardId>,
-    /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
+    /// Folder for registration, progress and certificate [default: crumple-rate; for a shard,
+    /// crumple-rate-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with an interrupted count or estimate; print one that is complete
+    /// Resume an interrupted count or estimate, or print a complete one
     #[arg(long)]
     resume: bool,
 }
@@ -170,7 +171,7 @@ impl RateCommand {
     fn run(self, quiet: bool) -> Result<(), CliError> {
         self.check_resampling()?;
         let Some(runs) = self.runs else { return self.estimate(quiet) };
-        // clap asks for nothing that conflicts with what is there, and `--rare` does with `--runs`.
+        // clap requires no option that conflicts with a given one, and `--rare` conflicts with `--runs`.
         let of_rare = [
             ("--spec", self.spec.is_some()),
             ("--samples", self.samples.is_some()),
@@ -214,7 +215,7 @@ impl RateCommand {
         bar.finish_and_clear();
         let (certificate, path) = match certificate {
             Ok(certificate) => (certificate, count.certificate_path()),
-            // What was counted is an answer, too.
+            // Print the counts even if the claim was rejected.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let confidence = Some(plan.registration().confidence);
                 let report = CountReport { confidence, ..CountReport::new(count.tally(), &out) };
@@ -232,7 +233,7 @@ impl RateCommand {
         let words = || format!("{}{said}{on_the_road}", tally_line(is_comparison, count.tally()));
         let report = CountReport {
             certificate: Some(&path),
-            // As accepted above.
+            // The checker accepted it above.
             rate_at_most: match &certificate.statement {
                 Statement::Rate(rate) => Some(rate.rate_at_most),
                 _ => None,
@@ -273,9 +274,9 @@ impl RateCommand {
         rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
     }
 
-    /// Whether there is something to resample, if that is asked for.
+    /// Checks that the scenario space can be resampled, if the user asks for resamples.
     fn check_resampling(&self) -> Result<(), CliError> {
-        // None at all is what comes of it in any case.
+        // `--resamples 0` asks for nothing, so it is valid everywhere.
         let asked = [
             ("--resamples", self.resamples.is_some_and(|resamples| resamples > 0)),
             ("--resample-runs", self.resample_runs.is_some()),
@@ -292,7 +293,6 @@ impl RateCommand {
         Ok(())
     }
 
-    /// Where it goes.
     fn out_folder(&self) -> PathBuf {
         match (&self.out, self.shard) {
             (Some(out), _) => out.clone(),
@@ -302,15 +302,13 @@ impl RateCommand {
     }
 }
 
-/// Where a count goes by default.
 const DEFAULT_OUT: &str = "crumple-rate";
 
-/// What was counted, for programs: names as in what `crumple merge` says of counts.
+/// JSON output of a count, with the names that `crumple merge` uses.
 #[derive(Serialize)]
 struct CountReport<'a> {
     registration_sha256: &'a str,
     folder: &'a Path,
-    /// The shard, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     shard: Option<ShardId>,
     runs: u64,
@@ -319,9 +317,9 @@ struct CountReport<'a> {
     only_second_failed: u64,
     /// Runs without an answer, of the first controller and of the second.
     unanswered: [Option<FailedControllerRuns>; 2],
-    /// Where the certificate lies; of a shard there is none.
+    /// Path of the certificate; a shard has none.
     certificate: Option<&'a Path>,
-    /// Of one controller: the bound that the checker accepted.
+    /// Bound that the checker accepted, for one controller.
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -347,17 +345,15 @@ impl<'a> CountReport<'a> {
     }
 }
 
-/// What was counted, in a line.
 pub(super) fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
     tally.summary(is_comparison) + "\n"
 }
 
-/// What the checker says of a certificate that goes to `path`.
 pub(super) fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
     verdict_line(&CertificateReport::new(path.display().to_string(), certificate))
 }
 
-/// Says in a line what the checker accepted; a rejection is a failed gate.
+/// Formats the accepted claim in a line; a rejection is a failed gate.
 fn verdict_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
     match &report.accepted {
         Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),

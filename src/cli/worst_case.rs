@@ -1,4 +1,4 @@
-//! `crumple worst-case`: how little lead braking makes a controller collide.
+//! `crumple worst-case`: finds the mildest braking of the leader that makes a controller collide.
 
 use std::fmt::Write;
 
@@ -39,23 +39,24 @@ pub(super) struct WorstCase {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: String,
-    /// Controller of the vehicles under test (see `crumple list controllers`), with settings
-    /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
+    /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
+    /// `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// What the vehicles under test look through
+    /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// What to look for: least ∫a², least peak, or the fastest impact
+    /// Objective: least ∫a², least peak, or the fastest impact
     #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
     aim: AttackObjective,
-    /// Hardest braking of the leader in m/s²; default all it has on this road
+    /// Maximum braking of the leader in m/s² [default: its limit on this road]
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
     max_brake: Option<f64>,
-    /// Fastest change of the leader's acceleration in m/s³
+    /// Maximum jerk of the leader in m/s³
     #[arg(long, value_name = "J", default_value_t = Envelope::DEFAULT_JERK_MPS3, allow_negative_numbers = true)]
     jerk: f64,
-    /// Simulations after which the search ends, 1 to 10 000 000, but for those that are always made (see below)
+    /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below)
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
     #[command(flatten)]
@@ -101,11 +102,9 @@ impl WorstCase {
     }
 }
 
-/// Why more simulations were made than the budget says.
 const OVER_BUDGET_REASON: &str =
     "a round that has begun is ended, and what the method begins and ends with is always made";
 
-/// What was found, and whether that took more than it was to.
 #[derive(Serialize)]
 struct WorstCaseReport {
     #[serde(flatten)]
@@ -118,7 +117,6 @@ struct WorstCaseReport {
 fn describe(hunted: &WorstCaseReport) -> String {
     let mut text = describe_report(&hunted.report);
     if let Some(why) = hunted.over_budget_because {
-        // Writing to a string cannot fail.
         let _ = writeln!(text, "  more simulations than --budget {}: {why}", hunted.budget);
     }
     text
@@ -134,7 +132,6 @@ fn describe_report(report: &AttackReport) -> String {
         let AttackReport { evaluations, programs, .. } = report;
         return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");
     };
-    // Writing to a string cannot fail.
     if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
         let _ = writeln!(text, "  CONTROLLER FAILED, and gave no answer that could be judged: {failed}");
     }

@@ -131,7 +131,7 @@ def drive(folder, crumple, tools, screenshots):
     running = subprocess.Popen([crumple, "--quiet", *search, "--method", "cma-es", "--budget", "3000000", "--out", "running"], cwd=folder, stdout=subprocess.DEVNULL)
     while not (folder / "running" / "evaluations.journal").exists():
         time.sleep(0.05)
-    # It need not take a processor while the page is measured: what it has found by then is looked at.
+    # Let the campaign find something; `watch` stops it before the page is measured.
     time.sleep(1)
     arguments = ["explore", "paper-1", "found", "running", "--controller", "baseline", "--out", "saved", "--format", "json", "--quiet"]
     server = subprocess.Popen([crumple, *arguments], cwd=folder, stdout=subprocess.PIPE, text=True)
@@ -180,7 +180,7 @@ def measure(browser, address):
     print(f"dragging: {len(times)} answers, median {times[len(times) // 2]:.1f} ms, 95 % {times[int(0.95 * len(times))]:.1f} ms, longest {times[-1]:.1f} ms")
     said = browser.wait("words for a screen reader", "return document.getElementById('said').textContent")
     assert "No contact" in said, said
-    # By the keyboard as well.
+    # With the keyboard too.
     browser.keys("#slide-speed-2", "\ue010")
     assert settled(browser)["verdict"] == "collision"
     browser.click("#reset")

@@ -13,7 +13,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 SKIPPED = 77
-# What paper has no use for, and figures, whose texts do not wrap.
+# Elements that are useless on paper, and figures, whose texts do not wrap.
 LEFT_OUT = {"head", "nav", "script", "svg"}
 VOID = {"br", "input", "meta"}
 

@@ -23,7 +23,7 @@ import time
 from pathlib import Path
 
 SHARDS = 8
-# What a task should take where efficiency is measured, and how much of a loss is allowed there.
+# Target duration of a task for the measurement of efficiency, and the minimum efficiency.
 TASK_SECONDS = 10
 LEAST_PERCENT = 90
 
@@ -33,7 +33,7 @@ class Rate:
 
     common = ["--controller=idm", "--space=high-risk", "--seed=7", "--confidence=0.99"]
     merged = "rate"
-    # How much of the time of one process the engine's workers are certain to be at work.
+    # Share of one process's time in which the engine's workers are certain to work.
     at_work = 1.0
 
     def planned(self, runs):
@@ -51,7 +51,7 @@ class Falsify(Rate):
 
     common = ["--controller=match-leader", "--space=high-risk", "--seed=7"]
     merged = "campaign-merged"
-    # Eight processes, one after the other, take longer.
+    # Eight sequential processes take longer.
     at_work = 0.3
 
     def planned(self, runs):
@@ -61,7 +61,7 @@ class Falsify(Rate):
         return ["falsify", *self.common, f"--budget={runs}", "--log=summary"]
 
     def expected(self, crumple, runs, root):
-        # A search in eight parts is eight searches: what it comes to is that of eight shards that nobody disturbs.
+        # A divided search is eight searches: compare it with eight undisturbed shards.
         shards = [str(root / f"undisturbed-{shard}") for shard in range(1, SHARDS + 1)]
         for shard, folder in enumerate(shards, 1):
             words = ["falsify", *self.common, f"--budget={runs}", f"--shard={shard}/{SHARDS}", f"--out={folder}"]
@@ -76,7 +76,7 @@ def same_files(one, other):
 
 
 def begun(words, environment):
-    # A session of its own: whatever is left of it can be ended with it.
+    # A separate session, so that all of its processes can be ended.
     return subprocess.Popen(
         words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
@@ -179,7 +179,7 @@ def efficiency(work, crumple, root):
         words = [crumple, "--quiet", *work.whole(runs), f"--out=measured-{runs}"]
         subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=threads_environment)
         seconds = time.monotonic() - begin
-        # Eight tasks on two cores are four in a row.
+        # Eight tasks on two cores take four rounds.
         wanted = SHARDS / 2 * TASK_SECONDS
         if 0.8 < seconds / wanted < 1.25:
             break

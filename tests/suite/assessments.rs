@@ -1,4 +1,4 @@
-//! Assessments that somebody would like to say more than they may: evidence of others, under one's own name.
+//! Assessments do not claim more than their evidence supports, such as certificates of other subjects.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,6 @@ use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::sim::{NamedController, RunOptions};
 
-/// A small assessment of these controllers on draws of the paper's space, without its scenarios.
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
@@ -39,13 +38,11 @@ fn standings(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
     assessment.summary.claims.iter().flat_map(|row| &row.statuses).collect()
 }
 
-/// The claim about a rate, of the controller at that place.
 fn rate_strength(assessment: &AssessmentReport, place: usize) -> &Strength {
     let row = assessment.summary.claims.iter().find(|row| row.claim.contains("at most")).expect("claimed");
     &row.statuses[place].strength
 }
 
-/// Runs of every count here that certificates are made of.
 const RUNS: u64 = 1500;
 
 fn count_certificate(
@@ -71,8 +68,8 @@ fn count_certificate(
     plan.certificate(&tally)
 }
 
-/// Certificates that the checker accepts and that speak of something else: another estimator, another space of that name, another
-/// policy under that name, another release, the other order. Not one claim changes by them; the genuine one changes its own.
+/// Certificates of another estimator, space, policy, release or order are valid but change no claim; the genuine one
+/// does.
 #[test]
 fn foreign_certificates_change_no_claim() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -135,7 +132,8 @@ fn foreign_certificates_change_no_claim() {
     assert!(matches!(rate_strength(&with, 1), Strength::Bounded { .. }), "{:?}", rate_strength(&with, 1));
 }
 
-/// A file that is called a shield is none; a shield for other limits has other kernels; a copy of a policy is that policy.
+/// A file called like a shield is no shield, a shield for other limits has other kernels, and a copy of a policy is
+/// that policy.
 #[test]
 fn names_prove_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -164,8 +162,6 @@ fn names_prove_nothing() {
     assert!(!assessment.to_markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
 }
 
-/// Every command that a report prints runs in its folder, whatever policies, spaces and scenarios are called and wherever they
-/// were, and ends as the report says.
 #[test]
 fn every_command_of_a_report_runs_in_its_folder() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -209,7 +205,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
     {
         assert!(commands.iter().any(|command| command.starts_with(wanted)), "{wanted}: {commands:#?}");
     }
-    // An avoidable failure has the escape beside it, and the report lists that file.
+    // The escape of an avoidable failure is a file of the report.
     let own: Vec<String> = assessment.files().expect("renders").into_iter().map(|(name, _)| name).collect();
     let found: Vec<_> = assessment.searches.spaces.iter().flat_map(|space| &space.controllers).collect();
     let failures: Vec<_> = found.iter().flat_map(|search| &search.failures).collect();
@@ -224,7 +220,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let script = fs::read_to_string(report.join("replay.sh")).expect("written");
     assert!(script.contains("-escape.toml --expect safe"), "{script}");
     shell("sh replay.sh");
-    // A failure that was made another is one all the same: it is the file that gives it away.
+    // A replaced failure file is still a failure, and the listing detects the change.
     shell("crumple fsck .");
     let files = assessment.files().expect("renders");
     let counterexample =
@@ -237,7 +233,6 @@ fn every_command_of_a_report_runs_in_its_folder() {
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 
-/// A network is called what it was trained as.
 #[test]
 fn a_saved_model_is_named_with_its_algorithm() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
@@ -249,7 +244,7 @@ fn a_saved_model_is_named_with_its_algorithm() {
     assert!(told[1].starts_with("a network from outside with layers "), "{told:?}");
 }
 
-/// A space of one's own has a name in the configuration that is not its own.
+/// A custom space may have another name in the configuration than in its file.
 #[test]
 fn gates_find_the_draws_of_own_spaces() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -280,7 +275,7 @@ fn gates_find_the_draws_of_own_spaces() {
     assert_eq!(holds, [true, false, true, false]);
 }
 
-/// A gate on a space looks at its random scenarios, those of everyday traffic included, and one on scenario files does not.
+/// A gate on a space counts its random scenarios, including everyday traffic; a gate on scenario files does not.
 #[test]
 fn gates_on_spaces_look_at_random_scenarios() {
     let mut asked = config(&["idm", "full-throttle"]);
@@ -298,7 +293,7 @@ fn gates_on_spaces_look_at_random_scenarios() {
         in_space("idm", "traffic"),
     ];
     let folder = tempfile::tempdir().expect("a folder");
-    // Nothing is ahead within reach, so that full throttle collides with nothing.
+    // No vehicle ahead is within reach, so full throttle avoids a collision.
     let far = "version = 1\nname = \"far\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 900.0\nspeed_mps = 20.0\n\
                [vehicles.driver]\nconstant-speed = {}\n[[vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\n\
                driver = \"under-test\"\n";
@@ -310,7 +305,7 @@ fn gates_on_spaces_look_at_random_scenarios() {
     assert!(gates[1].because.ends_with("of 20 random scenarios collide"), "{}", gates[1].because);
     assert!(gates[3].because.ends_with("of 40 random scenarios collide"), "{}", gates[3].because);
 
-    // The first page ends with the gates on a terminal, and has them in both forms of the report.
+    // The gates end the first page on a terminal, and are in both forms of the report.
     assert!(
         found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"),
         "{}",
@@ -332,7 +327,7 @@ fn gates_on_spaces_look_at_random_scenarios() {
     }
 }
 
-/// A line in which the third vehicle brakes and the fourth hits it, whoever is under test: by `drivers`, front to rear.
+/// A space in which the third vehicle brakes and the fourth hits it, with `drivers` from front to rear.
 fn third_party_crash_space(drivers: [&str; 4]) -> String {
     let vehicle = |(place_m, speed_mps, driver): (f64, f64, &str)| {
         format!(
@@ -355,8 +350,8 @@ fn third_party_crash_space(drivers: [&str; 4]) -> String {
 const STILL: &str = ".pieces = { from_s = [1.0], accel_mps2 = [0.0] }";
 const BRAKES: &str = ".pieces = { from_s = [0.1], accel_mps2 = [-7.0] }";
 
-/// What says nothing of a controller makes no claim about it, neither by draws nor by a search, a count or a gate; and it is said
-/// that the others crash.
+/// Collisions among other vehicles support no claim about a controller (draws, search, count, gate); the report
+/// mentions them.
 #[test]
 fn runs_that_others_end_say_nothing_of_a_controller() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -364,7 +359,7 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
         .expect("writes");
     fs::write(folder.path().join("own.safetensors"), Policy::retrained_bytes()).expect("writes");
     let mut asked = config(&["full-throttle", "idm", "own.safetensors"]);
-    // All runs of the certificate that is made of the policy end with others' contacts, too.
+    // The policy's certificate also consists only of runs that end with collisions of others.
     asked.rates.runs = 200;
     asked.distributions = Some(vec!["others.toml".to_owned()]);
     asked.search.spaces = Some(vec!["others.toml".to_owned()]);
@@ -386,7 +381,7 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
     assert!(!found.summary.gates[0].holds, "{}", found.summary.gates[0].because);
 }
 
-/// A configuration that could only end in a report that misleads is refused before the first run, with its file and its field.
+/// Refused before the first run, with file and field.
 #[test]
 fn what_would_mislead_is_refused_before_the_work() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -419,7 +414,8 @@ fn what_would_mislead_is_refused_before_the_work() {
     }
 }
 
-/// Who brakes for nothing breaks a rule where a reference driver keeps it, and the file that the report has of it shows it again.
+/// A specification that a controller violates and a reference driver satisfies is reported, with a file that reproduces
+/// it.
 #[test]
 fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     let mut config = config(&["idm", "constant-brake"]);
@@ -452,7 +448,7 @@ fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     );
 }
 
-/// Which of two fails less often is what the assessment counted, whatever certificates of no greater weight are given.
+/// Certificates of no greater weight do not outweigh the comparison that the assessment counted.
 #[test]
 fn a_count_in_vain_is_not_outweighed() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -481,7 +477,6 @@ fn a_count_in_vain_is_not_outweighed() {
     );
 }
 
-/// A recording is as good as the scenarios that an import makes of it.
 #[test]
 fn a_recording_is_assessed_as_its_episodes() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -508,7 +503,7 @@ fn a_recording_is_assessed_as_its_episodes() {
     assert!(refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"), "{refused}");
 }
 
-/// All evidence on a disk flipped, cut, emptied, removed or swapped: none of it is believed, and the report has the same bytes.
+/// Evidence on disk is flipped, cut, emptied, removed or swapped; the report keeps the same bytes.
 #[test]
 fn damaged_evidence_is_gathered_again() {
     let folder = tempfile::tempdir().expect("a folder");

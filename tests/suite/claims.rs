@@ -1,4 +1,5 @@
-//! No claim is shown to be stronger than the evidence allows, by a second opinion that reads the JSON.
+//! No claim is shown as stronger than its evidence allows, checked by an independent implementation that reads the
+//! JSON.
 
 use crumple_report::assessment::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Ledger, Property, Rounded, Strength, Subject,
@@ -9,7 +10,7 @@ use proptest::prelude::*;
 use proptest::sample::select;
 use serde_json::Value;
 
-/// A few of each kind, so that claims meet: names are equal where hashes are not, and the other way round.
+/// A few of each kind, so that claims meet: equal names with different hashes, and the reverse.
 fn any_known(kind: &'static str) -> impl Strategy<Value = ContentId> {
     (0..2_u8, 0..2_u8)
         .prop_map(move |(name, content)| ContentId::new(format!("{kind} {name}"), format!("{kind} {content}")))
@@ -89,7 +90,7 @@ fn evidence() -> impl Strategy<Value = Evidence> {
     })
 }
 
-/// What is said of a claim: that it does not hold, nothing, that it was tried, that it holds often, always.
+/// Levels of a claim: refuted, no evidence, tested, holds often, always.
 fn strength_level(said: &Value) -> u8 {
     match said["strength"].as_str().expect("a strength") {
         "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
@@ -103,7 +104,7 @@ fn strength_level(said: &Value) -> u8 {
     }
 }
 
-/// Written from the rules as the report prints them, and from nothing else: all that evidence allows to say of a claim.
+/// Computes the highest level that evidence allows, from the rules that the report prints.
 fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
     let about_runs =
@@ -131,7 +132,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     };
     let stronger =
         |p: &Value, q: &Value| same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead");
-    // How a count was fixed before it began, and how much it says against the claim; the largest decides.
+    // The registration of a count, and its evidence against the claim; the largest decides.
     let fixed = |one: &Value| {
         let against = match one["strength"].as_str() {
             Some("counted") => 0.0,
@@ -176,7 +177,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             } else {
                 u8::from(one["lower_percent"].as_f64().unwrap() <= at_most)
             };
-            // Bounds that others come before may still refute.
+            // Bounds that rank behind others may still refute.
             says == 0 || decides(one)
         } else if !(about_runs(p) && about_runs(q)) {
             false
@@ -184,7 +185,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             (says == 0 && stronger(q, p) && within(d, e)) || (says == 4 && stronger(p, q) && within(e, d))
         };
         if is_subjects && says == 4 && stronger(p, q) && d["kind"] == "scenarios" {
-            // What is not said of every run is said of one scenario only where it was proved of that one.
+            // Evidence that is not about all runs is about one scenario only if it was proved for that one.
             proved.extend(scenarios(d).into_iter().filter(|_| about_runs(p) || scenarios(d).len() == 1));
         }
         if is_subjects && applies {
@@ -192,7 +193,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             best = best.max(says);
         }
     }
-    // Bounds on one rate that do not meet contradict each other, whatever each of them decides.
+    // Disjoint bounds on one rate contradict each other, regardless of what each decides.
     let mut meet = (0.0, 100.0);
     for one in
         evidence.iter().filter(|one| one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate")
@@ -231,7 +232,7 @@ proptest! {
         let shown = strength_level(&serde_json::to_value(&standing).unwrap());
         let allowed = allowed_level(json.as_array().unwrap(), &serde_json::to_value(&claim).unwrap());
         prop_assert!(shown <= allowed, "{shown} where {allowed} is allowed: {standing:#?}");
-        // Nor is anything kept back that speaks against a claim, or for it.
+        // All evidence for and against a claim is shown.
         prop_assert_eq!(shown, allowed, "{:#?}", standing);
         let read_back: Ledger = serde_json::from_value(json).unwrap();
         prop_assert_eq!(read_back.claim_status(&claim), standing);

@@ -21,7 +21,7 @@ use proptest::prelude::*;
 
 use crate::generate::with_cases;
 
-/// Accelerates mildly, and fails at its `fails_at`-th answer: by saying so, or with something that is no number.
+/// A controller that accelerates mildly, and fails at answer `fails_at`: with an error, or with a non-finite number.
 #[derive(Clone)]
 struct FailingController {
     fails_at: usize,
@@ -73,7 +73,6 @@ fn died_failure() -> ControllerFailure {
     ControllerFailure::Died { message: "no longer there".to_owned() }
 }
 
-/// Paper scenario 2 with all but the leader under test.
 fn all_under_test_scenario() -> Scenario {
     let edited = built_in_scenario("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
     edited.unwrap()
@@ -82,8 +81,7 @@ fn all_under_test_scenario() -> Scenario {
 proptest! {
     #![proptest_config(with_cases(64))]
 
-    /// Whenever and however a controller fails, beside runs that go on: one outcome and one trace in both engines, which
-    /// end at the instant at which it was to decide.
+    /// Both engines give one outcome and one trace, which end at the instant of the failed decision, in batches too.
     #[test]
     fn both_engines_end_the_run_at_the_same_instant(
         fails_at in prop::collection::vec(0..1200_usize, 1..9),
@@ -214,7 +212,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
 #[test]
 fn an_assessment_says_who_failed_and_when() {
     let mut config = AssessConfig::default();
-    // Beside a controller without collisions: each collision would be classified, which takes most of the time.
+    // The other controller avoids collisions: classifying each collision would take most of the time.
     config.controllers = vec!["idm".to_owned()];
     config.gates.clear();
     (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);

@@ -1,4 +1,4 @@
-//! What every built-in controller promises, whatever it is shown.
+//! Properties of every built-in controller for any observation.
 
 use crumple_world::control::AebSettings;
 use crumple_world::control::{Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
@@ -15,7 +15,7 @@ prop_compose! {
     }
 }
 
-/// What may be seen, estimates gone astray included: gaps that are negative, accelerations no vehicle has.
+/// Any observation, including diverged estimates such as negative gaps and impossible accelerations.
 fn any_observation() -> impl Strategy<Value = Observation> {
     let neighbour = || {
         let seen = (-10.0..500.0_f64, 0.0..110.0_f64, -100.0..100.0_f64)
@@ -30,7 +30,6 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 proptest! {
     #![proptest_config(with_cases(1024))]
 
-    /// Commands are numbers.
     #[test]
     fn commands_are_finite(
         spec in any_controller(),
@@ -44,7 +43,7 @@ proptest! {
         }
     }
 
-    /// The baseline knows two commands, and gives the second from the first time to collision below its threshold on.
+    /// The baseline has two commands, and brakes from the first time to collision below its threshold on.
     #[test]
     fn the_baseline_brakes_from_the_first_ttc_below_its_threshold(
         threshold_s in 0.0..4.0_f64,
@@ -60,7 +59,7 @@ proptest! {
         }
     }
 
-    /// No rule looks at the vehicle behind.
+    /// No rule-based controller observes the vehicle behind.
     #[test]
     fn built_in_controllers_look_ahead_only(
         spec in any_controller().prop_filter("looks behind", |spec| spec.role() <= Role::Reference),
@@ -74,7 +73,7 @@ proptest! {
     }
 }
 
-/// A rule that was added is generated, with its own settings.
+/// A new rule-based controller is generated too, with its settings.
 #[test]
 fn every_rule_is_generated() {
     for rule in ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference) {

@@ -1,4 +1,5 @@
-//! Scenarios kept because somebody failed in them: each is replayed, and its recorded verdict must still be true.
+//! Scenarios that are kept because a controller failed in them: each is replayed and must reproduce its recorded
+//! verdict.
 
 use std::fs;
 use std::path::PathBuf;
@@ -33,7 +34,8 @@ fn every_kept_scenario_still_ends_as_recorded() {
     assert!(failures.is_empty(), "{}: if that is meant, run with UPDATE_CORPORA=1", failures.join("\n"));
 }
 
-/// Whoever it is named after still fails in it, and what convex programming says of it is recorded.
+/// The controller in the file name still fails, and the recorded avoidability is still the result of convex
+/// programming.
 #[test]
 fn every_kept_scenario_still_has_its_failure_and_its_class() {
     let index = ExpectedFile::load_from_folder(&scenario_corpus()).unwrap();
@@ -49,7 +51,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
             let recorded = if expected.violated { class.class() } else { AvoidabilityClass::NotAsked };
             assert_eq!(expected.avoidable, recorded, "{file}");
             let gaps = expected.best_min_gap_m.zip(class.best_min_gap_m());
-            // Solvers differ from one machine to the next by less than that.
+            // Differences between solvers on different machines are smaller.
             assert!(gaps.is_none_or(|(recorded, found)| (recorded - found).abs() < 1e-3), "{file}: {gaps:?}");
         }
     }

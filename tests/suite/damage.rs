@@ -1,5 +1,5 @@
-//! What lies on disk is checked, for every kind of work that goes on: flipped, cut, emptied, lost and swapped files are refused by
-//! their names, or the work ends with the same bytes all the same. Nothing is believed.
+//! Every kind of resumable run folder is damaged: files are flipped, cut, emptied, removed and swapped. The folder is
+//! then refused with the file's name, or the work ends with the same bytes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,10 +22,10 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use tempfile::TempDir;
 
-/// Places of each file that are changed, one at a time, unless the variable `DEFAULT_FLIPS` says otherwise.
+/// Changed positions per file, one at a time, unless the variable `FLIPS` overrides it.
 const DEFAULT_FLIPS: usize = 8;
 
-/// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
+/// Resumable work: runs in a folder with a seed, or resumes, and reports progress by a callback.
 type ResumableWork = fn(&Path, u64, &(dyn Fn() + Sync)) -> Result<(), String>;
 
 fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
@@ -89,7 +89,7 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
     let plan = RetrainingPlan {
         initial_policy: Policy::reference(),
         initial_policy_name: "policy".to_owned(),
-        // A contact there is soon seen to have been avoidable.
+        // Collisions in this space are quickly shown to be avoidable.
         space: built_in_space("paper").unwrap(),
         regression_spaces: vec![built_in_space("traffic").unwrap()],
         training: TrainingConfig::parse(&tiny::with_small_memory(&tiny::retraining()), Path::new("tiny")).unwrap(),
@@ -111,12 +111,11 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
     plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick())).map(|_| ()).map_err(|error| error.to_string())
 }
 
-/// A folder, in memory where the system has such: thousands of resumptions need no disk.
+/// Creates a folder, in memory if possible, since thousands of resumptions need no disk.
 pub(crate) fn scratch_folder() -> TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
-/// All files of a folder by name, but for those that hold nothing.
 pub(crate) fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     fn gather(root: &Path, folder: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
         for entry in fs::read_dir(folder).unwrap() {
@@ -142,7 +141,6 @@ fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
     }
 }
 
-/// The files that work leaves behind that is stopped at a tick, or never.
 fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
     let (folder, ticks) = (scratch_folder(), AtomicUsize::new(0));
     let tick = || {
@@ -156,7 +154,6 @@ fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTre
     read_files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
 }
 
-/// A file changed in every way, each with what was done to it.
 fn damaged_variants<'a>(
     bytes: &'a [u8],
     other: Option<&'a Vec<u8>>,
@@ -174,7 +171,7 @@ fn damaged_variants<'a>(
     flipped.chain(cut).chain([("lost".to_owned(), None)]).chain(swapped)
 }
 
-/// Damages each file of begun work, or of complete work, in every way. Returns the number of changes that are refused.
+/// Damages each file of begun or complete work in every way. Returns the number of refused changes.
 fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
     let genuine = files_after_stop(work, 1, None);
     let (begun, other) = (files_after_stop(work, 1, stop), files_after_stop(work, 2, stop));
@@ -206,7 +203,6 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
         }
     }
     assert!(read_files(folder.path()) == begun, "what is refused is not changed");
-    // All of it of another run.
     let folder = scratch_folder();
     write_files(folder.path(), &other);
     if work(folder.path(), 1, &|| {}).is_ok() {
@@ -228,7 +224,6 @@ pub(crate) fn assert_same_contents(
     }
 }
 
-/// At some moments, and when it is complete.
 #[test]
 fn no_damage_is_believed_in_a_campaign() {
     for stop in [Some(1), Some(3), None] {
@@ -255,7 +250,6 @@ fn no_damage_is_believed_in_a_training() {
     assert!(count_refused_damage(training, None) > 20);
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 

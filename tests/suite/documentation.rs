@@ -1,10 +1,9 @@
-//! Commands of the documentation, as far as they can be judged without a run: `.ci/commands` runs them.
+//! Commands in the documentation, checked without running them: `.ci/commands` runs them.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Returns a file, or all files of a folder and of those in it.
 fn files_below(path: PathBuf) -> Vec<PathBuf> {
     match fs::read_dir(&path) {
         Ok(entries) => entries.flat_map(|entry| files_below(entry.unwrap().path())).collect(),
@@ -12,7 +11,6 @@ fn files_below(path: PathBuf) -> Vec<PathBuf> {
     }
 }
 
-/// Returns the commands of each page that users read.
 fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeMap::new();

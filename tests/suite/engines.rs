@@ -1,5 +1,5 @@
-//! The two engines are one: the batch engine gives the scalar engine's results to the last bit, whatever shares a block,
-//! on any number of threads.
+//! The batch engine gives the scalar engine's results to the last bit, whatever shares a batch, on any number of
+//! threads.
 
 use crumple_fuzzing::oracle::result_bits;
 use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape};
@@ -10,11 +10,10 @@ use proptest::prelude::*;
 
 use crate::generate::{any_after_contact, any_scenario_of_shape, any_setup, any_shape, with_cases};
 
-/// A scenario and how to run it.
 type ScenarioSetup = (Scenario, RunSetup);
 
-/// A shape and its twin that differs in one thing, with a few runs of each, shuffled: runs of one shape share a block and
-/// differ in everything else, and runs of the twin must not get into it.
+/// A shape and a variant that differs in one property, with a few shuffled runs of each: runs of one shape share a
+/// batch, runs of the variant must not join it.
 fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
     let alike = |shape: &ScenarioShape, setup: &RunSetup| {
         let setup = setup.clone();
@@ -51,7 +50,7 @@ fn batch_bits(runs: &[Run], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64
 proptest! {
     #![proptest_config(with_cases(256))]
 
-    /// Traces, impacts and summaries of a mixed batch are those of the runs one by one.
+    /// Traces, impacts and summaries of a mixed batch equal those of single runs.
     #[test]
     fn a_batch_is_its_runs_one_by_one(batch in any_batch()) {
         let runs = build_runs(&batch);
@@ -64,7 +63,6 @@ proptest! {
         }
     }
 
-    /// Neither the number of threads nor the order of the runs reaches a result.
     #[test]
     fn threads_and_order_change_nothing(batch in any_batch()) {
         let forwards = batch_bits(&build_runs(&batch), RecordingLevel::Trace, 1);
@@ -77,7 +75,7 @@ proptest! {
     }
 }
 
-/// More runs than one block holds, all of one shape, with every controller: the paper's distribution.
+/// More runs than one batch holds, all of one shape, with every controller: the paper's distribution.
 #[test]
 fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
     let draws: Vec<_> = (0..150).map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap()).collect();
@@ -98,7 +96,7 @@ fn full_blocks_of_the_papers_distribution_agree_with_the_scalar_engine() {
     }
 }
 
-/// The index handed to `reduce` is that of the run, and results come back in the order of the runs.
+/// The index given to `reduce` is that of the run, and results are in the order of the runs.
 #[test]
 fn results_come_back_in_order() {
     let draws: Vec<_> = (0..100).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap()).collect();

@@ -1,8 +1,8 @@
-//! The filter is consistent: what it expects of its innovations is what they do.
+//! The filter is consistent: its innovations have the variance it expects.
 //!
-//! The normalised innovation squared (NIS) of one measurement is residual² / expected variance. If filter and world agree,
-//! innovations are independent and normal, and the sum of N of them has the chi-square distribution with N degrees of
-//! freedom (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2).
+//! The normalised innovation squared (NIS) of one measurement is residual² / expected variance. If filter and world
+//! agree, innovations are independent and normal, and the sum of N of them has the chi-square distribution with N
+//! degrees of freedom (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2).
 
 mod world;
 
@@ -21,15 +21,16 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use self::world::WhiteJerk;
 use crate::generate::{any_test_case, check_oracle, simulate_traced, with_cases};
 
-/// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
+/// Returns true if a sum of `count` squared standard normal numbers is in the central band that contains a `share` of
+/// such sums.
 fn is_in_band(sum: f64, count: usize, share: f64) -> bool {
     let chi_square = ChiSquared::new(count as f64).expect("positive");
     let tail = 0.5 * (1.0 - share);
     (chi_square.inverse_cdf(tail)..=chi_square.inverse_cdf(1.0 - tail)).contains(&sum)
 }
 
-/// In a world of white jerk, 200 runs of 1500 steps, with and without lost measurements: the sum of all NIS lies within its
-/// 99.9 % band, and innovations do not know their predecessors.
+/// White jerk, 200 runs of 1500 steps, with and without lost measurements: the sum of all NIS is in its 99.9 % band,
+/// and successive innovations are uncorrelated.
 #[test]
 fn innovations_are_chi_square_in_the_world_the_filter_believes_in() {
     for dropout in [0.0, 0.2, 0.9] {
@@ -59,8 +60,8 @@ fn innovations_are_chi_square_in_the_world_the_filter_believes_in() {
     }
 }
 
-/// In the same world, errors of distance, rate and acceleration have the deviations the filter says, in 99.9 % bands, and
-/// no bias. One error a run: errors within a run depend on each other.
+/// White jerk: errors of distance, rate and acceleration have the filter's standard deviations, in 99.9 % bands, and no
+/// bias. One error per run, since errors within a run are correlated.
 #[test]
 fn errors_have_the_deviations_the_filter_says() {
     const RUNS: u64 = 2000;
@@ -86,15 +87,15 @@ fn errors_have_the_deviations_the_filter_says() {
     }
 }
 
-/// How the filter of one of the ego's sensors did in one run: the sum of its NIS and how many there are, apart for the half
-/// second after a neighbour surprised it and for all that is not within 1.5 s of a surprise.
+/// Sums and counts of NIS of one of the ego's filters in a run: within 0.5 s after a neighbour's sudden braking, and
+/// for all instants more than 1.5 s after it.
 #[derive(Default)]
 struct Consistency {
     after_surprise: (f64, usize),
     undisturbed: (f64, usize),
 }
 
-/// The same filter on the very measurements of a run: same seed, purpose and vehicle.
+/// Runs the filter on the measurements of a run: same seed, purpose and vehicle.
 fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consistency {
     let (spec, ego) = (scenario.spec(), 1);
     let options = RunOptions::new(ControllerSpec::from_name(controller).expect("built in"));
@@ -116,9 +117,9 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
     let mut inertia = Accelerometer::new(own.speed_mps[0]);
     let mut found = Consistency::default();
     let mut since_surprise = usize::MAX;
-    // The last sample is the contact, which comes between two measurements.
+    // The last sample is the collision, between two measurements.
     for k in 0..trace.len() - 1 {
-        // A trace holds the acceleration of the step that begins; what is felt is that of the step that ended.
+        // A trace contains the acceleration of the step that begins; the sensor measures that of the step that ended.
         let ended = |of: &[f64]| if k == 0 { 0.0 } else { of[k - 1] };
         let felt = inertia.measure_change(spec.step_s, own.speed_mps[k], ended(&own.acceleration_mps2));
         let measured_m = sensor.measure(truth_m[k]).expect("nothing is lost");
@@ -140,14 +141,14 @@ fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) 
     found
 }
 
-/// Simulated runs of the paper's distribution: the filters are consistent through everything the ego does itself, slamming on
-/// its brakes and coming to rest included: the NIS lies inside its 95 % band in 9 of 10 runs or more (a perfect filter has 95
-/// of 100, give or take 1; these allow for jerk that is not there, and their NIS is about 0.98).
+/// In simulated runs of the paper's distribution, the filters are consistent under all of the ego's manoeuvres,
+/// including emergency braking to standstill: the NIS is in its 95 % band in at least 9 of 10 runs. (A perfect filter
+/// has 95 of 100 ± 1; these allow for jerk that does not occur, and have an NIS of about 0.98.)
 ///
-/// When a *neighbour* slams on its brakes, its acceleration jumps by 3 m/s² or more, which white jerk of this density does not:
-/// for about a second the filter lags behind and believes itself better than it is. A density that covered such jumps would
-/// make speeds several times noisier in all the driving between them. That is the price of one bandwidth; the second half of
-/// this test keeps it in sight, and the first shows that the filter is consistent again 1.5 s later.
+/// When a *neighbour* brakes suddenly, its acceleration jumps by 3 m/s² or more, which white jerk of this density does
+/// not cover: for about a second the filter lags and underestimates its error. A larger density would make speeds
+/// several times noisier at all other times. The second half of the test bounds this lag, the first half excludes 1.5 s
+/// after such a jump.
 #[test]
 fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_brakes() {
     for controller in ["baseline", "constant-brake"] {
@@ -166,7 +167,7 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
             let expected = match channel {
                 Purpose::GapAheadSensor => 2.0..3.0,
                 Purpose::GapBehindSensor => 7.0..10.0,
-                // Nobody else moves the ego: there is no surprise.
+                // No neighbour influences the ego's position.
                 _ => continue,
             };
             assert!(expected.contains(&surprised), "{controller} {channel:?}: mean NIS {surprised} after a surprise");
@@ -174,8 +175,8 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
     }
 }
 
-/// Without noise the ego is sure of itself from the first step to the last: through a brake that is slammed on, changed, and
-/// taken off by coming to rest inside a step.
+/// Without noise, the ego's own state is exact at every step: through sudden braking, its change, and a stop within a
+/// step.
 #[test]
 fn without_noise_the_own_motion_is_exact_through_every_jump() {
     let sensors = Sensors { position_noise_m: 0.0, gap_noise_m: 0.0, ..Sensors::default() };
@@ -188,7 +189,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
     while !stepper.has_ended() {
         let seen = stepper.observe(1).expect("it is there");
         let own = stepper.motion()[1];
-        // The filters take an ideal sensor for one with 0.1 mm of noise, and begin with the error of such a one.
+        // The filters assume 0.1 mm of noise for an ideal sensor, and start with such an error.
         assert!((seen.speed_mps - own.speed_mps).abs() < 1e-3, "{seen:?} {own:?}");
         assert!((seen.acceleration_mps2 - own.acceleration_mps2).abs() < 5e-3, "{seen:?} {own:?}");
         last_mps2 = match own.speed_mps {
@@ -202,17 +203,17 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
     assert!(!stepper.has_collided() && last_mps2 == -7.0 && stepper.motion()[1].speed_mps == 0.0);
 }
 
-/// What a controller sees in steady driving: no bias, and errors known in closed form.
+/// In steady driving, observations are unbiased, with errors known in closed form.
 ///
-/// There the truth has no jerk, so only measurement noise drives the error of the filter, a third-order Butterworth filter:
-/// its speed then has half the variance that `Tuning::steady_deviations` states, its acceleration a sixth, its distance
-/// five sixths. (With gains 2ω, 2ω², ω³ these are 3/2 ω³, 1/3 ω⁵ and 5/3 ω times σ² h, against 3 ω³, 2 ω⁵ and 2 ω.)
+/// The true jerk is zero, so only measurement noise drives the error of the filter, a third-order Butterworth filter:
+/// its speed has half the variance that `Tuning::steady_deviations` states, its acceleration a sixth, its distance five
+/// sixths. (With gains 2ω, 2ω², ω³ these are 3/2 ω³, 1/3 ω⁵ and 5/3 ω times σ² h, against 3 ω³, 2 ω⁵ and 2 ω.)
 #[test]
 fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_says() {
     const RUNS: u64 = 2000;
     let sensors = Sensors::default();
     let tuning = Arc::new(EgoTuning::new(0.01, &sensors));
-    // The vehicle ahead is slower and the one behind is faster: both gaps shrink.
+    // Both gaps shrink: the vehicle ahead is slower and the one behind is faster.
     let at = |k: i32| {
         let t = 0.01 * f64::from(k);
         let neighbour = |gap_m, speed_mps| Some(Neighbour { gap_m, speed_mps, acceleration_mps2: 0.0 });
@@ -244,14 +245,14 @@ fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_say
     for (number, expected) in expected.into_iter().enumerate() {
         let of = |error: &[f64; 8]| error[number];
         let rms = (errors.iter().map(|error| of(error).powi(2)).sum::<f64>() / RUNS as f64).sqrt();
-        // The closed form is for continuous time, and for the instant before the measurement.
+        // The closed form is for continuous time, before the measurement.
         assert!((rms / expected - 1.0).abs() < 0.1, "number {number}: {rms}, closed form {expected}");
         let bias = errors.iter().map(of).sum::<f64>() / RUNS as f64;
         assert!(bias.abs() < 3.3 * rms / (RUNS as f64).sqrt(), "number {number}: bias {bias}");
     }
 }
 
-/// One measurement in five lost: the verdicts on the paper's scenarios stay those of the truth, contacts within 0.1 s.
+/// With 20 % of measurements lost, verdicts equal those with the true state, and collisions differ by at most 0.1 s.
 #[test]
 fn losing_one_measurement_in_five_changes_no_verdict() {
     for name in ["paper-1", "paper-2", "paper-3"] {
@@ -277,8 +278,8 @@ fn losing_one_measurement_in_five_changes_no_verdict() {
 proptest! {
     #![proptest_config(with_cases(512))]
 
-    /// Whatever happens, estimates are finite, speeds are not negative, and where no measurement is lost errors are what
-    /// noise and lag explain. Who sees the truth sees the truth.
+    /// Estimates are finite, speeds not negative, and without lost measurements errors are explained by noise and lag.
+    /// The estimator `truth` returns the true state.
     #[test]
     fn what_is_seen_is_near_the_truth(test_case in any_test_case()) {
         check_oracle(&test_case, estimates_within_bounds)?;

@@ -1,4 +1,4 @@
-//! `crumple explore` in a browser, where there is one, and at its end.
+//! `crumple explore` in a browser, if there is one, and its end.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -6,8 +6,7 @@ use std::process::{Command, Stdio};
 
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 
-/// Drags, draws, opens a failure, saves it and runs it again: `tests/browser/explore.py` says what. Skipped in so many words where there
-/// is no Python, no chromium or no driver.
+/// Runs `tests/browser/explore.py`. Skipped with a message if Python, chromium or its driver is missing.
 #[test]
 fn explore_is_driven_in_a_browser() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser/explore.py");
@@ -19,7 +18,7 @@ fn explore_is_driven_in_a_browser() {
     assert!(matches!(output.status.code(), Some(0 | 77)), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The address is the first thing on standard output, and Ctrl-C is a good end.
+/// The address is the first output, and Ctrl-C ends with success.
 #[cfg(unix)]
 #[test]
 fn explore_prints_its_address_and_ends_with_ctrl_c() {
@@ -43,7 +42,6 @@ fn explore_prints_its_address_and_ends_with_ctrl_c() {
     }
 }
 
-/// The page that is opened is that of what is named first.
 #[cfg(unix)]
 #[test]
 fn explore_opens_a_campaign_that_is_named_first() {

@@ -1,4 +1,4 @@
-//! Changes thousands of certificates as a forger would. None is accepted for more than the genuine one shows. `FORGERIES` is the number of
+//! Forges thousands of certificates. None is accepted for more than the genuine one shows. `FORGERIES` is the number of
 //! attempts, a fifth of which leave the certificate unchanged.
 
 mod changes;
@@ -25,24 +25,22 @@ use std::path::Path;
 
 use changes::{ForgedCertificate, GenuineCertificate, forge};
 
-/// What becomes of a forged certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
-    /// It is refused.
     Refused,
-    /// It is accepted, and the original implies what it claims.
+    /// Accepted, and the original implies the claim.
     Implied,
-    /// It is accepted, is about another subject than the original, or of version 1 and about none, and its proof is whole.
+    /// Accepted with a complete proof, about another subject than the original, or of version 1 without a subject.
     OtherSubject,
-    /// It is accepted, and claims of the original's subject what the original does not show.
+    /// Accepted, with a claim about the original's subject that the original does not show.
     Forgery,
 }
 
-/// What becomes of a forged certificate, if counts are counted again.
+/// Returns the verdict about a forged certificate, with counts counted again.
 fn judge_forgery(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &ForgedCertificate) -> Verdict {
     let Ok(certificate) = Certificate::from_json(&forged.text) else { return Verdict::Refused };
     let policy = forged.policy.as_deref();
-    // What costs least comes first.
+    // Cheapest check first.
     if check_binding(&certificate, policy).is_err() {
         return Verdict::Refused;
     }
@@ -54,7 +52,8 @@ fn judge_forgery(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &For
     if is_implied(&genuine.certificate, shown, &certificate) {
         return Verdict::Implied;
     }
-    // Version 1 is about numbers of its own, all of which the checker has looked at; only what it leaves out could mislead.
+    // A certificate of version 1 is about explicit numbers, all of which the checker verifies; only omissions could
+    // mislead.
     let is_of_it = if certificate.is_first_version() {
         let is_about = |scenario: &Scenario| check_covers_scenario(&certificate, scenario, policy).is_ok();
         !has_all_assumptions(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
@@ -68,7 +67,7 @@ fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
     original.assumptions.iter().all(|assumption| claimed.assumptions.contains(assumption))
 }
 
-/// Whether two certificates of version 2 speak of the same: the same texts, and the same policy.
+/// Returns true if two certificates of version 2 have the same subject: the same texts, and the same policy.
 fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
     let policy = |certificate: &Certificate| certificate.policy_reference().map(|(_, digest)| digest.to_owned());
     one.provenance.scenario_text == other.provenance.scenario_text
@@ -76,9 +75,9 @@ fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
         && policy(one) == policy(other)
 }
 
-/// Whether what is claimed follows from a certificate and from what the checker says that it shows.
+/// Returns true if a claim follows from a certificate and from what the checker shows for it.
 fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate) -> bool {
-    // Version 1 speaks of no subject: its numbers are all that it says.
+    // Version 1 names no subject.
     let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
     has_all_assumptions(original, claimed)
         && is_of_it
@@ -93,11 +92,11 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
                 one.scene == other.scene && other.gap_m >= *gap_m
             }
             (Statement::Kernel(one), Statement::Kernel(other), _) => {
-                // The theorem is for every step and margin.
+                // The theorem holds for every step and margin.
                 let (step_s, margin_m) = (one.step_s.clone(), one.margin_m.clone());
                 *one == crumple_verify::KernelClaim { step_s, margin_m, ..other.clone() }
             }
-            // The counts were counted again: what they show of the rate is the checker's.
+            // The checker derives the rate from the repeated counts.
             (Statement::Rate(one), Statement::Rate(other), _) => {
                 (&one.registration, one.failures) == (&other.registration, other.failures)
             }
@@ -111,7 +110,7 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
                 Statement::Reach(other),
                 ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. },
             ) => {
-                // A leader within a limit is one within any larger one.
+                // A leader within a limit is within any larger one.
                 let leads = match (one.leader_brakes_at_most_mps2, other.leader_brakes_at_most_mps2) {
                     (None, None) => true,
                     (Some(one), Some(other)) => other <= one,
@@ -132,7 +131,7 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
                 Statement::AdaptiveCruise(other),
                 ProvedClaim::Cruise { margin_m, x_ego_width_m },
             ) => {
-                // However it is cut: what is accepted was derived for the same network.
+                // With any partition: the accepted claim was derived for the same network.
                 (&one.policy_sha256, &one.source) == (&other.policy_sha256, &other.source)
                     && (other.cells != one.cells
                         || other.margin_m_at_least <= *margin_m && other.x_ego_width_m_at_most >= *x_ego_width_m)
@@ -197,7 +196,7 @@ fn cruise_certificate(cells: u32) -> GenuineCertificate {
     GenuineCertificate { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
 
-/// One of every kind, two of most.
+/// Returns at least one certificate of every kind, two of most.
 fn genuine_certificates() -> Vec<GenuineCertificate> {
     let paper = built_in_scenario("paper-1").expect("built in");
     let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
@@ -214,7 +213,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
         NamedController::find("leaky-40-clip.onnx", &controller_corpus_path("")).expect("there").kind,
         "",
     ));
-    // One that is verified, and one that a leader within the limit falsifies.
+    // One is verified, and one is falsified by a leader within the limit.
     all.extend(
         [0.02, 7.5]
             .map(|limit| reach_certificate(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))),
@@ -222,7 +221,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     all.extend(
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
-    // One that departs from a law.
+    // A residual policy.
     let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).expect("there");
     all.push(reach_certificate(std::sync::Arc::new(road), ""));
     all.extend([cruise_certificate(1), cruise_certificate(2)]);
@@ -250,7 +249,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
         let forged = forge(&genuine[which], &genuine, &mut random);
         let kind = genuine[which].certificate.statement.name();
-        // It may have come out as it was, or as another of the genuine ones.
+        // The result may equal the original or another genuine certificate.
         let read = Certificate::from_json(&forged.text).ok();
         if genuine.iter().any(|one| Some(&one.certificate) == read.as_ref() && one.policy == forged.policy) {
             return (kind, None);

@@ -1,4 +1,4 @@
-//! How runs are measured, and formulas over them.
+//! Measures of runs, and formulas over them.
 
 use crumple_fuzzing::formula_from_bytes;
 use crumple_world::measure::stl::{
@@ -12,7 +12,7 @@ use crate::generate::{any_test_case, simulate_traced, with_cases};
 proptest! {
     #![proptest_config(with_cases(256))]
 
-    /// What a formula is followed by is told where it stands, not passed over.
+    /// The error names the text after a formula.
     #[test]
     fn a_formula_is_followed_by_nothing(
         bytes in prop::collection::vec(any::<u8>(), 0..80),
@@ -30,14 +30,14 @@ proptest! {
         }
     }
 
-    /// A number is what it is anywhere else, exponent and its sign included.
+    /// Numbers are parsed as elsewhere, including a signed exponent.
     #[test]
     fn numbers_are_read_as_written(number in "[0-9]{1,3}(\\.[0-9]{0,3})?([eE][+-]?[0-9]{1,2})?") {
         let Formula::Compare(comparison) = format!("x > {number}").parse().unwrap() else { panic!("no comparison") };
         prop_assert_eq!(comparison.bound(), number.parse::<f64>().unwrap());
     }
 
-    /// Windows that begin late in a trace that is worked on in pieces.
+    /// Windows that begin late in a trace that is processed in pieces.
     #[test]
     fn long_traces_are_monitored_as_the_definition_says(
         samples in 1500..2600_usize,
@@ -56,7 +56,7 @@ proptest! {
         prop_assert_eq!(formula.robustness(&signals).unwrap(), naive_robustness(&formula, &signals, 0).unwrap());
     }
 
-    /// Vehicles that stick together are at distance zero, exactly: "never apart again" must not be decided by rounding.
+    /// Vehicles that stick together have a distance of exactly zero: rounding must not decide "never apart again".
     #[test]
     fn vehicles_that_touched_have_no_gap(mut test_case in any_test_case()) {
         test_case.setup.after_contact = AfterContact::Continue;
@@ -74,7 +74,7 @@ proptest! {
     }
 }
 
-/// Positions of a trace from elsewhere are rounded: a gap next to nothing is none.
+/// Positions of an external trace are rounded: a tiny gap counts as none.
 #[test]
 fn rounding_opens_no_gap() {
     let track = |position_m: [f64; 3]| Track {
@@ -93,7 +93,7 @@ fn rounding_opens_no_gap() {
     assert!((gaps_m[2] - 0.001).abs() < 1e-12);
 }
 
-/// Where both sides are equal the robustness is zero, and strictness decides.
+/// Equal sides have a robustness of zero, and strictness decides.
 #[test]
 fn equality_satisfies_what_is_not_strict() {
     let mut signals = SampledSignals::new(0.1, 1).unwrap();
@@ -113,7 +113,7 @@ fn equality_satisfies_what_is_not_strict() {
     }
 }
 
-/// A sum that is no number is told with its time, and the definition tells the same.
+/// The monitor and the definition report the same time of a non-finite sum.
 #[test]
 fn what_is_undefined_is_told_with_its_time() {
     let mut signals = SampledSignals::new(0.1, 10).unwrap();
@@ -127,7 +127,7 @@ fn what_is_undefined_is_told_with_its_time() {
     assert!(error.contains("0.7"), "{error}");
 }
 
-/// Two relations or two untils in a row could be read in two ways.
+/// Two relations or two untils in a row are ambiguous.
 #[test]
 fn two_in_a_row_are_refused() {
     for (text, column) in [("0 < x < 1", 7), ("(x > 0) until (x > 1) until (x > 2)", 23)] {
@@ -137,7 +137,7 @@ fn two_in_a_row_are_refused() {
     }
 }
 
-/// The page on formulas has every operator and signal that there is, and says how formulas are read.
+/// The page lists every operator and signal, and explains the parsing of formulas.
 #[test]
 fn the_page_on_formulas_is_complete_and_right() {
     let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/stl.md")).unwrap();

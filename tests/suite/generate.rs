@@ -1,7 +1,7 @@
 //! Random scenarios for the property tests.
 //!
-//! Everything is read from random bytes by [`crumple_fuzzing`], as the fuzzer reads it: one definition of what can happen.
-//! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
+//! [`crumple_fuzzing`] reads all of them from random bytes, as for the fuzzer. Bytes shrink to zero, and zero bytes are
+//! paper-1.
 
 use arbitrary::Unstructured;
 pub(crate) use crumple_cases::with_cases;
@@ -14,12 +14,11 @@ use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
-/// Runs a scenario with everything recorded.
 pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> SimulationResult {
     simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
 }
 
-/// Asks an oracle; a test case that rounding decides does not count.
+/// Checks an oracle; a test case that rounding decides does not count.
 pub(crate) fn check_oracle(test_case: &TestCase, oracle: OracleFn) -> Result<(), TestCaseError> {
     match test_case.check(oracle, &Crumple) {
         Ok(OracleOutcome::Holds | OracleOutcome::NotApplicable) => Ok(()),
@@ -28,66 +27,61 @@ pub(crate) fn check_oracle(test_case: &TestCase, oracle: OracleFn) -> Result<(),
     }
 }
 
-/// Random bytes, always as many: what shrinks is their values.
+/// Random bytes of a fixed length: only values shrink.
 pub(crate) fn any_bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(any::<u8>(), count)
 }
 
-/// Any test case.
 pub(crate) fn any_test_case() -> impl Strategy<Value = TestCase> {
     any_bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes(&bytes))
 }
 
-/// Any test case in which vehicles may enter the lane and leave it.
 pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
     any_bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes_with_lanes(&bytes))
 }
 
-/// Any valid scenario, with all that a file can say.
 pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
     any_bytes(SCENARIO_BYTES).prop_map(|bytes| crumple_fuzzing::read_scenario(&mut Unstructured::new(&bytes)))
 }
 
-/// Any scenario of a shape.
 pub(crate) fn any_scenario_of_shape(shape: &ScenarioShape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
     any_bytes(SCENARIO_BYTES)
         .prop_map(move |bytes| crumple_fuzzing::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
 }
 
-/// Any shape: 2 to 6 vehicles driven by anything.
 pub(crate) fn any_shape() -> impl Strategy<Value = ScenarioShape> {
     any_bytes(ScenarioShape::BYTES).prop_map(|bytes| ScenarioShape::read(&mut Unstructured::new(&bytes)))
 }
 
-/// Any controller under test, either estimator, the scenario's step or a finer one, either rule for contacts.
+/// Any controller under test, either estimator, the scenario's step or a smaller one, either behaviour after a
+/// collision.
 pub(crate) fn any_setup() -> impl Strategy<Value = RunSetup> {
     any_bytes(SETUP_BYTES).prop_map(|bytes| RunSetup::read(&mut Unstructured::new(&bytes)))
 }
 
-/// Either rule for contacts.
 pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
     prop_oneof![Just(AfterContact::Stop), Just(AfterContact::Continue)]
 }
 
-/// The `index`-th sort of lead profile.
+/// Returns lead profiles of the kind `index`.
 pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
     any_bytes(32).prop_map(move |bytes| crumple_fuzzing::profile_from_bytes(index, &bytes))
 }
 
-/// The `index`-th built-in controller, with any sensible settings.
+/// Any built-in controller, with any sensible settings.
 pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
     let index = 0..ControllerSpec::all().len() as u8;
     (index, any_bytes(32)).prop_map(|(index, bytes)| crumple_fuzzing::controller_from_bytes(index, &bytes))
 }
 
-/// A scenario without noise, reaction or actuator delays left as they are.
+/// Returns a scenario without noise; reaction and actuator delays stay.
 pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
     let quiet = |spec: &mut ScenarioSpec| spec.vehicles.iter_mut().for_each(|v| v.acceleration_noise_mps2 = 0.0);
     scenario.edited(quiet).expect("still valid")
 }
 
-/// A scenario without learned drivers, who look behind and round to single precision.
+/// Replaces learned drivers, which observe the vehicle behind and round to single precision.
 pub(crate) fn without_learned_drivers(scenario: &Scenario) -> Scenario {
     let learned = Driver::Controller(ControllerSpec::Policy(Default::default()));
     let replace = |spec: &mut ScenarioSpec| {

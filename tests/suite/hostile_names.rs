@@ -1,4 +1,4 @@
-//! Names, files and texts of users that would be more than text somewhere: in a terminal, in Markdown, on a page, in a shell.
+//! Names, files and texts of users with special characters for a terminal, Markdown, HTML or a shell.
 
 use std::fs;
 use std::path::Path;
@@ -13,10 +13,10 @@ use saphyr::LoadableYamlNode;
 use crate::assessments::{config, run};
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 
-/// For fields that may not hold control characters: the rest is anybody's.
+/// For fields that exclude control characters.
 const NAME: &str =
     "a|b <img src=x onerror=alert(1)> `touch PWNED` [x](http://x.y) *z* \u{202e}$(touch PWNED);'\"\\ &amp; \u{2066}";
-/// What a file may be called, too.
+/// For file names.
 const FILE: &str =
     "x\u{1b}]0;PWNED\u{7}\u{9b}2J\n# no contact\n| a | b |\n\u{202e};touch PWNED;# <script>alert(1)<\\script> `'\"";
 
@@ -39,7 +39,7 @@ fn assert_harmless_markdown(text: &str) {
             _ => {}
         }
     }
-    // What a parser mends: a row with more bars than its head.
+    // Parsers silently repair a row with more bars than its header.
     let bars = |line: &str| line.replace("\\\\", "").replace("\\|", "").matches('|').count();
     let mut expected = None;
     for line in text.lines() {
@@ -54,7 +54,6 @@ fn assert_harmless_markdown(text: &str) {
     }
 }
 
-/// A folder with a policy, a space, a scenario and a recording of hostile names.
 fn hostile_folder() -> tempfile::TempDir {
     let folder = temp_folder();
     let write = |name: &str, text: &[u8]| fs::write(folder.path().join(name), text).expect("writes");
@@ -100,7 +99,7 @@ fn reports_show_hostile_names_as_text() {
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");
-        // The shell finds the certificates, whose names are the report's own.
+        // A shell pattern finds the certificates, whose names the report chooses.
         let others = if line == "run check --rerun certificates/*.json" { "-_./*" } else { "-_./,=:" };
         let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || others.contains(letter);
         assert!(words.iter().all(|word| word.chars().all(is_harmless)), "{line}");
@@ -110,7 +109,7 @@ fn reports_show_hostile_names_as_text() {
     }
 }
 
-/// Standard output and error of every command, as text and as JSON, errors included.
+/// Standard output and error of every command, as text and as JSON, including errors.
 #[test]
 fn terminals_show_hostile_names_as_text() {
     let folder = hostile_folder();
@@ -151,7 +150,7 @@ fn terminals_show_hostile_names_as_text() {
         if arguments.contains(&"json") {
             said.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).expect("JSON")));
         } else {
-            // What was typed is shown as it was typed, line breaks and all; nothing else has any.
+            // The usage error repeats arguments literally, including line breaks.
             let is_usage = noted.contains("For more information, try '--help'");
             let forged = (said + &noted).lines().any(|line| line.starts_with("# no contact"));
             assert!(!forged || is_usage, "{arguments:?}");

@@ -1,4 +1,4 @@
-//! Vehicles that enter the lane and leave it, in any scenario: the laws that hold for them.
+//! Vehicles that enter and leave the lane, in any scenario: the invariants that hold for them.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ use crate::generate::{any_lane_case, check_oracle, with_cases};
 proptest! {
     #![proptest_config(with_cases(256))]
 
-    /// All laws but that of the step, which rounding leaves undecided now and then.
+    /// All invariants except that of the step size, which rounding sometimes leaves undecided.
     #[test]
     fn lanes_keep_their_laws(test_case in any_lane_case()) {
         for oracle in LANE_ORACLES.into_iter().filter(|&oracle| oracle as usize != step_size_changes_nothing as OracleFn as usize) {
@@ -34,13 +34,12 @@ proptest! {
     }
 }
 
-/// The first test cases of the strategy, always the same ones.
 fn first_lane_cases(count: usize) -> Vec<TestCase> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(|_| any_lane_case().new_tree(&mut runner).unwrap().current()).collect()
 }
 
-/// What is generated changes lanes, by every trigger, and the laws of lanes are decided.
+/// Generated scenarios change lanes by every trigger, and the oracles for lanes are decided.
 #[test]
 fn what_is_generated_changes_lanes() {
     let all = first_lane_cases(200);
@@ -62,14 +61,14 @@ fn what_is_generated_changes_lanes() {
     }
 }
 
-/// The program with something wrong about lanes.
+/// A fault about lanes in the program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum LaneFault {
-    /// Whoever enters is said to have been there.
+    /// A vehicle that enters appears to have been there before.
     EntryForgotten,
     /// Entering at the start takes a moment.
     EntryLate,
-    /// The first vehicle feels who leaves.
+    /// A vehicle that leaves affects the first vehicle.
     LeaderMoved,
 }
 
@@ -114,8 +113,8 @@ fn laws_of_lanes_notice_their_faults() {
     }
 }
 
-/// Those who cannot take changes of lanes refuse them and say so, whatever else the scenario is: of all drivers nothing is proved. An escape
-/// that was found by trying is one by its run, in which vehicles enter and leave as they did.
+/// Proofs about all drivers refuse lane changes in any scenario. An escape found by search is shown by its run, with
+/// the vehicles entering and leaving as recorded.
 #[test]
 fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
     let shield = NamedController::find("shield:policy", Path::new("")).unwrap();
@@ -134,7 +133,7 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
             Err(_) => {}
         }
         let is_tested = scenario.vehicles().iter().any(|vehicle| vehicle.driver == Driver::UnderTest);
-        // A policy decides at instants that need not be this scenario's.
+        // The decision instants of a policy need not be those of this scenario.
         let Err(error) = Run::new(&scenario, RunOptions::new(shield.kind.clone())) else {
             assert!(!is_tested, "behind a shield");
             continue;

@@ -1,4 +1,4 @@
-//! Five measures of a report, recomputed from an exported trace by a few lines that share nothing with the library.
+//! Five measures of a report, recomputed from an exported trace by an independent implementation.
 
 use std::fs;
 
@@ -6,14 +6,12 @@ use serde_json::Value;
 
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 
-/// One sample of a vehicle: time, speed, gap to the one ahead.
 struct TrackSample {
     time_s: f64,
     speed_mps: f64,
     gap_m: Option<f64>,
 }
 
-/// The tracks of a trace in long form, front to rear.
 fn parse_tracks(csv: &str) -> Vec<Vec<TrackSample>> {
     let mut tracks: Vec<Vec<TrackSample>> = Vec::new();
     for line in csv.lines().skip(1) {
@@ -62,7 +60,7 @@ fn five_measures_of_the_report_follow_from_the_exported_trace() {
         }
         let cases = report["paper_scenarios"]["scenarios"][0]["cases"].as_array().expect("cases");
         let case = cases.iter().find(|case| case["controller"] == controller).expect("assessed");
-        // Sums over samples are off by a step's worth.
+        // Sums over samples differ by the value of one step.
         let close = |name: &str, own: f64, within: f64| {
             let shown = case["ahead"][name].as_f64().expect("a number");
             assert!((shown - own).abs() <= within + 0.005, "{controller}: {name}: {shown} in the report, {own} here");

@@ -1,5 +1,4 @@
-//! Networks from outside: what they answer, how they drive, and which files are refused. `corpora/controllers/` says how the
-//! files were made.
+//! External networks: outputs, driving, and refused files. `corpora/controllers/` documents the origin of the files.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -25,7 +24,7 @@ fn controller_corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers")
 }
 
-/// Observations, and what the maker of a network answers to them.
+/// Observations, and the answers of the network's original framework.
 #[derive(Deserialize)]
 struct ReferenceAnswers {
     inputs: Vec<Vec<f32>>,
@@ -37,14 +36,14 @@ fn load_reference_answers(file: &str) -> BTreeMap<String, ReferenceAnswers> {
         .expect("as it was written")
 }
 
-/// The largest difference of answers, relative to the larger of 1 and the answer.
+/// Returns the largest difference of answers, relative to the larger of 1 and the answer.
 fn largest_difference(path: &Path, inputs: &[f32], answers: &[f64]) -> f64 {
     let network = NetworkFile::load(path).unwrap_or_else(|error| panic!("{error}")).network;
     let batch = inputs.len() / network.inputs();
     let mut space = Workspace::default();
     let together = network.forward(inputs, batch, &mut space).to_vec();
     assert_eq!(together.len(), answers.len(), "{}", path.display());
-    // Alone each has the same bits.
+    // Single evaluations give the same bits.
     for (row, own) in inputs.chunks_exact(network.inputs()).zip(together.chunks_exact(network.outputs())).take(100) {
         assert_eq!(network.forward(row, 1, &mut space), own);
     }
@@ -64,7 +63,7 @@ fn networks_answer_as_their_makers_do() {
     }
 }
 
-/// As many observations as one likes: `make.py oracle DIR`, then this with `CRUMPLE_NETWORKS=DIR`.
+/// Any number of observations: `make.py oracle DIR`, then this test with `CRUMPLE_NETWORKS=DIR`.
 #[test]
 #[ignore = "needs a folder that make.py wrote"]
 fn networks_agree_with_their_makers() {
@@ -118,7 +117,7 @@ fn the_reference_policy_written_as_onnx_drives_to_the_same_bits() {
     assert_ne!(own.identity(), outside.identity());
 }
 
-/// Whatever stands beside it in a block, with memory of its last decisions or without.
+/// In any batch, with or without a memory of the last decisions.
 #[test]
 fn outside_networks_in_lockstep_drive_as_alone() {
     let kinds = ["stacked.toml", "acc.toml", "a2c.toml", "sac-gsde.zip", "leaky-40-clip.onnx"].map(controller_kind);
@@ -146,7 +145,7 @@ speed_mps = 24.0
 driver = "under-test"
 "#;
 
-/// The law that it imitates keeps 10 m and 1.4 s; so it is a controller, and not only numbers that agree.
+/// The imitated controller keeps 10 m and 1.4 s, so the network is a working controller.
 #[test]
 fn the_network_of_the_arch_benchmarks_shape_follows() {
     let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
@@ -155,8 +154,8 @@ fn the_network_of_the_arch_benchmarks_shape_follows() {
     assert!((10.0..26.8).contains(&min_gap_m), "{min_gap_m}");
 }
 
-/// A vehicle that is not under test drives as the same controller would if it were; written elsewhere, the scenario finds it
-/// still, and refuses another in its place.
+/// A vehicle that is not under test drives as the controller would under test. A scenario written to another folder
+/// still finds its controller, and refuses another one in its place.
 #[test]
 fn scenario_files_take_drivers_from_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -189,7 +188,7 @@ fn scenario_files_take_drivers_from_files() {
     assert!(error.contains("following.toml:15: vehicles[1].driver.file.path: there is no file"), "{error}");
 }
 
-/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+/// `UPDATE_SCHEMA=1 cargo test --test suite schema` updates the committed schema.
 #[test]
 fn the_schema_of_controller_files_is_committed() {
     assert_committed("crates/world/src/scenario/controller.schema.json", &controller_file_schema());
@@ -284,7 +283,7 @@ fn networks_that_need_a_controller_file_say_so() {
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
     let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
     assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
-    // What it saw is that of the file, wherever the pickle is: this one says that it left observations alone.
+    // The content of the pickle counts, in any place: this one states that observations were not normalised.
     fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("vecnormalize.pkl")).unwrap();
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
 }
@@ -293,7 +292,7 @@ fn normalised_path(name: &str) -> PathBuf {
     controller_corpus().join("normalised").join(name)
 }
 
-/// The file of a model trained behind `VecNormalize` tells so, with its statistics beside it or without.
+/// The model file reveals `VecNormalize`, with or without the statistics next to it.
 #[test]
 fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     use crumple_world::network::VecNormalizeUse as Trace;
@@ -317,9 +316,9 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     let said = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
     assert!(said.contains("trained behind VecNormalize") && said.contains("`normalised = true`"), "{said}");
     let identity = find(&told).unwrap();
-    // What is said of its training changes nothing of how it drives.
+    // A statement about training does not change the controller.
     assert_eq!(find(&untold.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
-    // With the statistics beside it nobody has to say that the inputs hold them, unless they do not.
+    // With the statistics next to the model, `normalised` is optional, unless the inputs contradict them.
     fs::copy(normalised_path("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
     assert_eq!(find(&untold).unwrap(), identity);
     let said = find(&untold.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
@@ -328,7 +327,7 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     assert!(find(&untold.replace("high = 5.0", "high = 10.0")).is_ok());
 }
 
-/// What the controller file says and what `VecNormalize` did are the same.
+/// The controller file and `VecNormalize` normalise alike.
 #[test]
 fn a_model_behind_vec_normalize_answers_as_its_maker() {
     #[derive(Deserialize)]
@@ -352,7 +351,7 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
     assert!(controller.warnings().is_empty(), "{:?}", controller.warnings());
 }
 
-/// Which of several answers drives has to be said; a model's spaces are compared with what the file says of it.
+/// The driving output must be named if there are several; a model's spaces are compared with the controller file.
 #[test]
 fn what_does_not_fit_a_model_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -412,7 +411,7 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
     assert_eq!(said, "there is no controller `m`; did you mean the file `m.zip`?");
 }
 
-/// What is printed of any network is a controller file that drives.
+/// The printed controller file works for any network.
 #[test]
 fn what_is_described_drives() {
     let folder = tempfile::tempdir().unwrap();
@@ -436,7 +435,7 @@ fn what_is_described_drives() {
     }
 }
 
-/// A network that limits its answers needs a scale to m/s²: without it the car accelerates by at most 1 m/s².
+/// A network that limits its outputs needs a scale to m/s²: without it the vehicle accelerates by at most 1 m/s².
 #[test]
 fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -462,18 +461,18 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
         assert_eq!(found, expected, "{name}");
         assert!(text.contains(&format!("limits its answers to {bounds}: ")), "{text}");
     }
-    // Its answers are accelerations already: from -7.5 to 3 m/s².
+    // The outputs are accelerations already: from -7.5 to 3 m/s².
     assert_eq!(drafted("sac.zip").1, [0.0, 1.0]);
-    // Its answers have no bounds: the draft says what to do if training squashed them.
+    // The outputs have no bounds: the draft explains what to do if training squashed them.
     let (text, found) = drafted("elu-7-5.onnx");
     assert_eq!(found, [0.0, 1.0]);
     assert!(text.contains("does not limit its answers") && text.contains("squash = \"tanh\""), "{text}");
 }
 
-/// The format of `torch.save` before PyTorch 1.6 is no zip archive, and nothing of such a model is damaged.
+/// The format of `torch.save` before PyTorch 1.6 is no zip archive; such a model is not damaged.
 #[test]
 fn weights_in_pytorchs_old_format_are_named() {
-    // The beginning of what `torch.save(..., _use_new_zipfile_serialization=False)` writes: magic number, version, system.
+    // Start of `torch.save(..., _use_new_zipfile_serialization=False)`: magic number, version, system.
     let mut legacy = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\x00.".to_vec();
     legacy.extend([0; 64]);
     let model = fs::read(controller_corpus().join("ppo.zip")).unwrap();
@@ -499,7 +498,7 @@ fn weights_in_pytorchs_old_format_are_named() {
     }
 }
 
-/// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
+/// Runs an example of `examples/controllers`. Returns false if Python or one of its packages is missing.
 fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
     let python = |arguments: &[&str]| {
         let mut python = std::process::Command::new("python3");
@@ -533,7 +532,7 @@ fn the_examples_make_controllers() {
     }
 }
 
-/// A campaign goes on with the network that began it, whatever its file is called meanwhile, and with no other.
+/// A campaign resumes with its original network under any file name, and with no other network.
 #[test]
 fn a_campaign_goes_on_by_the_identity_of_a_network() {
     let folder = tempfile::tempdir().unwrap();
@@ -555,7 +554,7 @@ fn a_campaign_goes_on_by_the_identity_of_a_network() {
     assert_eq!(exit_code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
 }
 
-/// What lies beside a report makes the same controllers, so that its commands show what it says.
+/// The files next to a report make the same controllers, so its commands reproduce its results.
 #[test]
 fn a_report_of_networks_can_be_replayed_from_its_folder() {
     let folder = tempfile::tempdir().unwrap();
@@ -580,8 +579,8 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
     assert!(words.iter().all(|word| replay.contains(word)), "{replay}");
 }
 
-/// Cut off, with bits turned over, with lengths and counts that lie: one clear error or a network, and soon. `DAMAGES` says how
-/// many of each kind.
+/// Cut files, flipped bits, and false lengths and counts give one clear error or a network, quickly. `DAMAGES` is the
+/// number of each.
 #[test]
 fn damaged_files_are_refused_and_nothing_worse() {
     let damages: usize = std::env::var("DAMAGES").map_or(150, |count| count.parse().expect("a number"));
@@ -604,7 +603,7 @@ fn damaged_files_are_refused_and_nothing_worse() {
         for _ in 0..damages {
             assert!(read(&whole[..stream.random_range(0..whole.len())]), "{file} cut off");
             let (mut turned, mut lies) = (whole.clone(), whole.clone());
-            // What says how long and how many there is stands at the start of an ONNX file, at the end of an archive.
+            // Lengths and counts are at the start of an ONNX file, and at the end of an archive.
             let near = if file.ends_with("onnx") { 0..200 } else { whole.len() - 900..whole.len() };
             turned[stream.random_range(0..whole.len())] ^= 1 << stream.random_range(0..8);
             lies[stream.random_range(near)] = [0x00, 0x7f, 0x80, 0xff][stream.random_range(0..4)];

@@ -1,7 +1,7 @@
-//! Every pair of vehicle classes has its proof obligations, and each of them a recorded proof.
+//! Every pair of vehicle classes has proof obligations, each with a recorded proof.
 //!
-//! They speak of the functions that drive: the gap that is demanded, motion, what a step closes at most and the shield's test
-//! are written down by computing with terms in the place of numbers. A change of one of them is a change of the files.
+//! They are about the code that drives: evaluating it with symbolic terms writes down the demanded gap, the motion, the
+//! bound of a step and the shield's test. Changing this code changes the files.
 
 mod term;
 
@@ -20,14 +20,12 @@ fn obligations_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("verify/obligations")
 }
 
-/// A limit as an exact quotient.
 fn exact_quotient(limit_mps2: f64) -> [String; 2] {
     let halvings =
         (0..40).find(|&k| (limit_mps2 * 2.0_f64.powi(k)).fract() == 0.0).expect("a limit has few binary places");
     [limit_mps2 * 2.0_f64.powi(halvings), 2.0_f64.powi(halvings)].map(|whole| format!("{whole:.0}"))
 }
 
-/// What the code computes, by the names that the statements have for it.
 fn code_terms() -> [(&'static str, String); 13] {
     let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::symbol);
     let demanded = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
@@ -67,7 +65,7 @@ fn code_terms() -> [(&'static str, String); 13] {
     ]
 }
 
-/// What there is to prove of a pair, the last of them only of one that brakes harder than what is ahead.
+/// Statements for a pair; the last one only if the ego brakes harder than the leader.
 const STATEMENTS: [&str; 11] = [
     "invariance",
     "worst-leader",
@@ -82,7 +80,6 @@ const STATEMENTS: [&str; 11] = [
     "control",
 ];
 
-/// File name and contents of each obligation.
 fn obligations() -> Vec<(String, String)> {
     let of_code = code_terms();
     let statement = |name: &str| {
@@ -146,7 +143,7 @@ fn a_solver_confirms_one_of_them_where_there_is_one() {
     }
 }
 
-/// The page for readers shows statements and definitions as they are in the files, and Coq has accepted those files.
+/// The documentation shows statements and definitions as in the files, and Coq has accepted those files.
 #[test]
 fn theorems_in_the_docs_are_those_that_coq_has_checked() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -172,7 +169,7 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
             assert!(said.contains(&format!("proved: {theorem}\n")), "{theorem}");
         }
     }
-    // What the derivation of the margin rests on. Other names are shorter.
+    // Theorems that the derivation of the margin uses. Other names are shorter.
     let derivation = read("crates/world/src/control/shield/rounding.rs");
     let names = derivation.split('`').skip(1).step_by(2).filter(|name| name.matches('_').count() >= 3);
     let missing: Vec<_> = names.clone().filter(|name| !said.contains(&format!("proved: {name}\n"))).collect();

@@ -1,15 +1,15 @@
-//! ONNX files of a few bytes, written field by field: a chain of products and of things done to each number.
+//! Small ONNX files, written field by field: a chain of matrix products and elementwise operators.
 
 use rand::RngExt;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// A node of the chain with its constants.
 pub(crate) enum TestOnnxNode {
-    /// Numbers in, numbers out, W row after row (one row an input), b.
+    /// Inputs, outputs, W by rows (one per input), b.
     Gemm(usize, usize, Vec<f32>, Vec<f32>),
-    /// An operator without constants, and its attribute.
+    /// An operator without constants, and its attributes.
     Unary(&'static str, Vec<(&'static str, f32)>),
-    /// An operator with one number for each number.
+    /// An operator with one constant per element.
     WithConstant(&'static str, Vec<f32>),
 }
 
@@ -46,7 +46,7 @@ fn value_info(name: &str, width: usize) -> Vec<u8> {
     .concat()
 }
 
-/// A model (opset 9) that takes one row of `inputs` numbers.
+/// Returns a model (opset 9) with one row of `inputs` numbers as input.
 pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
     let (mut graph, mut constants, mut width) = (Vec::new(), Vec::new(), inputs);
     let mut add = |shape: &[usize], numbers: &[f32]| {
@@ -84,7 +84,6 @@ pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
     [varint_field(1, 4), bytes_field(8, &varint_field(2, 9)), bytes_field(7, &graph)].concat()
 }
 
-/// A product with random weights of such a size that numbers stay of order one.
 pub(crate) fn random_product(before: usize, after: usize, gain: f32, random: &mut Xoshiro256PlusPlus) -> TestOnnxNode {
     let scale = gain * (3.0 / before as f32).sqrt();
     let weights = (0..before * after).map(|_| scale * random.random_range(-1.0..1.0_f32)).collect();
@@ -92,7 +91,6 @@ pub(crate) fn random_product(before: usize, after: usize, gain: f32, random: &mu
     TestOnnxNode::Gemm(before, after, weights, biases)
 }
 
-/// Something that can be done to each number.
 pub(crate) fn any_elementwise(width: usize, random: &mut Xoshiro256PlusPlus) -> TestOnnxNode {
     let mut operands =
         |low: f32, high: f32| -> Vec<f32> { (0..width).map(|_| random.random_range(low..high)).collect() };

@@ -1,4 +1,4 @@
-//! Exports to OpenSCENARIO are what happened: read back by a reader that shares nothing with the writer.
+//! Exports to OpenSCENARIO reproduce the run, according to an independent reader.
 
 use std::iter;
 
@@ -14,7 +14,7 @@ use roxmltree::{Document, Node};
 
 use crate::generate::{any_scenario, simulate_traced, with_cases};
 
-/// Best agreement asked for: a centimetre, and a centimetre a second.
+/// Tolerance: 1 cm, and 1 cm/s.
 const TOLERANCE: f64 = 0.01;
 
 fn number_attribute(node: Node<'_, '_>, attribute: &str) -> f64 {
@@ -32,7 +32,6 @@ fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a>
     first
 }
 
-/// The entity of a name: how far its front bumper is ahead of its reference point, in metres.
 fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
     let object = descendants_named(document.root_element(), "ScenarioObject")
         .find(|found| found.attribute("name") == Some(entity));
@@ -44,7 +43,6 @@ fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
     number_attribute(middle, "x") + length_m / 2.0
 }
 
-/// What a list says at a time, linear in between and held outside.
 fn interpolate(points: &[(f64, f64)], time_s: f64) -> f64 {
     match points.partition_point(|(from_s, _)| *from_s <= time_s) {
         0 => points[0].1,
@@ -56,7 +54,7 @@ fn interpolate(points: &[(f64, f64)], time_s: f64) -> f64 {
     }
 }
 
-/// Every place of every vehicle within a centimetre; every speed within a centimetre a second of the mean over the step that is read.
+/// Positions agree within 1 cm, and speeds within 1 cm/s of the mean over a step.
 fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
     let made = export_trajectories(scenario, trace, None, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
@@ -97,7 +95,6 @@ fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
     }
 }
 
-/// Where the road begins and ends along x, in metres: straight, and its one lane around y = 0.
 fn road_extent_m(xml: &[u8]) -> [f64; 2] {
     let text = std::str::from_utf8(xml).expect("UTF-8");
     let document = Document::parse(text).expect("XML");
@@ -129,7 +126,7 @@ fn built_in_scenarios_are_read_back_as_they_ran() {
     }
 }
 
-/// On a road of one lane who drives beside it would drive through the others.
+/// On a road of one lane, a vehicle in another lane would overlap the others.
 #[test]
 fn changes_of_lanes_are_refused() {
     let cut_in = built_in_scenario("paper-1").expect("built in").edited(|spec| {
@@ -153,7 +150,7 @@ proptest! {
         assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_contact)).trace.expect("traced"));
     }
 
-    /// Scripts are driven anew from their actions alone, until vehicles touch.
+    /// The actions alone reproduce the scripts, until a collision.
     #[test]
     fn scripts_of_random_scenarios_are_driven_from_their_actions(scenario in any_scenario()) {
         let quiet = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|one| one.acceleration_noise_mps2 = 0.0));
@@ -184,7 +181,7 @@ fn scripts_of_every_kind_are_driven_from_their_actions() {
     }
 }
 
-/// Who is driven by a script has its action and no controller, and who is not a controller and no action.
+/// A scripted vehicle has an action and no controller, any other a controller and no action.
 fn assert_scripts_are_actions(scenario: &Scenario) {
     let made = export_actions(scenario, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
@@ -206,12 +203,13 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
         let speeds =
             group.map_or_else(|| vec![(0.0, vehicle.speed_mps)], |group| speed_profile(group, vehicle.speed_mps));
         let track = &trace.vehicles[index];
-        // A step in which a script begins to ask for more than the road allows holds the mean of what it asks, which may be less than that.
+        // In the step in which a script first exceeds the road's limit, the profile has the mean of the script, which
+        // may be lower.
         let asked_mps2 = profile.map_or(0.0, |profile| -profile.acceleration_range_mps2()[0]);
         let changes = if let Some(LeadProfile::Pieces(pieces)) = profile { pieces.from_s.len() } else { 1 };
         let beyond_mps2 = (asked_mps2 - scenario.usable_brake_mps2(index)).max(0.0);
         let close_mps = TOLERANCE + beyond_mps2 * scenario.spec().step_s * changes as f64;
-        // The last step may be cut short by a contact.
+        // A collision may cut the last step short.
         for (k, &time_s) in trace.time_s.iter().enumerate().rev().skip(1) {
             let (read_mps, true_mps) = (interpolate(&speeds, time_s), track.speed_mps[k]);
             assert!((read_mps - true_mps).abs() <= close_mps, "{entity} at {time_s} s: {read_mps}, not {true_mps}");
@@ -219,7 +217,6 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
     }
 }
 
-/// Speeds over time of a group's one action.
 fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
     let from_s = number_attribute(
         single_descendant(single_descendant(group, "StartTrigger"), "SimulationTimeCondition"),
@@ -241,7 +238,6 @@ fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
     iter::once((0.0, start_mps)).chain(entries).collect()
 }
 
-/// Names and texts of users are texts in the files, whatever they hold.
 #[test]
 fn texts_of_users_stay_texts() {
     for wild in ["$speed", "<a b=\"c\">&amp;", "line\nbreak\u{1b}[31m\u{0}\u{fffe}", "]]>--", "'\""] {

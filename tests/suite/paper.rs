@@ -1,4 +1,4 @@
-//! The paper's results, and those of the controllers it did not try.
+//! Results of the paper, and those of further controllers.
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -27,7 +27,6 @@ fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
     assert!((found - expected).abs() <= tolerance, "{what}: {found}, expected {expected} ± {tolerance}");
 }
 
-/// The follower hits the baseline, at that time and with these speeds of ego and follower.
 fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> SimulationResult {
     let result = run_with_truth(name, "baseline");
     let contact = result.outcome.contact().expect("a rear collision");
@@ -45,14 +44,14 @@ fn the_baseline_is_hit_from_behind_by_a_heavy_follower() {
     assert_near(result.vehicles[1].min_gap_m.unwrap(), 4.34, 0.05, "smallest front gap");
 }
 
-/// Scenario 2: so does a light one, at 14.6 against 6.3 m/s.
+/// Scenario 2: a light follower hits it, at 14.6 against 6.3 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_light_follower() {
     let result = assert_hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
     assert!(result.vehicles[1].min_gap_m.unwrap() > 0.0, "no front contact");
 }
 
-/// Scenario 3: the first two of three middle vehicles touch first, and then it is a pile-up, which is counted.
+/// Scenario 3: the first two of three middle vehicles collide first, then a counted pile-up follows.
 #[test]
 fn three_middle_vehicles_pile_up() {
     let first = run_with_truth("paper-3", "baseline").outcome;
@@ -69,7 +68,7 @@ fn three_middle_vehicles_pile_up() {
     assert!(heaviest > 5.0, "the truck pushes the last of them hard: {heaviest} m/s");
 }
 
-/// Two controllers without any cleverness avoid all three collisions, through the filter too.
+/// Two trivial controllers avoid all three collisions, with the Kalman filter too.
 #[test]
 fn trivial_controllers_avoid_all_three() {
     for name in PAPER_SCENARIOS {
@@ -82,7 +81,8 @@ fn trivial_controllers_avoid_all_three() {
     }
 }
 
-/// An emergency brake that lets go chatters (it brakes and releases again and again) and scrapes through scenario 2.
+/// An emergency brake without a latch chatters (it brakes and releases repeatedly) and barely avoids a collision in
+/// scenario 2.
 #[test]
 fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
     let scenario = scenario("paper-2");
@@ -96,7 +96,7 @@ fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
     assert!(releases > 10, "chatters: lets go {releases} times");
 }
 
-/// With the filter, verdicts under the baseline are those with the truth, whatever the noise does: 20 seeds.
+/// 20 noise seeds.
 #[test]
 fn with_the_filter_the_baselines_verdicts_are_the_same() {
     for name in PAPER_SCENARIOS {
@@ -112,8 +112,8 @@ fn with_the_filter_the_baselines_verdicts_are_the_same() {
     }
 }
 
-/// Every controller, both estimators, both rules after contact: a step of 1 ms instead of 10 ms changes no verdict, and no
-/// contact by more than 1 ms.
+/// For every controller, both estimators and both behaviours after a collision, a step of 1 ms instead of 10 ms changes
+/// no verdict, and no collision by more than 1 ms.
 #[test]
 fn the_integration_step_decides_nothing() {
     for name in PAPER_SCENARIOS {
@@ -135,7 +135,7 @@ fn the_integration_step_decides_nothing() {
     }
 }
 
-/// Scenario 1 once more, written down from the paper's text alone: explicit Euler at 10 µs, the ADAS asked every 10 ms.
+/// Scenario 1 from the paper's text alone: explicit Euler at 10 µs, with a decision every 10 ms.
 #[test]
 fn an_independent_simulation_of_scenario_1_agrees() {
     const DT: f64 = 1e-5;

@@ -1,4 +1,5 @@
-//! Policy files as the simulator reads them and as the checker does: a certificate must not speak of what nobody can drive with.
+//! The simulator and the checker accept the same policy files: a certificate must not be about a file that cannot
+//! drive.
 
 use crumple_verify::reach::{IdmLaw, NeuralController};
 use crumple_world::policy::Policy;
@@ -8,7 +9,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 #[test]
 fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
-    // One of them departs from a law.
+    // One of them is a residual policy.
     let road = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/road.safetensors")).unwrap();
     let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &road];
     let (mut refused, mut accepted) = (0, 0);
@@ -22,7 +23,7 @@ fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
             2 => bytes.truncate(random.random_range(0..bytes.len())),
             3 => bytes.extend_from_slice(&[0; 4]),
             4 => {
-                // Not a number, infinite, huge, or an ordinary number, in place of a weight.
+                // NaN, infinite, huge, or an ordinary number, in place of a weight.
                 let at = 8 + header + 4 * random.random_range(0..(bytes.len() - 8 - header) / 4);
                 let value = [f32::NAN, f32::INFINITY, 3e38, -1e30, 0.5].choose(&mut random).unwrap();
                 bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());

@@ -1,4 +1,4 @@
-//! Pages on paper: what a page folds away is printed, and units stay with their numbers.
+//! Printed pages: folded content is printed, and units stay with their numbers.
 
 use std::fs;
 use std::path::Path;
@@ -12,10 +12,10 @@ use crumple_world::sim::NamedController;
 use crate::command_line::temp_folder;
 use crate::report::BUILT_IN_ASSESSMENT;
 
-/// Elements that paper has no use for: links and buttons.
+/// Elements that are useless on paper: links and buttons.
 const NOT_PRINTED: [&str; 2] = ["nav", ".draw-controls"];
 
-/// Returns the rules of a page's style that hold in print only, as selectors and declarations.
+/// Returns the print-only rules of a page's style, as selectors and declarations.
 fn print_rules(page: &str) -> Vec<(&str, &str)> {
     let (_, style) = page.split_once("<style>").unwrap();
     let (style, _) = style.split_once("</style>").unwrap();
@@ -24,7 +24,6 @@ fn print_rules(page: &str) -> Vec<(&str, &str)> {
     rules.flat_map(|(block, _)| block.split('}')).filter_map(|rule| rule.split_once('{')).collect()
 }
 
-/// Checks that the style of a page hides nothing in print, and that units stay with their numbers.
 fn assert_prints_everything(page: &str, folded: usize) {
     assert!(page.matches("<details").count() >= folded);
     let rules = print_rules(page);
@@ -48,7 +47,7 @@ fn assert_prints_everything(page: &str, folded: usize) {
     }
 }
 
-/// Prints a page where there is a Chromium, and checks that each of its texts is on paper.
+/// Prints a page if there is a Chromium, and checks that each of its texts is on paper.
 fn print_in_browser(page: &str) {
     let folder = temp_folder();
     let file = folder.path().join("page.html");
@@ -78,7 +77,6 @@ fn a_page_of_a_suite_prints_everything() {
     print_in_browser(&page);
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 

@@ -1,4 +1,4 @@
-//! What is proved of networks from outside is true of what the simulator does with them.
+//! Proofs about external networks hold in the simulator.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -37,7 +37,6 @@ fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
     BoxSpec::from_toml(&text, Path::new("box.toml")).unwrap()
 }
 
-/// A network of any shape and functions that sees any quantities that can be followed.
 fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
     use ObservedQuantity as Q;
     let quantities = [
@@ -110,7 +109,6 @@ fn random_point(ranges: &InitialRanges, random: &mut Xoshiro256PlusPlus) -> [f64
     })
 }
 
-/// What the vehicle under test observes at a step, and the gaps behind which nobody is are left out.
 fn observed_values(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
     let [leader, ego, rest @ ..] = trace.vehicles.as_slice() else { panic!("two at least") };
     let before = |a: &[f64]| k.checked_sub(1).map_or(0.0, |before| a[before]);
@@ -129,7 +127,6 @@ fn observed_values(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
     seen
 }
 
-/// How much was compared.
 #[derive(Debug, Default)]
 struct ReachComparison {
     verified: usize,
@@ -138,7 +135,8 @@ struct ReachComparison {
 }
 
 impl ReachComparison {
-    /// What is certified of a plan is accepted, every trajectory is inside the tube, no gap is smaller than proved, and what is falsified touches.
+    /// The checker accepts the certificate, every trajectory is in the tube, no gap is below the bound, and falsified
+    /// states collide.
     fn compare_plan(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
         let partition = plan.partition(2, &Quiet).unwrap();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default());
@@ -173,7 +171,6 @@ impl ReachComparison {
                 let Some(tube) = &tube else { continue };
                 for (decision, bounds) in tube.iter().enumerate() {
                     let k = decision * scene.decision_steps as usize;
-                    // Until they touch.
                     if k + 1 >= trace.time_s.len() && run.outcome != Outcome::NoCollision || k >= trace.time_s.len() {
                         break;
                     }
@@ -189,7 +186,6 @@ impl ReachComparison {
     }
 }
 
-/// A box around a scenario of the paper, as wide as the number says, with whoever behind.
 fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
     let size = [0.0, 0.05, 0.3][seed as usize % 3];
     let ranges = format!(
@@ -203,7 +199,6 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
     BoxSpec { follower_drives, ..box_spec(scenario, &ranges) }
 }
 
-/// Random networks, random boxes, whoever follows.
 #[test]
 fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
     let mut compared = ReachComparison::default();
@@ -220,8 +215,8 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
     assert!(verified > 10 && falsified > 10 && numbers > 50_000, "{verified} {falsified} {numbers}");
 }
 
-/// The committed policy whose action is a departure from a law, and others: with any weights, or with weights of its own that are stretched, from other laws,
-/// and with other dead zones.
+/// The committed residual policy and variants: with random or scaled weights, other base controllers and other dead
+/// zones.
 #[test]
 fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
     let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).unwrap();
@@ -256,7 +251,7 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
     assert!(verified > 10 && falsified > 0 && numbers > 50_000, "{verified} {falsified} {numbers}");
 }
 
-/// Of the reference policy it is the same whichever file it came in: only its last tanh is done a step earlier.
+/// The file format of the reference policy does not matter, except that the last tanh is applied a step earlier.
 #[test]
 fn a_policy_written_as_onnx_proves_what_it_proves_as_a_policy() {
     let spec = box_spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
@@ -345,7 +340,8 @@ fn networks_are_proved_and_checked_on_the_command_line() {
     }
 }
 
-/// A network of the benchmark's shape that imitates a calm driver: random layers of rectifiers, the last one fitted.
+/// Returns a network of the benchmark's shape that imitates a calm driver: random layers of rectifiers, with a fitted
+/// last one.
 fn imitation_network(subtracts: f32) -> Vec<u8> {
     let random = &mut Xoshiro256PlusPlus::seed_from_u64(7);
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0_f32];
@@ -377,7 +373,7 @@ fn imitation_network(subtracts: f32) -> Vec<u8> {
             row[21] += own * target;
         }
     }
-    // Normal equations with a little damping, by Gauss and Jordan.
+    // Normal equations with a little damping, by Gauss-Jordan elimination.
     rows.iter_mut().enumerate().for_each(|(i, row)| row[i] += 1e-3);
     for i in 0..21 {
         let pivot = rows[i];
@@ -391,7 +387,8 @@ fn imitation_network(subtracts: f32) -> Vec<u8> {
     model_bytes(5, &nodes)
 }
 
-/// What is subtracted in the official file is not lost, the bound is no idle one, and what is proved is below what any start comes to.
+/// The subtraction in the official file is kept, the bound is not vacuous, and the proved margin is below every
+/// simulated one.
 #[test]
 fn the_benchmark_of_adaptive_cruise_control_is_proved() {
     for subtracts in [0.0, 1.0] {

@@ -1,29 +1,28 @@
-//! Figures of README.md against their sources.
+//! Values of README.md against their sources.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// A row of the table of figures.
 struct FigureRow {
     figure: String,
     value: String,
     command: String,
 }
 
-/// The source of the numbers in a row.
 enum FigureSource {
-    /// Its command, which takes about a second; numbers follow these texts.
+    /// Output of a command that takes about a second; numbers follow these texts.
     Printed(&'static [&'static str]),
-    /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
+    /// Rows of the committed report, which another test compares with `crumple assess`, and the text before each
+    /// number.
     Report(&'static [(&'static str, &'static str)]),
-    /// Its command, which takes longer.
+    /// Output of a slow command.
     Slow(fn(&str) -> Vec<f64>),
-    /// A clock or the memory of a machine, so that no two runs agree.
+    /// Measured time or memory of a machine, which is not reproducible.
     Machine,
 }
 
-/// The source of each row, which begins with the text beside it.
+/// Source of each row, identified by the first words of the row.
 const SOURCES: [(&str, FigureSource); 13] = [
     (
         "contacts of the baseline",
@@ -71,7 +70,7 @@ fn figure_rows() -> Vec<FigureRow> {
     table.lines().filter(|line| line.starts_with("| ")).skip(1).map(row).collect()
 }
 
-/// Returns the numbers of a text, in which a space may stand between groups of three digits.
+/// Returns the numbers of a text, in which a space may separate groups of three digits.
 fn parse_numbers(text: &str) -> Vec<f64> {
     let is_digits = |word: &str| word.chars().all(|c| c.is_ascii_digit());
     let mut found = Vec::new();
@@ -92,7 +91,6 @@ fn parse_numbers(text: &str) -> Vec<f64> {
     found
 }
 
-/// Returns the number behind each occurrence of one of these texts, from left to right.
 fn numbers_after(text: &str, marks: &[&str]) -> Vec<f64> {
     let mut places: Vec<usize> =
         marks.iter().flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len())).collect();
@@ -103,7 +101,8 @@ fn numbers_after(text: &str, marks: &[&str]) -> Vec<f64> {
         .collect()
 }
 
-/// Returns the largest distance from the truth in per cent, intervals that hold it, all intervals, and most runs.
+/// Returns the largest error in per cent, the number of intervals that contain the truth, all intervals, and the most
+/// runs.
 fn known_probability_figures(printed: &str) -> Vec<f64> {
     let lines = || printed.lines().filter(|line| line.contains(" by Splitting: "));
     let ratios = lines().flat_map(|line| parse_numbers(line.split_once("ratios ").unwrap().1));
@@ -113,7 +112,6 @@ fn known_probability_figures(printed: &str) -> Vec<f64> {
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
 
-/// Returns the mean number of evaluations of each problem by `auto`.
 fn mean_evaluations(printed: &str) -> Vec<f64> {
     let means =
         printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
@@ -176,7 +174,6 @@ fn figures_that_take_long_are_those_of_their_commands() {
     }
 }
 
-/// The page of commands quotes rows of the built-in report.
 #[test]
 fn claims_that_the_documentation_quotes_are_those_of_the_report() {
     let [page, report] =

@@ -1,8 +1,8 @@
 //! The competent and careful human of UN R157 against the JRC's published implementation.
 //!
 //! The oracle below is written from the equations of repository ec-jrc/JRC-FSM, commit 01b05c2 (`utility/movement.py`,
-//! `utility/models.py`, `utility/comparison_cut_in.py`), and shares nothing with crumple's driver. [`CUT_INS`] was computed once
-//! with that code itself (Python 3, numpy 2.4.6): the oracle has to find the same numbers.
+//! `utility/models.py`, `utility/comparison_cut_in.py`), and shares nothing with crumple's driver. [`CUT_INS`] was
+//! computed once with that code (Python 3, numpy 2.4.6), and the oracle must reproduce its numbers.
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -12,8 +12,8 @@ use crumple_world::scenario::{
 };
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
-/// Speeds of both vehicles in km/h, then in how many of the runs of `comparison_cut_in.py` `CC_human_driver` collides: beside the
-/// vehicle that cuts in, and with its rear. Above 60 km/h there are 1080 runs, else 1062.
+/// Speeds of both vehicles in km/h, and the number of runs of `comparison_cut_in.py` in which `CC_human_driver`
+/// collides with the side and with the rear of the vehicle that cuts in. Above 60 km/h there are 1080 runs, else 1062.
 const CUT_INS: [(u32, u32, usize, usize); 28] = [
     (20, 10, 27, 109),
     (30, 10, 52, 179),
@@ -49,28 +49,30 @@ const RATE_HZ: f64 = 10.0;
 const LENGTH_M: f64 = 4.3;
 const WIDTH_M: f64 = 1.9;
 
-/// A simulated cut-in.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct CutIn {
-    /// Whether the vehicles collide, and then whether the driver is beside the other vehicle rather than behind it.
+    /// `None` without a collision; otherwise true if the driver hits the side of the other vehicle rather than its
+    /// rear.
     collides_beside: Option<bool>,
-    /// The bumper gap in metres when the driver first reacts.
+    /// Bumper gap in metres when the driver first reacts.
     reacts_at_m: Option<f64>,
 }
 
 /// Simulates a cut-in with the JRC's equations: speeds in m/s, the initial gap in metres.
 ///
-/// The driver reacts while the vehicles overlap laterally and the time to collision is at most 2 s. A longer time to collision ends the run.
+/// The driver reacts while the vehicles overlap laterally and the time to collision is at most 2 s. A longer one ends
+/// the run.
 fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -> CutIn {
     let from_m = [gap_m + LENGTH_M, 1.6 + WIDTH_M];
     let steps_across = (RATE_HZ * from_m[1] / lateral_mps).floor() + 1.0;
-    // There the driver comes from as far back as the lateral speed takes to build up at 1.5 m/s². Only the rounding of its place is left.
+    // The original driver approaches for the time in which the lateral speed builds up at 1.5 m/s²; only position
+    // rounding remains.
     let steps_before = (lateral_mps / (1.5 / RATE_HZ)).ceil() as usize;
     let come_m = |from_m: f64, step_m: f64| (0..steps_before).fold(from_m, |at_m, _| at_m + step_m);
     let mut position_m = come_m(come_m(0.0, -own_mps / RATE_HZ), own_mps / RATE_HZ);
     let mut speed_mps = own_mps;
     let (mut reaction_s, mut braking_mps2) = (0.75, 0.0);
-    // Speeds are summed before they are divided, as there: ties at a boundary are decided by rounding.
+    // Speeds are summed before they are divided, as in the original: rounding decides ties at a boundary.
     let (mut along, mut across) = (0.0, 0.0);
     let mut found = CutIn::default();
     for step in 0..350 {
@@ -104,7 +106,6 @@ fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -
     found
 }
 
-/// The runs of a pair of speeds: initial gaps in metres, and lateral speeds in m/s.
 fn cut_in_grid(own_kmph: u32) -> impl Iterator<Item = (f64, f64)> {
     let (last_m, step_m) = if own_kmph > 60 { (120_u32, 2) } else { (60, 1) };
     let gaps_m = (1..last_m).step_by(step_m).map(f64::from);
@@ -125,7 +126,6 @@ fn the_oracle_collides_as_often_as_the_published_code() {
     }
 }
 
-/// Whether crumple's driver collides with a vehicle that cuts in at this gap.
 fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
     let vehicle = |position_m, speed_mps, driver| {
         let mut vehicle = VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, driver);
@@ -153,9 +153,9 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
     simulate(&run, RecordingLevel::Summary).outcome.contact().is_some()
 }
 
-/// Wherever the published driver reacts to a vehicle ahead of it, crumple's collides where that one does, but for what its steps of 0.1 s
-/// make: at 0.4 m less of a gap it collides if that one does, and at 0.4 m more it does not if that one does not. At the same gap 16 of
-/// 1161 runs differ.
+/// For a vehicle ahead that the published driver reacts to, crumple's driver agrees with it up to the effect of the
+/// published steps of 0.1 s: with a gap 0.4 m smaller it collides if the published one does, and with one 0.4 m larger
+/// it does not if that one does not. At equal gaps 16 of 1161 runs differ.
 #[test]
 fn the_competent_human_collides_with_vehicles_that_cut_in_where_the_published_one_does() {
     const STEP_M: f64 = 0.4;

@@ -1,4 +1,4 @@
-//! The committed report is what the code says today.
+//! The committed report is current.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ fn read_committed(name: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// When and where a report was made is the only thing that differs each time.
+/// Removes the date and the machine, which differ each time.
 pub(crate) fn without_build_info(name: &str, text: &str) -> String {
     match name.rsplit('.').next() {
         Some("html") => match (text.find("<p id=\"made\">"), text.find("<dl>")) {
@@ -48,7 +48,7 @@ fn assert_current(name: &str, now: &[u8]) {
     );
 }
 
-/// A box of initial states goes by the name of a scenario whose own lies in it.
+/// The box of initial states around a scenario is named like it.
 #[test]
 fn no_claim_is_named_by_a_hash() {
     let claims: Vec<&str> = BUILT_IN_ASSESSMENT.summary.claims.iter().map(|row| row.claim.as_str()).collect();
@@ -61,7 +61,7 @@ fn no_claim_is_named_by_a_hash() {
     assert!(!claims.iter().any(has_hash), "{claims:#?}");
 }
 
-/// What reads the evidence or writes a configuration has a schema for it, which the committed report keeps to.
+/// The committed report satisfies the schemas.
 #[test]
 fn schemas_are_those_of_the_types() {
     use crate::schema::{assert_committed, validate};
@@ -75,8 +75,8 @@ fn schemas_are_those_of_the_types() {
     validate(&config, &config, &default, "configuration").expect("as the schema says");
 }
 
-/// Every file of the report is committed as it would be written now, and there is no other counterexample or certificate. Runs for
-/// other simulators, 9 MB of them, are not committed.
+/// Every file of the report is committed, with no other counterexample or certificate. Exports for other simulators (9
+/// MB) are not committed.
 #[test]
 fn the_committed_report_is_current() {
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
@@ -88,7 +88,7 @@ fn the_committed_report_is_current() {
     assert_eq!(runs_beside, 2 * failures.count(), "each counterexample has its run and its road beside it");
     for (name, now) in files.iter().filter(|(name, _)| !is_run(name)) {
         if name == "work.json" {
-            // It says when, too, in what it says of the page.
+            // The manifest also covers the date on the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
             let found = crumple_store::run_folder::examine(&reports).expect("it has a manifest");
             assert!(found.is_intact() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
@@ -114,7 +114,7 @@ fn files_below(folder: &Path) -> Vec<std::path::PathBuf> {
     paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
 }
 
-/// A reader of JUnit finds a test a gate, and fails where one does not hold; what is refuted fails no build.
+/// JUnit has one test per gate, which fails if the gate does not hold; refuted claims fail no build.
 #[test]
 fn junit_holds_each_gate_as_a_test() {
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
@@ -127,8 +127,8 @@ fn junit_holds_each_gate_as_a_test() {
     assert_eq!(report.test_suites[0].properties.len(), claims);
 }
 
-/// A reader of YAML finds the goal structure: no reference dangles, everything hangs together, and what is challenged by
-/// evidence is defeated.
+/// The goal structure is valid YAML: no dangling references, one connected structure, and challenged goals are
+/// defeated.
 #[test]
 fn the_goal_structure_has_no_dangling_reference() {
     let text = BUILT_IN_ASSESSMENT.argument.to_yaml();
@@ -152,7 +152,7 @@ fn the_goal_structure_has_no_dangling_reference() {
             let all = field(name).and_then(Yaml::as_sequence).into_iter().flatten();
             all.map(|reference| kind(reference.as_str().expect("a name"))).collect()
         };
-        // What may support what, after the GSN Community Standard, version 3, part 1.
+        // Allowed support relations of the GSN Community Standard, version 3, part 1.
         let may: &[&str] = match kind(id).as_str() {
             "G" => &["G", "S", "Sn"],
             "S" => &["G"],
@@ -186,7 +186,7 @@ fn the_goal_structure_has_no_dangling_reference() {
     }
 }
 
-/// Every listed counterexample collides when its file is replayed alone, and is what its row says.
+/// Every listed counterexample collides when its file is replayed alone, and matches its row.
 #[test]
 fn every_counterexample_of_the_report_collides() {
     use crumple_world::scenario::file;
@@ -210,7 +210,7 @@ fn every_counterexample_of_the_report_collides() {
     assert!(replayed > 20, "{replayed}");
 }
 
-/// An earlier assessment beside this one: nothing changed against itself; one good claim turned bad is found, and only that.
+/// A comparison with itself finds no change; with one good claim turned bad it finds only that.
 #[test]
 fn a_comparison_finds_what_was_changed() {
     use crumple_report::assessment::EarlierAssessment;
@@ -262,7 +262,7 @@ fn the_verdict_is_that_of_the_evidence() {
     }
 }
 
-/// No controller does better than the bound over all of them, and regret is what the shown numbers make it.
+/// No controller exceeds the bound over all of them, and regret matches the shown numbers.
 #[test]
 fn nobody_beats_the_bound_and_regrets_add_up() {
     let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;

@@ -1,4 +1,4 @@
-//! The committed retrained policy is what the committed retraining says it is.
+//! The committed retrained policy matches the committed retraining.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -71,7 +71,7 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
     }
     let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
     assert_eq!(count_contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
-    // A share of the draws it was judged on: counts within three standard deviations of the recorded rates.
+    // A part of the test set: counts within three standard deviations of the recorded rates.
     let judged: TestSetResults = read_json("judged-on.json");
     let space = space();
     let indices: Vec<u64> = judged.corpus.indices().take(2000).collect();
@@ -97,7 +97,7 @@ fn the_retrained_policy_is_known_by_name() {
     assert_eq!(found.policy().unwrap().digest(), sha256(Policy::retrained_bytes()));
 }
 
-/// A shield is not learned, and what it guards may be.
+/// A shield is not learned, but the controller that it guards may be.
 #[test]
 fn what_is_learned_has_a_policy_behind_a_shield_too() {
     let digest =

@@ -1,4 +1,4 @@
-//! The policy `corpora/policy/road.safetensors` is one of the preset `road`, and of use.
+//! The policy `corpora/policy/road.safetensors` matches the preset `road`, and is useful.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -27,7 +27,8 @@ fn the_preset_is_that_of_the_policy() {
     assert_eq!(policy.header().observation, preset.environment.observation.scaling());
 }
 
-/// The configurations of the front in `reports/training.md` can be trained with, and are the preset but for what each says.
+/// The configurations of the front in `reports/training.md` are valid, and equal the preset except for the stated
+/// changes.
 #[test]
 fn what_was_trained_is_made_of_configurations() {
     let road = TrainingConfig::preset("road").unwrap();
@@ -38,13 +39,12 @@ fn what_was_trained_is_made_of_configurations() {
         let config = TrainingConfig::parse(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
         assert_eq!(Some(config.name.as_str()), path.file_stem().and_then(|stem| stem.to_str()));
         if config.name == "paper-net-to-the-end" {
-            // The preset, but for where it ends.
             let mut preset = TrainingConfig::preset("paper-net").unwrap();
             (preset.name, preset.episodes, preset.evaluation.master_gap_m) = (config.name.clone(), 400, 0.0);
             assert_eq!(config, preset);
             continue;
         }
-        // What is judged may be a mean of weights; by what it is judged is the same.
+        // The evaluated weights may be averaged; the evaluation is the same.
         let mut judged = config.evaluation.clone();
         judged.weight_average_updates = 0;
         assert_eq!((&config.network, &config.td3, &judged), (&road.network, &road.td3, &road.evaluation));
@@ -54,7 +54,7 @@ fn what_was_trained_is_made_of_configurations() {
     assert_eq!(names.len(), 8, "{names:?}");
 }
 
-/// What was tried besides in `reports/training.md` is what the row says, and nothing else.
+/// The further experiments in `reports/training.md` match their rows.
 #[test]
 fn what_was_tried_is_a_configuration_each() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training");
@@ -101,7 +101,7 @@ fn what_was_tried_is_a_configuration_each() {
     assert_eq!(names.len(), 11, "{names:?}");
 }
 
-/// Whatever the report links to is there, and no configuration of an ablation or of what was tried is there for nothing.
+/// All links exist, and no configuration of an experiment is unused.
 #[test]
 fn the_report_links_to_the_configurations_of_its_tables() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -120,7 +120,7 @@ fn the_report_links_to_the_configurations_of_its_tables() {
     }
 }
 
-/// Each of the ablations in `reports/training.md` is the paper's setting but for the one thing that it is named for.
+/// Each ablation in `reports/training.md` changes one setting of the paper.
 #[test]
 fn an_ablation_changes_one_thing() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training/ablation");
@@ -138,7 +138,7 @@ fn an_ablation_changes_one_thing() {
                 let fast = TrainingConfig::preset("fast").unwrap().learning;
                 (literal.learning.actor_rate, literal.learning.critic_rate) = (fast.actor_rate, fast.critic_rate);
             }
-            // The same discount a second goes with it.
+            // The discount per second stays the same.
             "interval" => (literal.environment.action_repeat, literal.learning.discount) = (10, 0.9999),
             other => panic!("{other}"),
         }
@@ -169,8 +169,9 @@ fn it_is_safe_in_the_papers_task() {
     }
 }
 
-/// In draws of traffic that no training and no selection saw it touches nobody, falls behind nowhere, brakes hard without cause in one drive
-/// of a hundred at most, and is about as comfortable as `idm`: a tenth more acceleration and twice the jerk at most.
+/// In traffic that no training or selection used, it avoids every collision, falls behind in no drive, brakes hard and
+/// unnecessarily in at most 1 of 100 drives, and is about as comfortable as `idm`: at most 10 % more acceleration and
+/// twice the jerk.
 #[test]
 fn it_is_of_use_in_traffic() {
     let traffic = built_in_space("traffic").unwrap();

@@ -1,4 +1,5 @@
-//! Scenario files: what is written is read back, nonsense is refused with the line it is on, and the schema tells the truth.
+//! Scenario files: written scenarios are read back, invalid ones are refused with their line, and the schema is
+//! correct.
 
 use std::path::Path;
 
@@ -13,7 +14,6 @@ fn to_json(scenario: &Scenario) -> String {
     serde_json::to_string_pretty(scenario.spec()).expect("plain data")
 }
 
-/// A format: how to write a scenario, how to read one, and what a file of it is called.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ScenarioTextFormat {
     Toml,
@@ -40,20 +40,20 @@ fn any_format() -> impl Strategy<Value = ScenarioTextFormat> {
     prop_oneof![Just(ScenarioTextFormat::Toml), Just(ScenarioTextFormat::Json)]
 }
 
-/// A scenario with texts of any characters; a name has no control characters.
+/// A scenario with arbitrary texts; a name has no control characters.
 fn any_file() -> impl Strategy<Value = Scenario> {
     (any_scenario(), "\\PC{1,40}", any::<String>()).prop_map(|(scenario, name, about)| {
         scenario.edited(|spec| (spec.name, spec.about) = (name, about)).expect("texts are free")
     })
 }
 
-/// The line an error message names: `file:line: …`.
+/// Returns the line that an error message names: `file:line: …`.
 fn error_line(message: &str) -> Option<usize> {
     let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
     rest.split_once(": ")?.0.parse().ok()
 }
 
-/// Reading never panics, and a refusal names a line that exists.
+/// Checks that reading does not panic, and that an error names an existing line.
 fn check_error_line(format: ScenarioTextFormat, text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = format.read(text) {
         let message = error.to_string();
@@ -64,12 +64,11 @@ fn check_error_line(format: ScenarioTextFormat, text: &str) -> Result<(), TestCa
     Ok(())
 }
 
-/// The text with one stretch of it replaced.
 fn replace_range(text: &str, at: std::ops::Range<usize>, with: &str) -> String {
     format!("{}{with}{}", &text[..at.start], &text[at.end..])
 }
 
-/// Where numbers stand in a text: behind an equals sign, a colon, a bracket or a blank.
+/// Returns the ranges of numbers in a text: after an equals sign, a colon, a bracket or a blank.
 fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
     let mut found = Vec::new();
     let mut start = None;
@@ -99,13 +98,12 @@ proptest! {
         prop_assert_eq!(back.spec(), scenario.spec(), "{}", text);
     }
 
-    /// Text of any kind is read or refused, with a line.
     #[test]
     fn any_text_is_read_or_refused(text in any::<String>(), format in any_format()) {
         check_error_line(format, &text)?;
     }
 
-    /// So are files with some damage: cut short, lines lost or doubled, characters changed.
+    /// Cut files, lost or doubled lines, and changed characters.
     #[test]
     fn damaged_files_are_read_or_refused(
         scenario in any_scenario(),
@@ -127,7 +125,7 @@ proptest! {
         check_error_line(format, &damaged)?;
     }
 
-    /// One number replaced by something no field can hold: refused, and the line is that of the number.
+    /// The error names the line of a number that no field accepts.
     #[test]
     fn one_bad_number_is_found(
         scenario in any_scenario(),
@@ -135,7 +133,7 @@ proptest! {
         place in any::<prop::sample::Index>(),
         bad in prop::sample::select(vec!["nan", "inf", "-inf", "\"text\"", "1e300", "-1e300", "[[]]", "1e999"]),
     ) {
-        // In JSON, the numbers that are not numbers do not exist: they would be another mistake on the same line.
+        // JSON has no NaN or infinity: they would be a different error on the same line.
         let text = format.write(&scenario);
         let numbers = number_ranges(&text);
         let at = numbers[place.index(numbers.len())].clone();
@@ -145,7 +143,6 @@ proptest! {
         prop_assert_eq!(error_line(&message), Some(line), "{}\n{}", message, damaged);
     }
 
-    /// What the program accepts, the schema accepts.
     #[test]
     fn valid_scenarios_satisfy_the_schema(scenario in any_file()) {
         let (schema, value) = (json_schema(), serde_json::to_value(scenario.spec()).unwrap());
@@ -153,13 +150,13 @@ proptest! {
     }
 }
 
-/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+/// `UPDATE_SCHEMA=1 cargo test --test suite schema` updates the committed schema.
 #[test]
 fn the_committed_schema_is_that_of_the_types() {
     assert_committed("crates/world/src/scenario/scenario.schema.json", &json_schema());
 }
 
-/// Built-in scenarios satisfy the schema, and it refuses what the program refuses, as far as a schema can say it.
+/// The schema refuses what the program refuses, as far as a schema can express it.
 #[test]
 fn the_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
     let schema = json_schema();

@@ -2,10 +2,11 @@
 
 use serde_json::Value;
 
-/// Checks `value` against `schema`, whose references lead into `root`.
+/// Checks `value` against `schema`, whose references lead into `root`. Panics at an unknown keyword, since ignoring it
+/// would pass invalid values.
 ///
 /// # Errors
-/// Where the value breaks which rule. Panics at a keyword it does not know: a schema must not be believed half-read.
+/// The position of the value, and the violated keyword.
 pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str) -> Result<(), String> {
     let rules = match schema {
         Value::Object(rules) => rules,
@@ -31,7 +32,7 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
             "const" => rule == value,
             "minimum" => value.as_f64().is_none_or(|found| found >= number(rule)),
             "maximum" => value.as_f64().is_none_or(|found| found <= number(rule)),
-            // What "if" leads to.
+            // Evaluated with "if".
             "then" => true,
             "if" => {
                 if let (true, Some(then)) = (validate(root, rule, value, place).is_ok(), rules.get("then")) {
@@ -98,7 +99,7 @@ fn is_of_type(value: &Value, name: &Value) -> bool {
     }
 }
 
-/// A committed schema is that of the types; `UPDATE_SCHEMA` in the environment writes it anew.
+/// Asserts that a committed schema matches the types; with `UPDATE_SCHEMA` in the environment, writes it.
 pub(crate) fn assert_committed(path: &str, schema: &serde_json::Value) {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
     let generated = format!("{}\n", serde_json::to_string_pretty(schema).unwrap());

@@ -1,4 +1,4 @@
-//! The search: what a campaign says, its files bear out, and where failures are frequent it does not pass them by.
+//! Searches: files confirm the summary of a campaign, and frequent failures are found.
 
 use std::path::Path;
 
@@ -16,7 +16,8 @@ use proptest::sample::{select, subsequence};
 use crate::command_line::falsify::assert_same_folders;
 use crate::generate::with_cases;
 
-/// Evaluations that suffice to meet what fails in an eighth of a space: nobody misses it in 1 of 10¹¹ random draws.
+/// Evaluations that find failures in an eighth of a space: uniform random sampling misses them with a probability of
+/// 10⁻¹¹.
 const SUFFICIENT_BUDGET: u64 = 190;
 
 const LATTICE_POINTS: u32 = 200;
@@ -63,7 +64,8 @@ fn run(campaign: &Campaign, folder: &Path, threads: usize) -> CampaignSummary {
 proptest! {
     #![proptest_config(with_cases(2))]
 
-    /// Every counterexample is a file that fails as it is said to, as found and as shrunk, and somebody's budget paid for it.
+    /// Every counterexample is a file that fails as reported, original and shrunk, and its evaluation is within a
+    /// method's budget.
     #[test]
     fn what_is_found_is_there(campaign in any_campaign()) {
         let folder = tempfile::tempdir().unwrap();
@@ -85,10 +87,10 @@ proptest! {
             let (shrunk, original) = (judged(&found.file), judged(&found.original_file));
             prop_assert!(shrunk.is_violation() && original.is_violation());
             prop_assert_eq!(shrunk.robustness, found.robustness);
-            // Files hold positions to a billionth of a metre.
+            // Files store positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
-            // What is called avoidable is avoided by the file beside it, in which nobody is under test.
+            // The file of an escape avoids the collision, without a vehicle under test.
             prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
             if let Some(escape) = &found.escape_file {
                 let scenario = file::load(&folder.path().join(escape)).unwrap();
@@ -98,8 +100,8 @@ proptest! {
         }
     }
 
-    /// What is found beside another run fails alone, and the other run does not: of another controller, or of the same one in the file
-    /// that is named.
+    /// The counterexample fails alone and its partner run passes: with another controller, or with the same one in the
+    /// named file.
     #[test]
     fn what_counts_beside_another_run_fails_alone(campaign in any_campaign(), kind in 0..3_usize) {
         let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
@@ -129,7 +131,7 @@ proptest! {
         }
     }
 
-    /// One seed decides every file, whatever the number of threads.
+    /// With any number of threads.
     #[test]
     fn one_seed_decides_everything(campaign in any_campaign()) {
         let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -137,13 +139,13 @@ proptest! {
         assert_same_folders(one.path(), other.path());
     }
 
-    /// Where an eighth of a lattice fails, every method finds a failure, and uniform points fail as often as the lattice.
+    /// Every method finds a failure if an eighth of a lattice fails, and uniform points fail as often as the lattice.
     #[test]
     fn frequent_failures_are_found(campaign in any_campaign()) {
         let campaign = Campaign { budget: SUFFICIENT_BUDGET, ..campaign };
         let space = campaign.space.clone().with_noise_seed(campaign.seed);
         let fails = |index: u32| {
-            // Roots of numbers that are no squares: points that fill the space evenly.
+            // Square roots of non-squares give evenly distributed points.
             let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
             let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
             let scenario = space.scenario_at(&point).unwrap();

@@ -1,6 +1,6 @@
-//! Raw material for the corpora of the fuzz targets: what the strategies of this suite generate and what lies in `corpora/`.
+//! Inputs for the corpora of the fuzz targets, from the strategies of this suite and from `corpora/`.
 //!
-//! `fuzz/renew-seeds` writes it to `fuzz/fresh/` and keeps of it what reaches code that nothing else reaches.
+//! `fuzz/renew-seeds` writes them to `fuzz/fresh/` and keeps those that reach new code.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,17 +23,15 @@ use proptest::test_runner::TestRunner;
 
 use crate::generate::{any_scenario, any_test_case};
 
-/// How many inputs of each sort are generated.
 const INPUTS_PER_TARGET: usize = 200;
 
-/// A folder, complete or half done, and up to three changes of its files, of four bytes each.
+/// A folder, complete or unfinished, and up to three changes of its files, of four bytes each.
 fn folder_changes() -> Vec<Vec<u8>> {
     let mut runner = TestRunner::deterministic();
     let strategy = prop::collection::vec(any::<u8>(), 0..14);
     (0..INPUTS_PER_TARGET).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
 }
 
-/// The smaller ones of what others wrote, and what is left of each when it is cut.
 fn networks() -> Vec<Vec<u8>> {
     let files = fs::read_dir(root().join("corpora/controllers")).unwrap().map(|entry| entry.unwrap().path());
     let files =
@@ -42,7 +40,6 @@ fn networks() -> Vec<Vec<u8>> {
     small.flat_map(|bytes| [bytes.clone(), bytes[..bytes.len() / 2].to_vec()]).collect()
 }
 
-/// Descriptions of FMUs, cut at each element.
 fn descriptions() -> Vec<Vec<u8>> {
     let texts = [include_str!("../../examples/controllers/fmu/modelDescription.xml"), include_str!("fmus/odd.xml")];
     let cuts = |text: &'static str| text.match_indices('<').map(move |(place, _)| text.as_bytes()[..place].to_vec());
@@ -79,7 +76,6 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The first values of a strategy, always the same ones.
 fn first_values<T: std::fmt::Debug>(count: usize, strategy: &impl Strategy<Value = T>) -> Vec<T> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(|_| strategy.new_tree(&mut runner).unwrap().current()).collect()
@@ -92,7 +88,7 @@ fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
     paths.into_iter().filter_map(|path| Some((path.clone(), load(&path).ok()?))).collect()
 }
 
-/// As long as a test case can be, and shorter: what is cut off is nominal.
+/// Up to the length of a test case; missing bytes are nominal.
 fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
     first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes))
 }
@@ -126,7 +122,7 @@ fn policy_files() -> Vec<Vec<u8>> {
     first_values(INPUTS_PER_TARGET, &policy).into_iter().flatten().collect()
 }
 
-/// What is proved of scenarios that are kept or generated, the shipped kernels, and a box under the reference policy.
+/// Certificates of kept or generated scenarios, the shipped kernels, and a box under the reference policy.
 fn certificates() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(_, scenario)| scenario);
     let generated = first_values(INPUTS_PER_TARGET, &any_scenario());
@@ -164,7 +160,7 @@ fn prove(scenario: &Scenario) -> Option<Certificate> {
     }
 }
 
-/// Simulated drives in both formats that are read, and the beginning of the recording that is kept.
+/// Simulated drives in both input formats, and the beginning of the committed recording.
 fn recordings() -> Vec<Vec<u8>> {
     let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
     let beginning: String = kept.split_inclusive('\n').take(40).collect();
@@ -174,7 +170,7 @@ fn recordings() -> Vec<Vec<u8>> {
     [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
 }
 
-/// Ten samples a second or fewer of a test case: time, speeds and gaps.
+/// Samples a test case at up to 10 Hz: time, speeds and gaps.
 fn sample_run(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     let options = test_case.setup.options(test_case.scenario.spec().step_s);
     let run = Run::new(&test_case.scenario, options).unwrap();
@@ -217,7 +213,7 @@ fn car_following_csv(test_case: &TestCase) -> String {
     head + &rows.collect::<String>()
 }
 
-/// Over the names that the target has no trouble with.
+/// Formulas over names that the target knows.
 fn formulas() -> Vec<Vec<u8>> {
     let formula = prop::collection::vec(any::<u8>(), 0..80)
         .prop_map(|bytes| crumple_fuzzing::formula_from_bytes(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());

@@ -1,4 +1,4 @@
-//! Behind a shield nobody hits the vehicle ahead, whatever that one does within its brake limit.
+//! A shielded controller never hits the vehicle ahead, whatever that vehicle does within its brake limit.
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::control::{ErrorBounds, ShieldSettings, ViabilityKernel};
@@ -16,12 +16,12 @@ use proptest::test_runner::TestRunner;
 
 use crate::generate::with_cases;
 
-/// A leader that does as it pleases, and a vehicle under test that could just avoid it.
+/// An arbitrary leader, and a vehicle under test that can just avoid it.
 #[derive(Debug, Clone)]
 struct Chase {
     classes: [VehicleClass; 2],
     speeds_mps: [f64; 2],
-    /// Gap beyond what the kernel demands.
+    /// Gap in addition to the demanded one.
     spare_m: f64,
     friction: f64,
     delay_s: f64,
@@ -30,7 +30,7 @@ struct Chase {
     seed: u64,
 }
 
-/// Mostly hard braking and full acceleration, in pieces of a few steps to a second: what a leader can do to a follower.
+/// Mostly hard braking and full acceleration, in pieces of a few steps to a second.
 fn any_leader() -> impl Strategy<Value = PiecewiseAcceleration> {
     let action = prop_oneof![3 => Just(0.0_f64), 1 => Just(1.0_f64), 2 => 0.0..1.0_f64];
     let pieces = prop::collection::vec((prop_oneof![1..100_u32, 1..8_u32], action), 1..16);
@@ -38,7 +38,7 @@ fn any_leader() -> impl Strategy<Value = PiecewiseAcceleration> {
         let (mut from_s, mut accel_mps2) = (vec![0.0], vec![0.0]);
         for (steps, share) in pieces {
             from_s.push(from_s.last().unwrap() + 0.01 * f64::from(steps));
-            // Every class can do this much; the shield must expect the leader's own limits.
+            // Every class can do this; the shield must expect the leader's limits.
             accel_mps2.push(-6.0 + 7.5 * share);
         }
         PiecewiseAcceleration { from_s, accel_mps2 }
@@ -68,7 +68,8 @@ prop_compose! {
 }
 
 impl Chase {
-    /// The gap from which contact can just be avoided: the vehicle coasts for the delay, and the lag costs speed.
+    /// Returns the gap from which a collision can just be avoided: the vehicle coasts for the delay, and the lag costs
+    /// speed.
     fn demanded_gap_m(&self) -> f64 {
         let [ahead, own] = self.classes.map(|class| class.max_brake_mps2() * self.friction);
         let [w, v] = self.speeds_mps;
@@ -108,7 +109,6 @@ fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> Controll
     ShieldedSource { controller, settings }.into()
 }
 
-/// Who drives: the reckless ones, and the learned one.
 fn drivers() -> [ControllerKind; 3] {
     [
         ControllerSpec::FullThrottle(Default::default()).into(),
@@ -122,7 +122,7 @@ fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> Simul
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Summary)
 }
 
-/// With the truth, nobody touches and the state never leaves the kernel.
+/// With the true state, no vehicle collides and the state never leaves the kernel.
 fn check_no_front_contact(chase: &Chase) -> Result<(), TestCaseError> {
     let scenario = chase.scenario();
     for driver in drivers() {
@@ -146,7 +146,7 @@ proptest! {
         check_no_front_contact(&chase)?;
     }
 
-    /// Noise up to six standard deviations and every manoeuvre are inside the bounds the shield takes for the filter.
+    /// Noise up to six standard deviations and every manoeuvre are within the shield's bounds of the filter error.
     #[test]
     fn nobody_hits_the_vehicle_ahead_with_the_kalman_filter(chase in chase(false)) {
         let scenario = chase.scenario();
@@ -157,7 +157,7 @@ proptest! {
         }
     }
 
-    /// A shield that expects too little of the vehicle ahead is worth less, one that expects too much no less.
+    /// Expecting harder braking of the vehicle ahead is also safe.
     #[test]
     fn a_cautious_assumption_is_safe_too(chase in chase(false), more_mps2 in 0.0..5.0_f64) {
         let settings = ShieldSettings {
@@ -168,7 +168,7 @@ proptest! {
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
 
-    /// Whoever never brakes by itself brakes when its shield says so, and never else.
+    /// A controller that never brakes brakes exactly when its shield intervenes.
     #[test]
     fn interventions_are_told_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
@@ -183,7 +183,6 @@ proptest! {
         }
     }
 
-    /// Both engines make the same of a shield.
     #[test]
     fn engines_agree_about_shields(chases in prop::collection::vec(chase(true), 2..6)) {
         let scenarios: Vec<_> = chases.iter().map(Chase::scenario).collect();
@@ -213,7 +212,8 @@ fn without_a_shield_drivers_hit_the_vehicle_ahead() {
     assert!(contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5, "{contacts:?} of 200");
 }
 
-/// A million scenarios a driver: `SHIELD_RUNS=1000000 cargo test --release --test suite -- --ignored a_campaign --nocapture`.
+/// A million scenarios per controller: `SHIELD_RUNS=1000000 cargo test --release --test suite -- --ignored a_campaign
+/// --nocapture`.
 #[test]
 #[ignore = "a campaign, not a test: minutes"]
 fn a_campaign() {
@@ -268,7 +268,7 @@ fn what_a_shield_cannot_vouch_for_is_refused() {
     assert!(matches!(noisy, ShieldRefusal::Noise { .. }));
 }
 
-/// In the paper's first scenario the truck behind cannot stop for a car that must: the shield says so.
+/// In paper-1 the truck behind cannot stop for a car that must; the shield reports it.
 #[test]
 fn a_conflict_with_the_vehicle_behind_is_reported() {
     let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap();
@@ -280,7 +280,7 @@ fn a_conflict_with_the_vehicle_behind_is_reported() {
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
 }
 
-/// The vehicle behind needs its reaction time and its way to stop, and no more.
+/// The vehicle behind needs only its reaction time and its stopping distance.
 #[test]
 fn a_vehicle_far_behind_is_no_conflict() {
     let conflict = |behind_m: f64, speed_mps: f64| {
@@ -299,7 +299,7 @@ fn a_vehicle_far_behind_is_no_conflict() {
     assert!(conflict(10.0, 25.0) && !conflict(250.0, 8.0));
 }
 
-/// What the filter may be wrong by grows with what the vehicle ahead may do, and noise may make it brake harder.
+/// The filter error grows with the acceleration of the vehicle ahead, and noise may make it brake harder.
 #[test]
 fn a_livelier_vehicle_ahead_is_kept_farther_away() {
     let first_s = |accel_mps2: f64, noise_mps2: f64| {

@@ -1,10 +1,10 @@
-//! Space files: the schema tells the truth.
+//! Scenario space files: the schema matches the types.
 
 use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, json_schema};
 
 use crate::schema::{assert_committed, validate};
 
-/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+/// `UPDATE_SCHEMA=1 cargo test --test suite schema` updates the committed schema.
 #[test]
 fn the_committed_space_schema_is_that_of_the_types() {
     assert_committed("crates/world/src/scenario/space/space.schema.json", &json_schema());

@@ -1,4 +1,4 @@
-//! Suites told: pages, crash maps, tolerances, and suites in assessments.
+//! Reports of suites: pages, crash maps, tolerances, and suites in assessments.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -22,7 +22,7 @@ fn find_controller(name: &str) -> NamedController {
     NamedController::find(name, Path::new("")).unwrap()
 }
 
-/// One file, whatever names are: nothing from elsewhere, no identifier twice, nothing but text where a user wrote text.
+/// One self-contained file without external references or duplicate identifiers, in which user text is escaped.
 #[test]
 fn a_page_needs_nothing_else_and_says_what_it_is() {
     let suite = TestSuite::shipped("euro-ncap-2023").unwrap().unwrap();
@@ -62,7 +62,7 @@ figures.own_speed = { values = [60.0, 75.0], unit = "km/h", origin = "chosen", t
 figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
-/// The baseline stops from 75.06 km/h and no more: at 75 it passes, and fails within a tolerance of 2 km/h.
+/// The baseline stops from at most 75.06 km/h: at 75 it passes, and fails within a tolerance of 2 km/h.
 #[test]
 fn a_tolerance_belongs_to_the_criterion() {
     let load = |text: &str| TestSuite::from_toml(text, Path::new("stands.toml"));
@@ -157,7 +157,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
     }
 }
 
-/// Suites of an assessment are claims, a part of every rendering, tests of the build, and files that replay; they are kept.
+/// Suites are claims, in every rendering, tests of the build, and files that replay; their evidence is kept.
 #[test]
 fn suites_are_evidence_of_an_assessment() {
     let folder = temp_folder();
@@ -183,7 +183,7 @@ fn suites_are_evidence_of_an_assessment() {
     let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
     assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
     assert!(matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 64 + 496), "{row:?}");
-    // Where tests fail, the points of the search are none of them.
+    // For failed tests, points of the search do not count.
     assert_eq!(row.statuses[1].strength, Strength::Refuted { failures: 64, runs: 64 });
     assert!(row.claims[2].is_none(), "the policy is not tested by it");
     let files = found.files().unwrap();
@@ -202,7 +202,7 @@ fn suites_are_evidence_of_an_assessment() {
         &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"],
     );
     assert_eq!(exit_code(&replayed), 0, "{name}");
-    // What is called avoidable is shown avoided, beside it.
+    // The escape of an avoidable failure is next to it.
     let outcomes =
         found.suites.iter().flat_map(|part| &part.suites).flat_map(|one| &one.tests).flat_map(|test| &test.outcomes);
     let worst: Vec<_> = outcomes.filter_map(|outcome| outcome.worst.as_ref()).collect();

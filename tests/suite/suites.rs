@@ -1,4 +1,4 @@
-//! Suites after regulations: their figures, their files, their verdicts and margins.
+//! Test suites modelled on regulations: parameters, files, verdicts and margins.
 
 use std::path::Path;
 use std::process::Command;
@@ -15,10 +15,10 @@ use crate::command_line::{exit_code, run_crumple, temp_folder};
 use crate::schema::{assert_committed, validate};
 use crate::tiny::replace_passages;
 
-/// A figure that a document states: suite, test, what, every value or, where others lie between them, the smallest and the largest, unit.
+/// A parameter in a document: suite, test, kind, all values or the smallest and the largest, unit.
 type StatedParameter = (&'static str, &'static str, ParameterKind, &'static [f64], ParameterUnit);
 
-/// What the documents state, written down a second time and from nothing in the suites' files.
+/// Parameters of the documents, transcribed independently of the suites' files.
 const STATED_PARAMETERS: [StatedParameter; 83] = {
     use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
     use ParameterUnit::{Gravity, Kmph, Metre, Mps2, Second};
@@ -37,7 +37,8 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
         ("euro-ncap-2023", "ccrb", OwnSpeed, &[50.0], Kmph),
         ("euro-ncap-2023", "ccrb", Gap, &[12.0, 40.0], Metre),
         ("euro-ncap-2023", "ccrb", Deceleration, &[2.0, 6.0], Mps2),
-        // Euro NCAP's Rating Calculator 2026, 5.4.9: sheet `FC - Car & PTW pred.`, rows 3 to 38, and robustness_layer.py.
+        // Euro NCAP's Rating Calculator 2026, 5.4.9: sheet `FC - Car & PTW pred.`, rows 3 to 38, and
+        // robustness_layer.py.
         ("euro-ncap-2026", "ccrs", OwnSpeed, &[10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0], Kmph),
         ("euro-ncap-2026", "ccrm", OwnSpeed, &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0], Kmph),
         ("euro-ncap-2026", "ccrm", LeadSpeed, &[20.0], Kmph),
@@ -66,7 +67,7 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
         ("euro-ncap-2026", "ccrb-deceleration", OwnSpeed, &[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0], Kmph),
         ("euro-ncap-2026", "ccrb-deceleration", TimeGap, &[1.0], Second),
         ("euro-ncap-2026", "ccrb-deceleration", Deceleration, &[2.0, 6.0], Mps2),
-        // The same, sheet `VA - ACC pred.`, rows 3 to 10, 25 to 39, 48, 52 and 53.
+        // Euro NCAP's Rating Calculator 2026, sheet `VA - ACC pred.`, rows 3 to 10, 25 to 39, 48, 52 and 53.
         ("euro-ncap-2026", "acc-ccrs", OwnSpeed, &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0], Kmph),
         ("euro-ncap-2026", "acc-ccrm-20", OwnSpeed, &[60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0], Kmph),
         ("euro-ncap-2026", "acc-ccrm-20", LeadSpeed, &[20.0], Kmph),
@@ -124,7 +125,7 @@ const STATED_PARAMETERS: [StatedParameter; 83] = {
     ]
 };
 
-/// The contacts that a document allows, in km/h: UN R152, 5.2.1.4, M1 in running order.
+/// Allowed impact speeds in km/h: UN R152, 5.2.1.4, M1 in running order.
 const ALLOWED_IMPACTS: [(&str, &str, f64); 5] = [
     ("un-r152", "table-45", 15.0),
     ("un-r152", "table-50", 25.0),
@@ -178,8 +179,8 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
     );
 }
 
-/// UN R157, 5.2.5.2: the values of the suite are its formula's, to the millisecond and on the side that it asks of; the AFGBV's
-/// table is a tenth of a second less, to its last digit.
+/// UN R157, 5.2.5.2: the suite has the values of the formula, to the millisecond, rounded to the stated side. The
+/// AFGBV's table is 0.1 s less, to its last digit.
 #[test]
 fn times_of_cut_ins_are_those_of_their_formula() {
     for (suite, reaction_s, digit_s) in [("un-r157", 0.35, 1e-3), ("afgbv-cut-in", 0.25, 1e-2)] {
@@ -213,7 +214,6 @@ fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
     }
 }
 
-/// A vehicle that stands, 5 s ahead.
 const OWN_SUITE: &str = r#"version = 1
 name = "own"
 about = "A vehicle that stands."
@@ -301,7 +301,7 @@ fn bad_suites_are_refused_by_file_line_and_field() {
     assert!(error.contains("makes 10000 points, and a suite may have 2000"), "{error}");
 }
 
-/// The baseline brakes at 7.5 m/s² once less than 1.4 s are left: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
+/// The baseline brakes at 7.5 m/s² below a TTC of 1.4 s: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
 #[test]
 fn a_margin_ends_where_its_closed_form_does() {
     let result = run(&own_suite(), &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
@@ -314,7 +314,8 @@ fn a_margin_ends_where_its_closed_form_does() {
     assert!(fails_at - passes_at < 0.03);
 }
 
-/// As above, but contacts up to 36 km/h pass: v² - 2 · 7.5 · 1.4 v = 10² at v = 25.0 m/s, and a step of 10 ms later at 24.9 m/s.
+/// With collisions up to 36 km/h allowed: v² - 2 · 7.5 · 1.4 v = 10² at v = 25.0 m/s, and a step of 10 ms later at 24.9
+/// m/s.
 #[test]
 fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says() {
     let allowed = "lead = \"stopped\"\nimpact_at_most = { value = 36.0, unit = \"km/h\", origin = \"document\" }";
@@ -342,7 +343,7 @@ fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says
     assert!(result.unwrap().clauses[0].tests[0].controllers[0].verdict.is_failure(), "it is faster than 1 km/h");
 }
 
-/// A time gap is the gap that driving it takes, and one of the two is stated.
+/// A gap is a length or a time headway; exactly one is stated.
 #[test]
 fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     let text = OWN_SUITE.replace("\"stopped\"", "\"decelerating\"").replace("margins = ", "margins = [] # ").replace(
@@ -370,7 +371,7 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     }
 }
 
-/// Both sides of every boundary, run again, are what they are said to be.
+/// Both sides of every boundary have their verdicts when simulated again.
 #[test]
 fn both_sides_of_a_margin_are_as_it_says() {
     let suite = shipped_suite("euro-ncap-2023");
@@ -484,7 +485,7 @@ fn every_situation_is_the_one_that_its_figures_say() {
     }
 }
 
-/// What is found within the ranges of a clause is about as bad as its grid or worse, lies within them, and replays.
+/// The worst case within the ranges of a clause is at least about as bad as its grid, and replays.
 #[test]
 fn the_worst_within_a_clause_is_no_better_than_its_grid() {
     let suite = shipped_suite("fmvss-127");
@@ -518,8 +519,8 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
     });
 }
 
-/// S7.1 lets the lead reach its deceleration in any time up to 1.5 s. Behind the longest ramp this controller collides nowhere, behind a
-/// shorter one it does.
+/// S7.1 lets the lead reach its deceleration in any time up to 1.5 s. This controller collides only behind ramps
+/// shorter than that.
 #[test]
 fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
     let verdicts = |ramp_s: &[f64]| {
@@ -541,7 +542,7 @@ fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
     assert_eq!(verdicts(&stated), [true, false]);
 }
 
-/// The competent human of UN R157 brakes for vehicles that cut in, and prevents every contact where one cuts out.
+/// The competent human of UN R157 brakes for vehicles that cut in, and prevents every collision where one cuts out.
 #[test]
 fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
     let mut spec = shipped_suite("un-r157").spec().clone();
@@ -566,8 +567,8 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
     }
 }
 
-/// Delayed braking against a vehicle that cuts in Δv slower touches within Δv / (2 b) + τ of a collision; the driver decides at the
-/// first step after the entry, and the delay is whole steps.
+/// Delayed braking behind a vehicle that cuts in Δv slower collides within a time to collision of Δv / (2 b) + τ; the
+/// driver decides at the first step after the entry, and the delay is in whole steps.
 #[test]
 fn a_cut_in_fails_where_the_closed_form_says() {
     let mut spec = shipped_suite("afgbv-cut-in").spec().clone();
@@ -589,7 +590,7 @@ fn a_cut_in_fails_where_the_closed_form_says() {
     }
 }
 
-/// Who leaves late reveals one that stands: nobody can stop in less than the way that is left.
+/// A late cut-out reveals a standing vehicle: no driver can stop in the remaining distance.
 #[test]
 fn own_suites_cut_in_and_out() {
     let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
@@ -599,7 +600,7 @@ fn own_suites_cut_in_and_out() {
         assert!(test.controllers[0].verdict.is_passed(), "{}", test.name);
         assert!(test.controllers[1].verdict.is_failure() && test.controllers[1].passed_points == 0, "{}", test.name);
     }
-    // Who would slow down anyway meets it as stated, too.
+    // The ego vehicle has the stated speed at the event, even if its controller prefers less.
     let held_back = run(&suite, &[find_controller("idm,desired_speed_mps=5")], EstimatorKind::Truth).unwrap();
     let clauses = held_back.clauses.iter().flat_map(|clause| &clause.tests);
     assert!(clauses.flat_map(|test| &test.controllers).all(|tested| tested.points > 0 && !tested.verdict.is_refusal()));

@@ -1,4 +1,4 @@
-//! The oracles that suite and fuzzer ask notice what is wrong, and what the fuzzer once found stays found.
+//! The oracles of suite and fuzzer detect faults, and earlier findings of the fuzzer stay fixed.
 
 mod fault_injection;
 
@@ -16,18 +16,16 @@ use proptest::test_runner::TestRunner;
 use self::fault_injection::{Fault, FaultySystem};
 use crate::generate::{any_bytes, any_test_case, check_oracle, with_cases};
 
-/// Where the corpora of the fuzz targets are.
 fn fuzz_seeds(target: &str) -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/fuzz").join(target);
     let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
-    // What a local fuzzer added is named by its hash, and is not committed.
+    // A local fuzzer names its inputs by hash; these are not committed.
     let is_committed = |path: &PathBuf| path.file_name().is_some_and(|name| name.len() != 40);
     let mut seeds: Vec<PathBuf> = entries.map(|entry| entry.expect("readable").path()).filter(is_committed).collect();
     seeds.sort();
     seeds
 }
 
-/// Every committed seed of every target passes.
 #[test]
 fn committed_seeds_pass() {
     for (name, target) in TARGETS {
@@ -42,7 +40,6 @@ fn committed_seeds_pass() {
     }
 }
 
-/// Most oracles decide most test cases: what rounding decides is the exception.
 #[test]
 fn hardly_any_trial_is_left_undecided() {
     let mut runner = TestRunner::deterministic();
@@ -56,7 +53,7 @@ fn hardly_any_trial_is_left_undecided() {
 proptest! {
     #![proptest_config(with_cases(12))]
 
-    /// Whatever is done to the files of a campaign's folder, it is not taken for the genuine one.
+    /// Any change of the files of a campaign folder is detected.
     #[test]
     fn no_changed_folder_is_believed(changes in prop::collection::vec(any::<u8>(), 0..14)) {
         if let Err(violation) = targets::work_folder(&changes) {
@@ -68,20 +65,19 @@ proptest! {
 proptest! {
     #![proptest_config(with_cases(256))]
 
-    /// Full throttle behind a shield keeps clear of the vehicle ahead.
     #[test]
     fn a_shield_keeps_clear(test_case in any_test_case()) {
         check_oracle(&test_case, shield_prevents_front_collisions)?;
     }
 
-    /// No controller survives what is unavoidable, or keeps a larger gap than anybody could.
+    /// No controller survives an unavoidable scenario, or exceeds the bound of the gap.
     #[test]
     fn no_controller_does_the_impossible(test_case in any_test_case()) {
         check_oracle(&test_case, avoidability_bound_holds)?;
     }
 }
 
-/// A violation says what was found and how to see it again, in a file that can be read and run.
+/// The message has the finding and a command to reproduce it, with a valid scenario file.
 #[test]
 fn a_violation_brings_a_scenario_file() {
     let test_case = TestCase::from_bytes(&[]);
@@ -94,8 +90,8 @@ fn a_violation_brings_a_scenario_file() {
     assert!(violation.to_string().contains("tell one story"), "{violation}");
 }
 
-/// A hunt keeps one scenario file for each kind of collision, which collides when it is run, and tells the fuzzer
-/// something of every run.
+/// The search keeps one scenario file for each kind of collision, which collides when simulated, and gives the fuzzer
+/// feedback.
 #[test]
 fn a_hunt_keeps_collisions_as_scenario_files() {
     let folder = tempfile::tempdir().expect("a place for temporary files");
@@ -114,7 +110,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     assert!(CollisionSearch::new("nobody", None).is_err());
 }
 
-/// A controller in a process of its own would never be started, and no input would collide.
+/// A process would never be started here, and no input would collide.
 #[test]
 fn a_search_refuses_processes_and_fmus() {
     let folder = tempfile::tempdir().expect("a place for temporary files");
@@ -130,7 +126,7 @@ fn a_search_refuses_processes_and_fmus() {
     }
 }
 
-/// An interval that does not fit the steps of some scenarios is no fault of the controller: these get a step that fits.
+/// Scenarios whose step does not divide the decision interval get a suitable step.
 #[test]
 fn a_search_takes_controllers_of_any_decision_interval() {
     let folder = tempfile::tempdir().expect("a place for temporary files");

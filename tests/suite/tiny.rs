@@ -1,6 +1,5 @@
-//! Presets of trainings that take no time: tiny networks, and a checkpoint every ten episodes.
+//! Presets of fast trainings: tiny networks, and a checkpoint every ten episodes.
 
-/// A text of which each of some passages stands changed.
 pub(crate) fn replace_passages(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (from, to)| {
         assert!(text.contains(from), "{from}");
@@ -8,7 +7,6 @@ pub(crate) fn replace_passages(text: &str, changes: &[(&str, &str)]) -> String {
     })
 }
 
-/// The default preset of `train`, without an early end.
 pub(crate) fn training() -> String {
     replace_passages(
         include_str!("../../crates/learn/src/rl/presets/fast.toml"),
@@ -20,13 +18,13 @@ pub(crate) fn training() -> String {
             ("screening_draws = 60", "screening_draws = 2"),
             ("ranking_draws = 2000", "ranking_draws = 2"),
             ("master_gap_m = 1.0", "master_gap_m = 0.0"),
-            // Untrained, it does not brake: soon something is better.
+            // The untrained network does not brake, so an improvement comes soon.
             ("max_accel_mps2 = 3.0", "max_accel_mps2 = 7.5"),
         ],
     )
 }
 
-/// The preset of `retrain`, which learns at once.
+/// Returns the preset of `retrain`, with learning from the start.
 pub(crate) fn retraining() -> String {
     replace_passages(
         include_str!("../../crates/learn/src/retrain/preset.toml"),
@@ -41,7 +39,7 @@ pub(crate) fn retraining() -> String {
     )
 }
 
-/// With so small a memory that checkpoints are small, too.
+/// Reduces the replay memory, so that checkpoints are small.
 pub(crate) fn with_small_memory(preset: &str) -> String {
     let capacity = preset.lines().find(|line| line.starts_with("capacity = ")).expect("every preset has one");
     replace_passages(preset, &[(capacity, "capacity = 200")])

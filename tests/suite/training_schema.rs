@@ -1,4 +1,4 @@
-//! Training configurations: the schema tells the truth.
+//! Training configurations: the schema matches the types.
 
 use std::path::Path;
 
@@ -7,13 +7,12 @@ use crumple_learn::rl::{PRESETS, TrainingConfig, json_schema};
 
 use crate::schema::{assert_committed, validate};
 
-/// The committed schema is that of the types. `UPDATE_SCHEMA=1 cargo test --test suite schema` writes it anew.
+/// `UPDATE_SCHEMA=1 cargo test --test suite schema` updates the committed schema.
 #[test]
 fn the_committed_training_schema_is_that_of_the_types() {
     assert_committed("crates/learn/src/rl/training.schema.json", &json_schema());
 }
 
-/// Every field of a preset is explained.
 #[test]
 fn the_page_about_trainings_names_every_field() {
     fn names_in<'v>(value: &'v serde_json::Value, found: &mut Vec<&'v str>) {

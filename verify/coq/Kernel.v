@@ -1,26 +1,26 @@
 (** The kernel of the shield, for all braking limits, steps and speeds.
 
-    A state is (g, v, w): gap, own speed, speed of the vehicle ahead. [b] is what the own vehicle can brake at, [c] what the
-    vehicle ahead never brakes harder than. Contact is a gap of zero or less. The Rust functions that the definitions stand for are
+    A state is (g, v, w): gap, own speed, speed of the vehicle ahead. The own vehicle can brake at [b];
+    the vehicle ahead never brakes harder than [c]. A collision is a gap of zero or less. The Rust functions that the definitions stand for are
     named beside them; docs/kernel-theorems.md has the statements side by side. *)
 
 From Coq Require Import Reals Lra Psatz.
 Open Scope R_scope.
 
-(** Distance covered, and speed, [t] after speed [u] while braking at rate [r], to standstill if it comes to that: `moved` in
-    crates/world/src/control/shield/kernel.rs with the acceleration -r. *)
+(** Distance covered, and speed, [t] after speed [u] while braking at rate [r], at most to standstill:
+    `distance_and_speed_after` in crates/world/src/control/shield/kernel.rs with the acceleration -r. *)
 Definition covered (u r t : R) : R :=
   if Rle_dec (r * t) u then u * t - r * t * t / 2 else u * u / (2 * r).
 Definition braked (u r t : R) : R :=
   if Rle_dec (r * t) u then u - r * t else 0.
 
-(** The gap that is demanded: `Kernel::demanded_gap_m`. *)
+(** The demanded gap: `ViabilityKernel::demanded_gap_m`. *)
 Definition D (b c v w : R) : R :=
   if Rle_dec b c then Rmax (v * v / (2 * b) - w * w / (2 * c)) 0
   else if Rle_dec (w * b) (v * c) then Rmax (v * v / (2 * b) - w * w / (2 * c)) 0
   else Rmax (v - w) 0 * Rmax (v - w) 0 / (2 * (b - c)).
 
-(** How far the gap has closed after [t] if both brake fully. *)
+(** Decrease of the gap after [t] if both brake fully. *)
 Definition closing (b c v w t : R) : R := covered v b t - covered w c t.
 
 (** * Motion *)
@@ -70,7 +70,7 @@ Proof. intros. rewrite covered_moving; lra. Qed.
 Lemma braked_nonneg u r t : 0 <= braked u r t.
 Proof. unfold braked. destruct (Rle_dec (r * t) u); lra. Qed.
 
-(** Going on is the rest of the same motion. *)
+(** The motion from a later instant is the rest of the same motion. *)
 Lemma covered_on u r s t : 0 < r -> 0 <= u -> 0 <= s -> 0 <= t ->
   covered u r (s + t) = covered u r s + covered (braked u r s) r t.
 Proof.
@@ -87,7 +87,7 @@ Lemma closing_on b c v w s t : 0 < b -> 0 < c -> 0 <= v -> 0 <= w -> 0 <= s -> 0
   closing b c v w (s + t) = closing b c v w s + closing b c (braked v b s) (braked w c s) t.
 Proof. intros. unfold closing. rewrite !covered_on by assumption. ring. Qed.
 
-(** Who is faster covers more. *)
+(** A faster vehicle covers more. *)
 Lemma covered_increases u u' r t : 0 < r -> 0 <= u <= u' -> 0 <= t -> covered u r t <= covered u' r t.
 Proof.
   intros Hr Hu Ht. destruct (covered_is u r t) as [s [Hs [_ ->]]]; try lra.
@@ -101,7 +101,7 @@ Proof.
   intros Hb Hc Hv Hw Ht. unfold closing.
   destruct (covered_is v b t) as [s [Hs [Hbs Own]]]; try assumption.
   pose proof (covered_at_least w c s t Hc Hs) as Ahead.
-  (* Once the vehicle ahead stands, the difference of the stops bounds what is closed. *)
+  (* Once the vehicle ahead stands, the difference of the stopping distances bounds the closing. *)
   assert (Stood : w <= c * s -> covered v b t - covered w c t <= v * v / (2 * b) - w * w / (2 * c)).
   { intros H. rewrite (covered_stopped w c t) by nra. pose proof (covered_at_most v b t Hb). lra. }
   destruct (half_square w c Hc) as [B [EB SB]].
@@ -162,9 +162,9 @@ Proof.
     unfold closing. rewrite !covered_moving by assumption. rewrite SE. nra.
 Qed.
 
-(** * What a shield relies on *)
+(** * Theorems that the shield uses *)
 
-(** Full braking keeps what is spare of the gap, at every instant, whatever stops on the way: so K = { g > D } is invariant. *)
+(** Full braking never reduces the spare gap, at any instant, with or without stops: so K = { g > D } is invariant. *)
 Theorem full_braking_keeps_the_spare_gap b c g v w s : 0 < b -> 0 < c -> 0 <= v -> 0 <= w -> 0 <= s ->
   g - D b c v w <= (g - closing b c v w s) - D b c (braked v b s) (braked w c s).
 Proof.
@@ -174,13 +174,13 @@ Proof.
   rewrite (closing_on b c v w s t) in H by assumption. lra.
 Qed.
 
-(** Inside the kernel nobody touches, at any instant. *)
+(** Inside the kernel no collision occurs at any instant. *)
 Theorem inside_the_kernel_full_braking_is_free_of_contact b c g v w t : 0 < b -> 0 < c -> 0 <= v -> 0 <= w -> 0 <= t ->
   D b c v w < g -> 0 < g - closing b c v w t.
 Proof. intros. pose proof (demanded_is_enough b c v w t). lra. Qed.
 
-(** Outside it nothing helps: against full braking, whoever never brakes harder than [b], and so covers at least [covered v b],
-    touches. *)
+(** Outside it a collision is unavoidable: against full braking, a vehicle that never brakes harder than [b], and so covers at
+    least [covered v b], collides. *)
 Theorem outside_the_kernel_nothing_helps b c g v w (own : R -> R) : 0 < b -> 0 < c -> 0 <= v -> 0 <= w ->
   (forall t, 0 <= t -> covered v b t <= own t) -> g <= D b c v w ->
   exists t, 0 <= t /\ g + covered w c t - own t <= 0.
@@ -206,8 +206,8 @@ Qed.
 
 (** * Any vehicle ahead *)
 
-(** Where and how fast somebody is who begins at speed [w], never brakes harder than [c] and never reverses: positions [y] whose
-    derivative is the speed [f]. *)
+(** Motion that begins at speed [w], never brakes harder than [c] and never reverses: positions [y] whose derivative is the
+    speed [f]. *)
 Definition within_limit (c w : R) (y f : R -> R) : Prop :=
   y 0 = 0 /\ f 0 = w /\
   (forall t, 0 <= t -> derivable_pt_lim y t (f t)) /\
@@ -274,8 +274,8 @@ Proof.
   lra.
 Qed.
 
-(** A step that leaves the state in the kernel by [m] and the gap open by [m], the vehicle ahead braking fully, does so whatever that
-    one does within its limit. The own vehicle does as it pleases. This is what the shield's test, `Frame::admits`, has to establish. *)
+(** Suppose a step leaves the state in the kernel by [m] and the gap open by [m] while the vehicle ahead brakes fully. Then it does so
+    for any motion of that vehicle within its limit, and any own motion. `ShieldParams::admits` tests the former. *)
 Theorem the_worst_leader_stands_for_all b c g w h m v' (own y f : R -> R) : 0 < b -> 0 < c -> 0 <= w -> 0 <= v' -> 0 <= h ->
   within_limit c w y f ->
   (forall t, 0 <= t <= h -> m <= g + covered w c t - own t) ->
@@ -289,8 +289,8 @@ Proof.
     pose proof (demand_falls_with_the_speed_ahead b c v' (braked w c h) (f h)). lra.
 Qed.
 
-(** From inside the kernel, full braking is free of contact at every instant, and the spare gap never falls, whatever the vehicle
-    ahead does within its limit. *)
+(** From inside the kernel, full braking avoids a collision at every instant, and the spare gap never falls, for any motion of the
+    vehicle ahead within its limit. *)
 Theorem full_braking_is_safe_behind_anyone b c g v w s (y f : R -> R) : 0 < b -> 0 < c -> 0 <= v -> 0 <= w -> 0 <= s ->
   within_limit c w y f ->
   g - D b c v w <= g + y s - covered v b s /\
@@ -307,19 +307,20 @@ Qed.
 
 (** * An actuator with lag *)
 
-(** Distance covered [t] after speed [u] at a held acceleration [a], to standstill if it comes to that: `moved`. *)
+(** Distance covered [t] after speed [u] at a held acceleration [a], at most to standstill: `distance_and_speed_after`. *)
 Definition moved (u a t : R) : R :=
   if Rle_dec 0 (u + a * t) then u * t + a * t * t / 2 else u * u / (-2 * a).
 Definition moved_speed (u a t : R) : R := if Rle_dec 0 (u + a * t) then u + a * t else 0.
 
-(** Each step of length [h] the response covers the [share] of its way to the command, here full braking: `Frame::response_mps2`. *)
+(** In each step of length [h] the response covers [share] of its difference to the command, here full braking:
+    `ShieldParams::response_mps2`. *)
 Definition response (b share r : R) : R := r + share * (- b - r).
 
-(** What takes the place of the own speed in the kernel: `Frame::speed_to_lose_mps`, with `Frame::lag_s`. *)
+(** Substitute for the own speed in the kernel: `ShieldParams::speed_to_lose_mps`, with `ShieldParams::lag_s`. *)
 Definition to_lose (b h share v r : R) : R := v + h * (1 - share) / share * (r + b).
 
-(** The vehicle is at no instant further than one that brakes at once from [to_lose]; and where it still moves at the end of the step,
-    what it has to lose is less by exactly b h. *)
+(** The vehicle is at no instant farther than one that brakes at once from [to_lose]. If it still moves at the end of the step, its
+    [to_lose] is less by exactly b h. *)
 Theorem full_braking_through_lag b h share v r t : 0 < b -> 0 < h -> 0 < share <= 1 -> 0 <= v -> - b <= r -> 0 <= t <= h ->
   moved v (response b share r) t <= covered (to_lose b h share v r) b t /\
   to_lose b h share (v + response b share r * h) (response b share r) = to_lose b h share v r - b * h.

@@ -1,4 +1,4 @@
-(** What rounding in double precision takes of the gap, in steps of full braking and in the shield's test.
+(** Loss of gap by rounding in double precision, in steps of full braking and in the shield's test.
 
     The Rust functions that the definitions stand for are named beside them, docs/kernel-theorems.md has the statements side by side. *)
 
@@ -9,7 +9,7 @@ Open Scope R_scope.
 
 (** * One operation *)
 
-(** The nearest number of 53 binary digits, ties to even: what an operation of f64 gives where it does not underflow or overflow. *)
+(** The nearest number of 53 binary digits, ties to even: the result of an f64 operation without underflow or overflow. *)
 Definition fl (x : R) : R := round radix2 (FLX_exp 53) ZnearestE x.
 
 (** Half the distance of 1 from the next number: `U`. *)
@@ -145,7 +145,7 @@ Proof.
   pose proof (rel_bounds 2.1 _ _ _ ltac:(lra) R B). lra.
 Qed.
 
-(** Without a stop: the speed, and the way. *)
+(** Without a stop: speed and distance. *)
 Lemma end_speed_near X V A t dt v a : step_within X V A t dt -> 0 <= v <= V -> - A <= a <= A ->
   - (u * V + 3.2 * (u * (A * t))) <= end_speed v a dt - (v + a * t) <= u * V + 3.2 * (u * (A * t)).
 Proof.
@@ -226,7 +226,7 @@ Proof.
   apply Rnot_lt_le. intros N. apply Hs, fl_negative. lra.
 Qed.
 
-(** The vehicle ahead covers at least what it would braking fully, and is at least as fast after that, up to rounding. *)
+(** The vehicle ahead covers at least the distance of full braking, and is at least as fast afterwards, up to rounding. *)
 Theorem the_vehicle_ahead_in_a_step X V A t dt x w a c : step_within X V A t dt -> - X <= x <= X -> 0 <= w <= V -> 0 < c -> c <= A ->
   - c <= a <= A ->
   x + covered w c t - 4 * (u * X) <= advanced x w a dt /\
@@ -255,12 +255,12 @@ Proof.
       unfold braked. destruct Rle_dec; lra.
 Qed.
 
-(** What takes the place of the own speed, `Frame::speed_to_lose_mps`: of an actuator that responds with r until the step's end and then
-    approaches -B, rho is what is left of the step and of the lag. *)
+(** Substitute for the own speed, `ShieldParams::speed_to_lose_mps`. The actuator responds with r until the step's end and then
+    approaches -B; rho is the rest of the step and of the lag. *)
 Definition left_to_lose (B rho v r : R) : R :=
   if Rle_dec v 0 then if Rle_dec r 0 then 0 else v + rho * Rmax (r + B) 0 else v + rho * Rmax (r + B) 0.
 
-(** The own acceleration: what the actuator responds, with noise up to n, and a rounded sum; who stands is held. *)
+(** The own acceleration: the actuator's response, noise up to n, and a rounded sum; a standing vehicle is held. *)
 Definition drives (B n A v r a : R) : Prop :=
   - A <= a <= A /\ a <= Rmax r (- B) + n + u * A /\ (v <= 0 -> r <= 0 -> a <= 0).
 
@@ -299,7 +299,7 @@ Proof.
   pose proof (covered_at_least (braked z b s) b 0 (t - s) Hb ltac:(lra)). lra.
 Qed.
 
-(** The way to a stop that comes before t, or hardly later. *)
+(** Distance to a stop before t, or hardly later. *)
 Lemma stopped_way A v a t (most : R -> R) : - A <= a < 0 -> 0 <= v <= - a * t * (1 + 2.1 * u) -> 0 < t ->
   (forall s, 0 <= s <= t -> v * s + a * s * s / 2 <= most s + u * (A * s * s)) -> (forall s, 0 <= s <= t -> most s <= most t) ->
   v * v / (-2 * a) <= most t + 2 * (u * (A * t * t)).
@@ -358,7 +358,7 @@ Proof.
   all: unfold advanced, advanced_speed; destruct (Rlt_dec (end_speed v a dt) 0) as [S | S];
     [ destruct (stopping _ _ _ _ _ x _ _ H Hx Hv Ha S) as [Hneg [Hs E]]; clear S; facts; split
     | pose proof (way_near _ _ _ _ _ x _ _ H Hx Hv Ha) as E; pose proof (end_speed_near _ _ _ _ _ _ _ H Hv Ha) as Ev; facts; split ].
-  (* with a stop: the way *)
+  (* with a stop: the distance *)
   all: try (assert (v * v / (-2 * a) <= covered (left_to_lose B rho v r) b t + 2 * (u * (A * t * t))) as C; [| lra];
     apply (stopped_way A v a t (fun s => covered (left_to_lose B rho v r) b s)); try lra;
     [ intros s Hs'; apply W; lra | intros s Hs'; apply covered_rises; lra ]).
@@ -368,7 +368,7 @@ Proof.
     assert (0 <= (B - n + u * A - b) * t) by (apply Rmult_le_pos; lra); assert (0 <= r * t) by (apply Rmult_le_pos; lra);
     assert (0 <= n * t) by (apply Rmult_le_pos; lra);
     rewrite Ez; unfold braked; destruct Rle_dec; lra).
-  (* without: the way *)
+  (* without: the distance *)
   all: try (specialize (W t ltac:(lra)); lra).
   (* without: the speed *)
   all: assert (left_to_lose B (rho - t) (end_speed v a dt) r <= Rmax 0 (end_speed v a dt + (rho - t) * Rmax (r + B) 0)) as L
@@ -380,7 +380,7 @@ Proof.
   all: apply Rle_trans with (1 := L); apply Rmax_lub; [lra |].
   all: unfold braked; destruct Rle_dec; lra.
 Qed.
-(** * What the demand makes of errors of speeds *)
+(** * Effect of speed errors on the demanded gap *)
 
 Lemma covered_of_more v r e t : 0 < r -> 0 <= v -> 0 <= e -> 0 <= t -> covered (v + e) r t <= covered v r t + e * t.
 Proof.
@@ -408,9 +408,9 @@ Proof.
   assert ((e + e') * s <= (e + e') * (v' / b)) by (apply Rmult_le_compat_l; lra). lra.
 Qed.
 
-(** * What a step of full braking takes of the spare gap *)
+(** * Loss of spare gap in a step of full braking *)
 
-(** Of the numbers that the simulation holds: len is the length of the vehicle ahead. *)
+(** For the numbers of the simulation; len is the length of the vehicle ahead. *)
 Definition spare (b c len xf x z w : R) : R := xf - len - x - D b c z w.
 
 Theorem motion_takes_at_most X V A t dt xf x v w r a af b c B n rho len Z : step_within X V A t dt ->
@@ -444,7 +444,8 @@ Qed.
 
 (** * The actuator *)
 
-(** `Frame::response_mps2`, operation by operation; `Actuator::respond` does the same, or without lag and delay gives what is due, exactly. *)
+(** `ShieldParams::response_mps2`, operation by operation; `Actuator::respond` is equal, or returns the due command exactly without lag
+    and delay. *)
 Definition responded (share r due : R) : R := fl (r + fl (share * fl (due - r))).
 
 Theorem a_response_is_rounded share r due P : 0 <= share <= 1 -> - P <= due - r <= P -> - P <= r + share * (due - r) <= P ->
@@ -464,7 +465,7 @@ Proof.
   pose proof (fl_within _ _ B). lra.
 Qed.
 
-(** At the end of a step tau = h (1 - share) / share is left to lose, `Frame::lag_s`; the next response is held over h. *)
+(** The lag that remains at the end of a step is tau = h (1 - share) / share, `ShieldParams::lag_s`; the next response is held over h. *)
 Theorem the_response_takes_at_most share h v r B P w b c xf len x Z : 0 < share <= 1 -> 0 < h -> 0 <= v -> 0 <= w -> 0 < b -> 0 < c -> 0 <= B ->
   - (2 * B) <= r -> - P <= - B - r <= P -> - P <= response B share r <= P ->
   let tau := h * (1 - share) / share in
@@ -509,7 +510,7 @@ Proof.
   assert (u * (3.1 * (Z / b) * (tau + h) * P) = Z / b * e) as -> by (unfold e; lra).
   unfold spare. lra.
 Qed.
-(** * Braking on *)
+(** * Continued braking *)
 
 Record state := State { front : R; rear : R; own : R; ahead : R; response_now : R; time_left : R }.
 
@@ -531,7 +532,7 @@ Definition state_within p s : Prop :=
   - positions p <= front s <= positions p /\ - positions p <= rear s <= positions p /\
   0 <= own s <= speeds p /\ 0 <= ahead s <= speeds p /\ left_to_lose (full p) (time_left s) (own s) (response_now s) <= replaced p.
 
-(** A new response at the end of a step, with lag or delay or without; the one there is within it. *)
+(** The new response at the end of a step, with or without lag or delay; the old one holds inside the step. *)
 Definition responds p s s' : Prop :=
   s' = s \/
   (time_left s = lag p /\ share_of p = 1 /\ s' = State (front s) (rear s) (own s) (ahead s) (- full p) (lag p + step p)) \/
@@ -552,7 +553,7 @@ Definition spare_of p s : R :=
   spare (own_brake p) (ahead_brake p) (length_ahead p) (front s) (rear s)
     (left_to_lose (full p) (time_left s) (own s) (response_now s)) (ahead s).
 
-(** No more than `step_m` in `Travel::margin_m`. *)
+(** At most `step_m` in `MotionBounds::margin_m`. *)
 Definition step_loss p : R :=
   u * (8 * positions p + 2 * stop_time p * (speeds p + 6 * accelerations p * step p) + 4 * lag p * stop_time p * responses p).
 
@@ -599,9 +600,9 @@ Proof.
   rewrite S_INR. lra.
 Qed.
 
-(** * The gap as it is seen, and what is demanded of it *)
+(** * Computed gap and demanded gap *)
 
-(** `Platoon::gap_between_m`. *)
+(** `PlatoonState::gap_between_m`. *)
 Definition seen_gap (xf len x : R) : R := fl (fl (xf - len) - x).
 
 Theorem the_gap_is_seen_rounded X xf len x : - X <= xf <= X -> - X <= xf - len <= X -> - X <= x <= X ->
@@ -613,7 +614,7 @@ Proof.
   assert (Rabs (fl (xf - len) - x) <= 2.01 * X) as B2 by (apply abs_le; lra). pose proof (fl_within _ _ B2). lra.
 Qed.
 
-(** `Kernel::demanded_gap_m`, operation by operation. *)
+(** `ViabilityKernel::demanded_gap_m`, operation by operation. *)
 Definition stops_computed (b c v w : R) : R := Rmax (fl (fl (fl (v * v) / fl (2 * b)) - fl (fl (w * w) / fl (2 * c)))) 0.
 Definition catching_up_computed (b c v w : R) : R :=
   fl (fl (Rmax (fl (v - w)) 0 * Rmax (fl (v - w)) 0) / fl (2 * fl (b - c))).
@@ -661,7 +662,7 @@ Proof.
   assert (v * (b - c) * (v - w) <= v * (b - c) * v) by (apply Rmult_le_compat_l; [apply Rmult_le_pos; lra | lra]). lra.
 Qed.
 
-(** Two limits that are not the same number are apart by a share u. *)
+(** Two different limits differ by at least a share u. *)
 Theorem limits_are_the_same_or_apart b c : generic_format radix2 (FLX_exp 53) b -> generic_format radix2 (FLX_exp 53) c -> 0 < c < b ->
   u * c <= b - c.
 Proof.
@@ -672,7 +673,7 @@ Proof.
 Qed.
 Opaque u.
 
-(** Up to what stopping takes at most, S. *)
+(** Up to the largest stopping distance, S. *)
 Theorem the_demand_is_rounded b c v w S : 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v -> 0 <= w -> v * v / (2 * b) <= S ->
   - (12 * (u * S)) <= demanded_computed b c v w - D b c v w <= 12 * (u * S).
 Proof.
@@ -684,7 +685,7 @@ Proof.
   destruct (Rle_dec (w * b) (v * c)) as [M | M].
   - destruct (Rle_dec (fl (w * b)) (fl (v * c))) as [F | F]; [lra |]. destruct F. apply fl_monotone, M.
   - apply Rnot_le_lt in M. destruct (Rle_dec (fl (w * b)) (fl (v * c))) as [F | F].
-    + (* decided wrongly: nearly the same *)
+    + (* wrong branch: nearly equal values *)
       destruct (Rle_lt_dec v w) as [L | L].
       * rewrite (Rmax_right (v - w) 0) by lra. rewrite Rmult_0_l. unfold Rdiv at 1. rewrite Rmult_0_l.
         assert (v * v / (2 * b) <= w * w / (2 * c)) as LL.
@@ -737,7 +738,7 @@ Proof.
 Qed.
 (** * The test *)
 
-(** `Frame::lag_s` and `Frame::speed_to_lose_mps`, operation by operation. *)
+(** `ShieldParams::lag_s` and `ShieldParams::speed_to_lose_mps`, operation by operation. *)
 Definition lag_computed (h share : R) : R := fl (fl (h * fl (1 - share)) / share).
 Definition to_lose_computed (B h share v r : R) : R :=
   let moving := fl (v + fl (lag_computed h share * fl (r + B))) in
@@ -786,7 +787,7 @@ Proof.
   unfold to_lose_computed, left_to_lose in *. destruct (Rle_dec v 0); [destruct (Rle_dec r 0); [lra |] |]; auto.
 Qed.
 
-(** `Frame::spare_m` of what is held, as computed. *)
+(** `ShieldParams::spare_m` of the stored state, as computed. *)
 Definition spare_computed (b c B h share len xf x v r w : R) : R :=
   fl (seen_gap xf len x - demanded_computed b c (to_lose_computed B h share v r) w).
 
@@ -869,7 +870,7 @@ Proof.
   unfold eta. lra.
 Qed.
 
-(** The test of an action, after the predicted steps: of a gap that is at most e better than what comes, and speeds that are no better. *)
+(** The test of an action after the predicted steps, with a gap at most e better than the later one, and speeds no better. *)
 Theorem what_passes_the_test_is_spare X b c B h share gap xf len x v v' r w w' m e P Z :
   - (3 * X) <= gap <= 3 * X -> 0 < b -> 0 < c -> (b <= c \/ u * c <= b - c) -> 0 <= v <= v' -> 0 <= w' <= w ->
   0 < share <= 1 -> 0 < h -> - (3.1 * (u * P)) <= r + B <= P -> 0 <= to_lose_computed B h share v' r ->
@@ -907,7 +908,7 @@ Proof.
     apply Rle_trans with (1 := covered_at_most w c t Hc). apply (Rmult_le_compat_l (w * w)); [nra |]. apply Rinv_le_contravar; lra.
 Qed.
 
-(** At every instant of a step from the numbers that are held, by the real numbers. *)
+(** At every instant of a step from the stored numbers, in real arithmetic. *)
 Theorem inside_a_step_nobody_touches p s a af t : bounds_hold p -> state_within p s -> 0 <= t <= part p -> part p <= time_left s ->
   drives (full p) (noise_of p) (accelerations p) (own s) (response_now s) a -> - ahead_brake p <= af <= accelerations p ->
   spare_of p s - u * positions p <=
@@ -1013,7 +1014,8 @@ Proof.
     assert (4.41 * u * (u * (A * t * t)) <= / 1000 * (u * (A * t * t))) by (apply Rmult_le_compat_r; lra). lra.
 Qed.
 
-(** `moved` in crates/world/src/control/shield/kernel.rs is `motion::advance` from 0; `Frame::after` makes of it the gap a step later. *)
+(** `distance_and_speed_after` in crates/world/src/control/shield/kernel.rs is `motion::advance` from 0; `ShieldParams::after` computes
+    the gap a step later from it. *)
 Definition predicted_gap (gap w c v a h : R) : R := fl (fl (gap + advanced 0 w (- c) h) - advanced 0 v a h).
 
 Definition moved_computed (v a dt : R) : R :=
@@ -1034,8 +1036,8 @@ Proof.
   unfold advanced_speed. repeat destruct Rlt_dec; lra.
 Qed.
 
-(** Motion that is not cut into parts: what is predicted, of the own vehicle with at least the acceleration that it has or with it held, and of one ahead
-    that brakes fully, is computed to be no better than what comes: to the bit for speeds, but for rounding for the gap. *)
+(** Motion in undivided steps. The prediction has at least the own acceleration, or holds it, and a vehicle ahead that brakes fully.
+    It is no better than the later motion: to the bit for speeds, up to rounding for the gap. *)
 Theorem a_predicted_step_is_no_better X V A h xf x v w v' w' a a' af c len gap e : step_within X V A h h ->
   - X <= xf <= X -> - X <= x <= X -> 0 <= v <= v' -> v' <= V -> 0 <= w' <= w -> w <= V -> 0 < c <= A ->
   - A <= a <= A -> - A <= a' <= A -> a <= a' \/ v = 0 /\ a = 0 -> - c <= af <= A -> - (3 * X) <= gap <= 3 * X ->
@@ -1070,7 +1072,7 @@ Proof.
   assert (Rabs (fl (gap + f) - o) <= 4.2 * X) as B2 by (apply abs_le; lra). pose proof (fl_within _ _ B2). lra.
 Qed.
 
-(** What a test predicts, and what comes meanwhile, over n steps. *)
+(** Predicted and actual motion over n steps. *)
 Theorem predicted_steps_are_no_better X V A h c len (gap v' w' a' xf x v w a af : nat -> R) e n : step_within X V A h h -> 0 < c <= A ->
   (forall i, (i < n)%nat ->
     - X <= xf i <= X /\ - X <= x i <= X /\ - (3 * X) <= gap i <= 3 * X /\ 0 <= v i <= V /\ 0 <= v' i <= V /\ 0 <= w i <= V /\ 0 <= w' i <= V /\
@@ -1092,8 +1094,8 @@ Qed.
 
 (** * The margin *)
 
-(** What half a margin has to pay for: n steps of full braking, and that what is left is computed twice, in the test and when it is
-    asked whether a state is out of the kernel. *)
+(** Half a margin covers n steps of full braking and two computations of the spare gap: in the test, and for the check that a state
+    is outside the kernel. *)
 Theorem half_a_margin_pays p (s : nat -> state) m eta n : bounds_hold p ->
   (forall i, (i < n)%nat -> braking_step p (s i) (s (S i))) ->
   INR n * step_loss p + 2 * eta <= m / 2 -> m - eta <= spare_of p (s 0%nat) ->

@@ -1,17 +1,17 @@
-//! Nobody touches: the stated profile is replayed over the whole box.
+//! Proof of avoidability: the stated profile is replayed over the whole box.
 //!
-//! Leader and egos move as [`motion`](crate::motion) says. The follower fires at an instant that may differ from member to
-//! member of the box. Before it has fired it coasts, so whether it fires at instant k if it has not before is decided by
+//! Leader and egos move as [`motion`](crate::motion) states. The follower's firing instant may differ between members
+//! of the box. Before firing it coasts, so it fires at instant k, if not before, exactly if
 //!
 //! ```text
 //! guard = (x_k - L - r_k) - θ (v_r - v_k),   r_k = r_0 + v_r k h,
 //! ```
 //!
-//! and once the guard is surely negative every member has fired. As firing later never moves the follower back, no member's
-//! follower is ahead of one that fires at that instant, and it is this one that the last ego is compared with.
+//! is negative. Once the guard is surely negative every member has fired. Firing later never moves the follower back.
+//! So no member's follower is ahead of one that fires at that instant, and the last ego is compared with this one.
 //!
-//! Between two instants a gap g satisfies g'' ≤ m, where m is the most that the vehicle ahead accelerates (at least 0, as it
-//! may stop) less the least that the one behind does (at most 0). Then g(t) ≥ chord(t) - m t (h - t) / 2, hence
+//! Between two instants a gap g satisfies g'' ≤ m. Here m is the largest acceleration of the vehicle ahead (at least 0,
+//! as it may stop) less the smallest of the one behind (at most 0). Then g(t) ≥ chord(t) - m t (h - t) / 2, hence
 //!
 //! ```text
 //! g ≥ min(g at begin, g at end) - m h² / 8   throughout the step.
@@ -20,12 +20,15 @@
 //! The profile is accepted if this is positive for every pair in every step.
 //!
 //! # After the last instant
-//! The script and the profiles end, but the road does not ([`Afterwards`]). Let g be the gaps and v the speeds at the last instant,
-//! and b the limit of an ego's brake, or the brake of a follower that has fired and whose reaction is over. In a frame that moves with
-//! a speed u >= 0, whoever brakes to u and holds it covers (v - u)² / (2 b); if that is less than the gap ahead, it stays behind where the
-//! vehicle ahead was. So nobody touches if that vehicle never falls back in this frame. With u = 0 nobody falls back, for nobody reverses:
-//! it does not matter what the leader does. With u the least of the speeds of leader and egos, no ego falls back that brakes to u at most, nor
-//! a leader that does not brake. A follower that has not fired may do so later, and then falls back; it must not be faster than u.
+//! The claim may extend beyond the profile ([`SafetyAfterHorizon`]). Let g be the gaps and v the speeds at the last
+//! instant, and b the brake limit of an ego, or the brake of a follower whose reaction is over. In a frame that moves
+//! with a speed u >= 0, a vehicle that brakes to u and holds it covers (v - u)² / (2 b). If that is less than its gap,
+//! it stays behind the initial position of the vehicle ahead. So no collision occurs if that vehicle never falls back
+//! in this frame.
+//!
+//! With u = 0 no vehicle falls back, because none reverses, whatever the leader does. With u the least speed of leader
+//! and egos, no ego that brakes to u at most falls back, nor does a leader that does not brake. A follower that has not
+//! fired may fire later and fall back; its speed must not exceed u.
 
 use crate::certificate::AvoidableClaim;
 use crate::claim::Scene;
@@ -34,7 +37,6 @@ use crate::motion::{distance_and_speed_after, expand_pieces};
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 use crate::{ProvedClaim, Rejection, SafetyAfterHorizon};
 
-/// Operations for one step of one vehicle.
 const OPS_PER_STEP: u64 = 20 * OPS_PER_INTERVAL_OP;
 
 pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
@@ -71,7 +73,7 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
     Ok(())
 }
 
-/// A lower bound of every gap at every time, in metres, and what holds from the last instant on.
+/// Returns a lower bound of all gaps at all times, in metres, and the safety after the last instant.
 fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64, SafetyAfterHorizon), Rejection> {
     let profiles: Vec<Vec<Interval>> = std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
         .chain(witness.iter().map(|profile| expand_pieces(profile).map(Interval::point).collect()))
@@ -110,17 +112,15 @@ fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64
     Ok((smallest_m, safety_after_horizon(scene, &line, fires, &before)))
 }
 
-/// What holds from the last instant on, with the positions and speeds of leader and egos and the gaps there.
 fn safety_after_horizon(
     scene: &Scene,
     line: &[(Interval, Interval)],
     fires: u32,
     gaps_m: &[Interval],
 ) -> SafetyAfterHorizon {
-    // None moves more slowly as long as nobody brakes below it.
+    // A lower bound of all speeds while no vehicle brakes below it.
     let slowest = Interval::point(line.iter().map(|(_, v)| v.low()).fold(f64::INFINITY, f64::min));
     let followed = scene.follower.as_ref().map(|follower| {
-        // The last instant means never.
         let brakes = fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
         let brake_mps2 = if brakes { follower.brake_mps2 } else { Interval::ZERO };
         (scene.follower_speed_mps(follower, fires, scene.steps), brake_mps2)
@@ -144,7 +144,6 @@ fn safety_after_horizon(
     }
 }
 
-/// The gaps at instant `k`, front to rear, the last one to a follower that fires at `fires`.
 fn gaps_m(scene: &Scene, line: &[(Interval, Interval)], fires: u32, k: u32) -> Vec<Interval> {
     let lengths_m = std::iter::once(scene.leader.length_m).chain(scene.egos.iter().map(|ego| ego.length_m));
     let rears = line.iter().zip(lengths_m).map(|((x, _), length_m)| *x - Interval::point(length_m));
@@ -153,7 +152,7 @@ fn gaps_m(scene: &Scene, line: &[(Interval, Interval)], fires: u32, k: u32) -> V
     rears.zip(fronts).map(|(rear, front)| rear - front).collect()
 }
 
-/// Whether at instant `k` the guard is negative in every member in which it was not before.
+/// True if at instant `k` the guard is negative in every member that has not fired.
 fn must_fire(scene: &Scene, line: &[(Interval, Interval)], k: u32) -> bool {
     let (Some(follower), Some(ego), Some((x, v))) = (&scene.follower, scene.egos.last(), line.last()) else {
         return false;

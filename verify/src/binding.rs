@@ -1,9 +1,8 @@
-//! What ties a statement of version 2 to what it says it is about.
+//! Binding of a version 2 statement to its subject.
 //!
-//! The texts of scenario, box and space are in the certificate and their hash is checked here; that the numbers of the statement are
-//! those of the texts is for a reader of such texts to compare, and `crumple check` does. A rate's space and program are stated twice,
-//! and have to be the same. What does not belong to a kind of statement is refused, so that nothing stands in a certificate that was
-//! not looked at.
+//! The certificate holds the texts of scenario, box and space, and their hash is checked here. `crumple check` compares
+//! the numbers of the statement with the texts. A rate states its space and program twice; both must agree. Fields that
+//! do not belong to a kind of statement are rejected, so that no part of a certificate stays unchecked.
 
 use crate::canonical::{is_sha256, sha256};
 use crate::certificate::{Assumption, Certificate, CertificateProvenance, Statement};
@@ -11,7 +10,7 @@ use crate::rate::Registration;
 use crate::reach::controller_file_name;
 use crate::{Rejection, rate};
 
-/// Entries that every registration has, and those of a second controller.
+/// Entries of every registration, and those of a second controller.
 const REQUIRED_ENTRIES: [&str; 9] = [
     "controller",
     "controller_sha256",
@@ -24,7 +23,6 @@ const REQUIRED_ENTRIES: [&str; 9] = [
     "space_sha256",
 ];
 const COMPARISON_ENTRIES: [&str; 2] = ["against", "against_sha256"];
-/// Entries of controllers that are learned policies.
 const POLICY_ENTRIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
 
 /// Checks all that version 2 adds.
@@ -56,12 +54,11 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
             check_space(provenance, &claim.registration, true)?;
             rate::check_comparison_blocks(claim)
         }
-        // All others are about a scene.
         _ => check_source(provenance),
     }
 }
 
-/// The file of a network has the name that follows from its digest.
+/// Checks that the name of a network file follows from its digest.
 fn check_policy_file_name(file: &str, digest: &str, is_from_outside: bool) -> Result<(), Rejection> {
     if is_sha256(digest) && file == controller_file_name(digest, is_from_outside) {
         Ok(())
@@ -84,7 +81,6 @@ fn check_no_source(provenance: &CertificateProvenance, problem: &'static str) ->
     }
 }
 
-/// A name, a text and its hash.
 fn check_source(provenance: &CertificateProvenance) -> Result<(), Rejection> {
     if provenance.scenario.is_empty() {
         return Err(Rejection::invalid("provenance.scenario", "is missing"));
@@ -97,7 +93,7 @@ fn check_source(provenance: &CertificateProvenance) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// The registration names the space of the provenance, and nothing that is not known here.
+/// Checks that the registration names the space of the provenance and has only known entries.
 fn check_space(provenance: &CertificateProvenance, registration: &Registration, two: bool) -> Result<(), Rejection> {
     check_source(provenance)?;
     if provenance.box_text.is_some() {

@@ -1,5 +1,5 @@
-//! Lists in a file that are no longer than what they are about: an empty list takes two characters there and twenty-four bytes
-//! in memory, so that the length of the file alone is not enough of a bound.
+//! Lists and maps of bounded length. An empty list takes two characters in a file and 24 bytes in memory, so the size
+//! of the file is no sufficient bound.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,14 +7,12 @@ use std::marker::PhantomData;
 
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
-/// A list of at most `N` entries.
 pub(crate) fn deserialize_list<'de, const N: usize, D: Deserializer<'de>, T: Deserialize<'de>>(
     from: D,
 ) -> Result<Vec<T>, D::Error> {
     from.deserialize_seq(BoundedListVisitor::<N, T>(PhantomData))
 }
 
-/// A map of at most `N` entries, each name once.
 pub(crate) fn deserialize_map<'de, const N: usize, D: Deserializer<'de>>(
     from: D,
 ) -> Result<BTreeMap<String, String>, D::Error> {
@@ -54,7 +52,7 @@ impl<'de, const N: usize> Visitor<'de> for BoundedMapVisitor<N> {
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
         let mut map = BTreeMap::new();
         while let Some((name, text)) = entries.next_entry()? {
-            // The last of two entries of one name would silently be the one that counts.
+            // Otherwise the last of two entries with one name would silently win.
             if map.contains_key(&name) {
                 return Err(A::Error::custom(format_args!("duplicate key {name:?}")));
             }

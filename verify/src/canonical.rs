@@ -1,8 +1,8 @@
-//! One text for one certificate, and no name twice in an object.
+//! Canonical text of a certificate, without duplicate names in an object.
 //!
-//! The canonical form of a certificate is what this crate writes: compact JSON, fields in the order of the types, what is absent left
-//! out, the shortest numbers that read back as the same. A file may add whitespace between tokens and nothing else, so that two
-//! readers cannot take one file for two statements.
+//! The canonical form is compact JSON with fields in the order of the types, without absent fields, and with the
+//! shortest numbers that read back unchanged. A file may only add whitespace between tokens, so that no two readers
+//! interpret it differently.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -10,7 +10,8 @@ use std::fmt;
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use sha2::{Digest, Sha256};
 
-/// Line and column, from 1, at which a JSON text departs from its canonical form, whitespace between tokens apart.
+/// Returns the first line and column, from 1, at which a JSON text differs from its canonical form, apart from
+/// whitespace.
 pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, usize)> {
     let mut expected = canonical.bytes();
     let (mut in_string, mut escaped) = (false, false);
@@ -33,17 +34,15 @@ fn line_and_column(text: &str, place: usize) -> (usize, usize) {
     (before.iter().filter(|&&byte| byte == b'\n').count() + 1, place - line_begins + 1)
 }
 
-/// SHA-256 in hexadecimal.
 pub(crate) fn sha256(bytes: impl AsRef<[u8]>) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Whether a text could be a SHA-256 as it is written here.
 pub(crate) fn is_sha256(text: &str) -> bool {
     text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// Any JSON of which nothing is needed but that no object in it has two entries of one name.
+/// JSON whose objects have no duplicate names; all else is ignored.
 pub(crate) struct UniqueKeys;
 
 impl<'de> Deserialize<'de> for UniqueKeys {

@@ -1,4 +1,4 @@
-//! The file: `docs/certificates.md` in crumple's repository specifies it.
+//! The certificate file. `docs/certificates.md` in crumple's repository specifies it.
 
 use std::fs::File;
 use std::io::Read;
@@ -16,65 +16,65 @@ use crate::reach::ReachClaim;
 
 /// The version of the format that is written.
 pub const VERSION: u32 = 2;
-/// The first version, which is still read. It binds a statement to nothing: see [`Certificate::is_old`].
+/// The first version, which is still read. It binds a statement to nothing: see [`Certificate::is_first_version`].
 pub const FIRST_VERSION: u32 = 1;
 
-/// What stands beside an accepted rate or comparison whose runs were not made again.
+/// Caveat of an accepted rate or comparison whose runs were not repeated.
 pub const UNVERIFIED_COUNTS_CAVEAT: &str =
     "the counts are the maker's word: `crumple check --rerun` draws and simulates again";
 
-/// Longest file that is read, in bytes.
+/// Maximum size of a file, in bytes.
 pub const MAX_BYTES: usize = 64 << 20;
 
-/// A statement with what it assumes and what it takes to check it.
+/// A statement with its assumptions and its proof.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Certificate {
     /// Version of the format: 2, or 1 for old files.
     pub version: u32,
-    /// What the statement is about, and which program wrote it.
+    /// Subject of the statement, and the program that wrote it.
     pub provenance: CertificateProvenance,
-    /// What is taken for granted: exactly what the statement needs, each once.
+    /// Exactly the assumptions that the statement needs, each once.
     pub assumptions: Vec<Assumption>,
-    /// What is claimed, and its proof.
+    /// Claim and proof.
     pub statement: Statement,
 }
 
-/// What a statement is about: a scenario, a box around one, or a space that runs are drawn from.
+/// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
-/// In version 2 its text is part of the certificate, its hash is checked, and whoever can read such texts can compare them with the
-/// numbers of the statement, as `crumple check` does. A kernel is about no one scenario: there these fields are absent. In version 1
-/// nothing was concluded from any of them.
+/// In version 2 its text is part of the certificate and its hash is checked. `crumple check` compares the text with the
+/// numbers of the statement. A kernel concerns no single scenario, so these fields are absent. Version 1 concludes
+/// nothing from any of them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {
-    /// Version of the program that wrote it.
+    /// Version of the program that wrote the file.
     pub crumple: String,
-    /// Name of the scenario, or of the space.
+    /// Name of the scenario or scenario space.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scenario: String,
     /// SHA-256 of `scenario_text`, in hexadecimal.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scenario_sha256: String,
-    /// The scenario or space as a file, in TOML. Since version 2.
+    /// The scenario or scenario space as a file, in TOML. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenario_text: Option<String>,
-    /// The ranges around the scenario as a file, in TOML, if the statement is about a box. Since version 2.
+    /// Ranges around the scenario as a file, in TOML, if the statement is about a box. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub box_text: Option<String>,
 }
 
-/// What a statement takes for granted about the world.
+/// An assumption of a statement about the world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Assumption {
     /// Accelerations are held over each step; a vehicle whose speed reaches zero stops there and never reverses.
     ExactMotion,
-    /// The leader moves as its script says and reacts to nobody.
+    /// The leader moves as scripted and reacts to no vehicle.
     ScriptedLeader,
-    /// The follower has the latched emergency brake described, sees the truth, and has neither lag nor noise.
+    /// The follower has the stated latched emergency brake, observes the true state, and has neither lag nor noise.
     LatchedFollower,
-    /// The follower does at once what the stated law asks for at each step, sees the truth, and has neither delay, lag nor noise.
+    /// The follower applies its stated law at each step, observes the true state, and has neither delay, lag nor noise.
     FollowerByLaw,
     /// No ego brakes or accelerates harder than stated.
     EgoWithinLimits,
@@ -84,19 +84,19 @@ pub enum Assumption {
     LeaderWithinLimit,
     /// From every decision on, the own vehicle can brake at the stated rate.
     EgoCanBrake,
-    /// The own vehicle does at once what the stated policy asks for, at the stated instants.
+    /// The own vehicle applies the stated policy's command at once, at the stated instants.
     PolicyDrives,
-    /// What the policy observes is within the stated errors of the truth.
+    /// The observations of the policy are within the stated errors of the true state.
     ObservedWithin,
     /// The single-precision tanh is within 2⁻²² of the true one.
     TanhWithin,
-    /// The single-precision exp and exp - 1 are within 2⁻²² of themselves of the true ones.
+    /// The single-precision exp and exp - 1 have a relative error of at most 2⁻²².
     ExpWithin,
-    /// The file of the network says what the file that it was read from means, and its controller file.
+    /// The network file has the meaning of its source file and controller file.
     NetworkAsRead,
-    /// Runs are independent draws, and the registration was made before the first of them.
+    /// Runs are independent samples, and the registration was made before the first of them.
     RegisteredDraws,
-    /// Noise is that of the scenario's seed, contained in the stated accelerations. The only one that is optional.
+    /// Noise is that of the scenario's seed, contained in the stated accelerations. The only optional assumption.
     NoiseOfSeed,
 }
 
@@ -126,30 +126,30 @@ impl std::fmt::Display for Assumption {
     }
 }
 
-/// What is claimed.
+/// A claim with its proof.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Statement {
-    /// With one profile of ego accelerations nobody touches.
+    /// One profile of ego accelerations avoids a collision.
     Avoidable(AvoidableClaim),
-    /// With no profile of ego accelerations does nobody touch.
+    /// No profile of ego accelerations avoids a collision.
     Unavoidable(UnavoidableClaim),
-    /// With no profile of ego accelerations does every gap stay larger than stated.
+    /// No profile of ego accelerations keeps every gap larger than stated.
     GapBound(GapBoundClaim),
-    /// From exactly these states contact can be avoided.
+    /// From exactly these states a collision can be avoided.
     Kernel(KernelClaim),
-    /// A controller fails at no more than a rate.
+    /// A bound of a controller's failure rate.
     Rate(RateClaim),
     /// One controller fails less often than another.
     Comparison(ComparisonClaim),
-    /// A policy keeps parts of a box free of contact.
+    /// A policy avoids collisions from parts of a box.
     Reach(ReachClaim),
     /// A network keeps its distance in a public benchmark.
     AdaptiveCruise(CruiseClaim),
 }
 
 impl Statement {
-    /// Its name in a file.
+    /// Returns the name in a file.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -164,7 +164,7 @@ impl Statement {
         }
     }
 
-    /// The scene it speaks about, if it speaks about one.
+    /// Returns the scene of the statement, if it has one.
     #[must_use]
     pub fn scene(&self) -> Option<&Scene> {
         match self {
@@ -175,7 +175,7 @@ impl Statement {
         }
     }
 
-    /// What the statement takes for granted.
+    /// Returns the assumptions of the statement.
     #[must_use]
     pub fn assumptions(&self) -> Vec<Assumption> {
         let (scene, about_egos) = match self {
@@ -215,27 +215,27 @@ impl Statement {
     }
 }
 
-/// A profile with which nobody touches.
+/// A profile that avoids a collision.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AvoidableClaim {
-    /// What it speaks about.
+    /// Scene of the claim.
     pub scene: Scene,
     /// Acceleration of each ego over each of the N steps, in m/s².
     #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
     pub witness: Vec<Vec<ConstantPiece<f64>>>,
-    /// Also claimed, if stated: no gap is ever smaller, in metres.
+    /// Optional claim: lower bound of all gaps, in metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_gap_m_at_least: Option<f64>,
 }
 
-/// A proof that every profile ends in contact.
+/// A proof that every profile ends in a collision.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnavoidableClaim {
-    /// What it speaks about.
+    /// Scene of the claim.
     pub scene: Scene,
-    /// A proof for each range of instants at which the follower's brake may fire; one for all if there is no follower.
+    /// A proof for each range of firing instants of the follower's brake; a single one without a follower.
     #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }
@@ -244,11 +244,11 @@ pub struct UnavoidableClaim {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GapBoundClaim {
-    /// What it speaks about.
+    /// Scene of the claim.
     pub scene: Scene,
-    /// Some gap gets as small as this, in metres; not negative.
+    /// Upper bound of the smallest gap, in metres; not negative.
     pub gap_m: f64,
-    /// As for [`Unavoidable`].
+    /// Branches as in [`UnavoidableClaim`].
     #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }
@@ -258,7 +258,7 @@ pub type MultiplierRows = Vec<(u32, f64)>;
 
 /// Multipliers for all profiles in which the follower's brake first fires at an instant from `first` to `last`.
 ///
-/// Instant N means never. The rows are those of [`unavoidable`](crate::unavoidable); what is absent is empty or zero.
+/// Instant N means never. [`unavoidable`](crate::unavoidable) defines the rows; absent ones are empty or zero.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Branch {
@@ -278,39 +278,38 @@ pub struct Branch {
     pub speed: Vec<MultiplierRows>,
     /// The follower's brake has not fired, instants before `first`.
     pub unfired: MultiplierRows,
-    /// The follower's brake fires at `first`; only where `first` = `last` < N.
+    /// The follower's brake fires at `first`; only if `first` = `last` < N.
     pub fired: f64,
 }
 
-/// Why a file is not a certificate.
+/// Reason for which a file is not a certificate.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CertificateParseError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot be read: {0}")]
     Read(#[from] std::io::Error),
-    /// It is too long.
+    /// The file is too long.
     #[error("is longer than {MAX_BYTES} bytes")]
     TooLong,
-    /// It is not JSON of the right form; says what was expected, at which line and column.
+    /// The file is not JSON of the right form; names the expected token, line and column.
     #[error("is not a certificate: {0}")]
     Json(#[from] serde_json::Error),
-    /// It has a version that is not known here.
+    /// The version is unknown.
     #[error("has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known")]
     UnknownVersion(u32),
-    /// It says the same as another text: fields in another order, numbers with more digits than they need, defaults spelled out.
+    /// The text is not canonical: fields in another order, numbers with superfluous digits, explicit defaults.
     #[error("is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ")]
     NotCanonical {
-        /// Where it departs from what this crate would write, from 1.
+        /// First line that differs from the canonical text, from 1.
         line: usize,
-        /// Likewise.
+        /// First column that differs, from 1.
         column: usize,
     },
 }
 
 impl Certificate {
-    /// The file of the policy or network that it speaks about: the name under which it expects it, and its SHA-256; none if it needs
-    /// none.
+    /// Returns the file name and SHA-256 of the policy or network of the claim, if it has one.
     #[must_use]
     pub fn policy_reference(&self) -> Option<(&str, &str)> {
         match &self.statement {
@@ -320,8 +319,8 @@ impl Certificate {
         }
     }
 
-    /// The policy file the certificate in `path` speaks about: `policy`, or else the one it names, beside it; none if it needs
-    /// none or the file cannot be read.
+    /// Reads `policy`, or else the policy file that the certificate names, in the folder of `path`. Returns `None` if
+    /// the claim has no policy or the file cannot be read.
     #[must_use]
     pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
         let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
@@ -330,7 +329,7 @@ impl Certificate {
         Some(bytes)
     }
 
-    /// Whether the assumptions listed are those that the statement needs, noise of the seed apart.
+    /// True if the listed assumptions are those that the statement needs, apart from noise of the seed.
     pub(crate) fn has_required_assumptions(&self) -> bool {
         let needed = self.statement.assumptions();
         let noise = usize::from(self.assumptions.contains(&Assumption::NoiseOfSeed));
@@ -348,7 +347,7 @@ impl Certificate {
         }
         let certificate: Self = serde_json::from_str(text)?;
         match certificate.version {
-            // Its readers were lenient, and files are left that were written by hand.
+            // Readers of version 1 accepted any form, and handwritten files of it exist.
             FIRST_VERSION => Ok(certificate),
             VERSION => match canonical::first_difference(text, &certificate.to_canonical_json()) {
                 None => Ok(certificate),
@@ -358,20 +357,20 @@ impl Certificate {
         }
     }
 
-    /// The one text of this certificate, but for whitespace between tokens.
+    /// Returns the canonical text: unique but for whitespace between tokens.
     #[must_use]
     pub fn to_canonical_json(&self) -> String {
         // Structs of strings and finite numbers always have a JSON form.
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// SHA-256 of the canonical form, in hexadecimal: what to cite it by.
+    /// Returns the SHA-256 of the canonical form in hexadecimal, for citation.
     #[must_use]
     pub fn digest(&self) -> String {
         canonical::sha256(self.to_canonical_json())
     }
 
-    /// What acceptance by this crate alone leaves open, if it does.
+    /// Returns the condition that acceptance by this crate alone leaves open, if any.
     #[must_use]
     pub fn caveat(&self) -> Option<&'static str> {
         match &self.statement {
@@ -380,8 +379,8 @@ impl Certificate {
         }
     }
 
-    /// Whether it is of the first version, in which nothing binds the statement to a scenario, a box, a space or the runs that were
-    /// counted. Its mathematics is checked all the same.
+    /// True for version 1, which binds the statement to no scenario, box, space or counted runs. Its mathematics is
+    /// checked.
     #[must_use]
     pub fn is_first_version(&self) -> bool {
         self.version == FIRST_VERSION

@@ -1,7 +1,7 @@
-//! What a certificate speaks about: who drives where, how, and for how long.
+//! The scene of a certificate: vehicles, initial states, accelerations and duration.
 //!
-//! Lengths are in metres, times in seconds, speeds in m/s, accelerations in m/s². A position is a front bumper's. Where a
-//! field is an [`Interval`] the claim holds for each of its members, in any combination.
+//! Lengths are in metres, times in seconds, speeds in m/s, accelerations in m/s². A position is that of a front bumper.
+//! A claim holds for each member of each [`Interval`] field, in any combination.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,9 +9,8 @@ use crate::Rejection;
 use crate::bounded;
 use crate::interval::Interval;
 
-/// Most steps of a scene.
 pub(crate) const MAX_STEPS: u32 = 100_000;
-/// Most egos of a scene.
+/// Maximum number of egos of a scene.
 pub const MAX_EGOS: usize = 16;
 
 /// A value held over a number of steps. In a file `[steps, value]`.
@@ -24,7 +23,7 @@ pub struct ConstantPiece<T>(pub u32, pub T);
 pub struct Scene {
     /// h, the time between two decisions; instant k is at k h exactly.
     pub step_s: f64,
-    /// N, the number of steps. Contact counts from instant 0 to instant N, both included.
+    /// N, the number of steps. Collisions count from instant 0 to instant N, both included.
     pub steps: u32,
     /// Vehicle 0.
     pub leader: SceneLeader,
@@ -35,30 +34,30 @@ pub struct Scene {
     pub follower: Option<SceneFollower>,
 }
 
-/// A vehicle that moves as it is told and reacts to nobody.
+/// A vehicle that moves as scripted and reacts to no vehicle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneLeader {
-    /// Front bumper at the start.
+    /// Initial position of the front bumper.
     pub position_m: Interval,
-    /// Bumper to bumper.
+    /// Length from bumper to bumper.
     pub length_m: f64,
-    /// Speed at the start.
+    /// Initial speed.
     pub speed_mps: Interval,
     /// Acceleration over each of the N steps.
     #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize }, _, _>")]
     pub acceleration_mps2: Vec<ConstantPiece<Interval>>,
 }
 
-/// A vehicle under test. What drives it is not said: only what it is able to do.
+/// A vehicle under test, described by its capabilities and not by its controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneEgo {
-    /// Front bumper at the start.
+    /// Initial position of the front bumper.
     pub position_m: Interval,
-    /// Bumper to bumper.
+    /// Length from bumper to bumper.
     pub length_m: f64,
-    /// Speed at the start.
+    /// Initial speed.
     pub speed_mps: Interval,
     /// Hardest braking on this road, not negative.
     pub max_brake_mps2: f64,
@@ -68,17 +67,17 @@ pub struct SceneEgo {
 
 /// A vehicle behind the egos with a latched emergency brake.
 ///
-/// It holds its speed. At the first instant k < N with gap - θ (own speed - speed ahead) < 0 its brake *fires*: from instant
-/// k + `reaction_steps` on it brakes, to standstill, whatever happens. For a positive gap the condition implies that it is
-/// closing in, and says that time to collision is below θ.
+/// The follower holds its speed. At the first instant k < N with gap - θ (own speed - speed ahead) < 0 its brake
+/// *fires*: from instant k + `reaction_steps` on it brakes to standstill. For a positive gap this means that it closes
+/// in with a time to collision below θ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneFollower {
-    /// Front bumper at the start.
+    /// Initial position of the front bumper.
     pub position_m: Interval,
-    /// Speed at the start.
+    /// Initial speed.
     pub speed_mps: Interval,
-    /// How hard it brakes, not negative.
+    /// Deceleration of its brake, not negative.
     pub brake_mps2: Interval,
     /// θ, the time to collision below which it brakes.
     pub ttc_s: f64,
@@ -87,10 +86,10 @@ pub struct SceneFollower {
 }
 
 impl Scene {
-    /// Whether the scene makes sense: no speed, length, limit or time is negative or infinite, and sizes are bounded.
+    /// Checks that no speed, length, limit or time is negative or infinite, and that sizes are bounded.
     ///
     /// # Errors
-    /// [`Rejection::Invalid`] names the first field that does not.
+    /// [`Rejection::Invalid`] names the first invalid field.
     pub fn check(&self) -> Result<(), Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
@@ -119,29 +118,27 @@ impl Scene {
         Ok(())
     }
 
-    /// N h, to the nanosecond: the claim is about no later time.
+    /// Returns N h, rounded to the nanosecond; the claim covers no later time.
     #[must_use]
     pub(crate) fn horizon_s(&self) -> f64 {
         steps_to_seconds(self.step_s, self.steps)
     }
 
-    /// N + 1.
     pub(crate) fn instant_count(&self) -> u64 {
         u64::from(self.steps) + 1
     }
 
-    /// Leader, egos and follower.
     pub(crate) fn vehicle_count(&self) -> u64 {
         1 + self.egos.len() as u64 + u64::from(self.follower.is_some())
     }
 
-    /// Whether a profile lasts for exactly N steps.
+    /// Checks that a profile lasts for exactly N steps.
     pub(crate) fn check_profile_length<T>(
         &self,
         held: &[ConstantPiece<T>],
         field: impl Fn() -> String,
     ) -> Result<(), Rejection> {
-        // Saturating, as 2^32 pieces of 2^32 steps would overflow; then the total is not N either.
+        // Saturating: 2^32 pieces of 2^32 steps would overflow, and their total is not N either.
         let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {
             Ok(())
@@ -151,7 +148,6 @@ impl Scene {
     }
 }
 
-/// Some steps in seconds, to the nanosecond.
 pub(crate) fn steps_to_seconds(step_s: f64, steps: u32) -> f64 {
     (step_s * f64::from(steps) * 1e9).round() / 1e9
 }

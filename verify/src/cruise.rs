@@ -1,30 +1,32 @@
-//! The adaptive cruise control benchmark of ARCH-COMP (category AINNCS, artificial intelligence and neural network control systems).
+//! The adaptive cruise control benchmark of ARCH-COMP (category AINNCS, artificial intelligence and neural network
+//! control systems).
 //!
-//! Two cars, each with x' = v, v' = γ and γ' = -2 γ + 2 a - 0.0001 v². The lead car's a is -2 m/s². The own car's is what a network
-//! answers every 0.1 s to (30, 1.4, v_ego, D_rel, v_rel), with D_rel = x_lead - x_ego and v_rel = v_lead - v_ego; nothing cuts it. Where all start:
-//! x_lead in [90, 110], v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30, 30.2], γ = 0. To be shown for 5 s:
-//! D_rel ≥ 10 + 1.4 v_ego.
+//! Two cars move with x' = v, v' = γ and γ' = -2 γ + 2 a - 0.0001 v². The lead car's a is -2 m/s². The own car's a is
+//! the unclipped output of a network, every 0.1 s, for (30, 1.4, v_ego, D_rel, v_rel), with D_rel = x_lead - x_ego and
+//! v_rel = v_lead - v_ego. Initial set: x_lead in [90, 110], v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30,
+//! 30.2], γ = 0. Requirement for 5 s: D_rel ≥ 10 + 1.4 v_ego.
 //!
 //! # What is claimed
-//! From every start of that box, at every time from 0 to 5 s, decisions and what is between them: the *margin* D_rel - 10 - 1.4 v_ego is at least
-//! as large as stated. And all x_ego that are reached at 5 s lie in an interval as wide as stated at most.
+//! From every initial state, at all times from 0 to 5 s, the *margin* D_rel - 10 - 1.4 v_ego is at least as large as
+//! stated. All x_ego at 5 s lie in an interval that is at most as wide as stated.
 //!
-//! # Why it follows
-//! - **Only D_rel counts.** Nothing depends on the positions but through their difference, which starts in [90 - 11, 110 - 10] = [79, 100]. That
-//!   range is cut in equal *cells*; each is driven by itself. The own car's way adds to an x_ego that starts anywhere in [10, 11].
+//! # Proof
+//! - **Only D_rel matters.** The positions enter only through their difference, which starts in [90 - 11, 110 - 10] =
+//!   [79, 100]. That range is cut into equal *cells*, each simulated separately. The own car's travelled distance is
+//!   added to an x_ego that starts anywhere in [10, 11].
 //! - **A period.** With w = 2 a - 0.0001 v², T = 0.1 s and K = (1 - e^(-2 T))/2, if w is constant,
 //!   ```text
 //!   γ(T) = e^(-2 T) γ + K w,   v(T) = v + K γ + (T - K)/2 w,   x(T) = x + T v + (T - K)/2 γ + (T²/2 - (T - K)/2)/2 w.
 //!   ```
-//!   What w is multiplied with comes of integrating positive functions, so a w that changes within an interval gives a result
-//!   within that of the interval. All are [forms](crate::reach::form): what they have in common counts.
-//! - **What w changes by** in a period is 0.0001 times what v² does. Say v stays in V. Then w stays in W = 2 a - 0.0001 V², γ, which is drawn
-//!   towards w/2, between what it was and W/2, an interval Γ, and v in v + [0, T] Γ. If this lies inside V, not touching its ends, then v cannot
-//!   have been the first to leave V, and all of it holds.
-//! - **Between decisions.** The margin's second derivative is γ_lead - γ_ego - 1.4 (w_ego - 2 γ_ego). If that is at most M ≥ 0, the margin is
-//!   at least the smaller of those at both ends less M T²/8.
-//! - **The network** is bounded as for statements about [reach](crate::reach::actor), rounding to single precision included; that holds for
-//!   the network in real numbers as well.
+//!   The factors of w are integrals of positive functions, so a w that changes within an interval gives a result within
+//!   that of the interval. All are [affine forms](crate::reach::form), which keep correlations.
+//! - **Change of w in a period.** It is 0.0001 times the change of v². Suppose v stays in V. Then w stays in W = 2 a -
+//!   0.0001 V². γ, drawn towards w/2, stays in Γ, the hull of its old value and W/2, and v in v + [0, T] Γ. If this
+//!   lies strictly inside V, then v cannot have been the first to leave V, and all of it holds.
+//! - **Between decisions.** The margin's second derivative is γ_lead - γ_ego - 1.4 (w_ego - 2 γ_ego). If that is at
+//!   most M ≥ 0, the margin is at least the smaller of those at both ends less M T²/8.
+//! - **The network** is bounded as in [reach](crate::reach::controller), rounding to single precision included; the
+//!   bounds also hold for the network in real numbers.
 
 use serde::{Deserialize, Serialize};
 
@@ -38,49 +40,48 @@ use crate::{ProvedClaim, Rejection};
 
 /// Time between decisions, in seconds.
 pub const PERIOD_S: f64 = 0.1;
-/// Decisions: 5 s of them.
+/// Number of decisions in 5 s.
 pub const PERIODS: usize = 50;
-/// What the network is told besides: the set speed in m/s, and the time gap in seconds.
+/// Constant inputs of the network: set speed in m/s and time gap in seconds.
 pub const SET_SPEED_AND_TIME_GAP: [f64; 2] = [30.0, 1.4];
-/// What is to be kept: this distance in metres, and this time gap in seconds.
+/// Required distance in metres and time gap in seconds.
 pub const SAFE_DISTANCE: [f64; 2] = [10.0, 1.4];
 /// The lead car's a, in m/s².
 pub const LEAD_ACCEL_MPS2: f64 = -2.0;
-/// What v² is multiplied with.
+/// Factor of v².
 pub const DRAG: f64 = 0.0001;
-/// Where they start: x_lead in metres, v_lead in m/s, x_ego in metres, v_ego in m/s.
+/// Initial set: x_lead in metres, v_lead in m/s, x_ego in metres, v_ego in m/s.
 pub const INITIAL_SET: [[f64; 2]; 4] = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
-/// Beyond this nothing is cut: what the network sees, and what it answers.
+/// Clipping limit of inputs and output that is beyond all values of the benchmark.
 pub const CLIP_LIMIT: f64 = 1e6;
 
-/// Most cells.
+/// Maximum number of cells.
 pub(crate) const MAX_CELLS: u32 = 10_000;
-/// How far the speed may be from where it was within a period, in m/s: what is tried as V.
+/// Half width of V, the assumed range of the speed in a period, in m/s.
 const SPEED_ENCLOSURE_RADIUS_MPS: f64 = 2.0;
-/// Operations of a period but for the network.
 const OPS_PER_PERIOD: u64 = 50_000;
-/// Symbols of D_rel, v_lead and v_ego at the start. Those from here on are of the periods.
+/// Symbols of D_rel, v_lead and v_ego at the start; later ones belong to periods.
 const SHARED_SYMBOLS: usize = 3;
 
-/// How a network drives in the benchmark.
+/// A claim about a network in the benchmark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CruiseClaim {
-    /// The file of the network, expected beside the certificate.
+    /// File name of the network, in the certificate's folder.
     pub policy_file: String,
-    /// Its SHA-256, in hexadecimal.
+    /// SHA-256 of the network file, in hexadecimal.
     pub policy_sha256: String,
-    /// The file that it was read from.
+    /// Source file of the network.
     pub source: NetworkFileSource,
-    /// How many equal parts D_rel is cut in at the start.
+    /// Number of equal parts of the initial range of D_rel.
     pub cells: u32,
-    /// D_rel - 10 - 1.4 v_ego is never smaller, in metres.
+    /// Lower bound of D_rel - 10 - 1.4 v_ego, in metres.
     pub margin_m_at_least: f64,
-    /// All x_ego at the end lie in an interval no wider than this, in metres.
+    /// Upper bound of the width of an interval with all final x_ego, in metres.
     pub x_ego_width_m_at_most: f64,
 }
 
-/// What is found of a network.
+/// Bounds of a network in the benchmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CruiseBounds {
     /// Lower bound of the margin over the whole box and all times, in metres.
@@ -90,26 +91,25 @@ pub struct CruiseBounds {
 }
 
 impl CruiseBounds {
-    /// Width of what x_ego can be at the end, in metres; rounded up.
+    /// Returns the width of the final x_ego bounds, in metres; rounded up.
     #[must_use]
     pub fn x_ego_width_m(&self) -> f64 {
         (self.x_ego_m[1] - self.x_ego_m[0]).next_up()
     }
 }
 
-/// Why nothing is shown of a network.
+/// Reason for which no bounds of a network exist.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CruiseBoundsError {
-    /// It is not the benchmark's problem.
+    /// The inputs or the output are not those of the benchmark.
     #[error("must see 30, 1.4, v_ego, D_rel, v_rel every 0.1 s and answer with a, in m/s², uncut")]
     ProblemMismatch,
-    /// Bounds have become too wide to go on.
+    /// The bounds have become too wide.
     #[error("leads to bounds that are too wide at {0} s")]
     TooWide(f64),
 }
 
-/// What the network has to see.
 fn expected_inputs() -> [ControllerInput; 5] {
     let input = |of, constant| ControllerInput {
         coefficients: of,
@@ -120,7 +120,7 @@ fn expected_inputs() -> [ControllerInput; 5] {
         low: -CLIP_LIMIT,
         high: CLIP_LIMIT,
     };
-    // Gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
+    // Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
     let own = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
     let distance = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let relative = [0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0];
@@ -134,7 +134,6 @@ fn expected_inputs() -> [ControllerInput; 5] {
     ]
 }
 
-/// One of the cars, as forms: the way since the start, v and γ.
 #[derive(Debug, Clone)]
 struct CarState {
     distance: AffineForm,
@@ -142,7 +141,7 @@ struct CarState {
     gamma: AffineForm,
 }
 
-/// A period's e^(-2 T), K, (T - K)/2 and (T²/2 - (T - K)/2)/2.
+/// T, e^(-2 T), K, (T - K)/2 and (T²/2 - (T - K)/2)/2 of a period.
 struct PeriodCoefficients {
     time: Interval,
     decay: Interval,
@@ -151,7 +150,6 @@ struct PeriodCoefficients {
     third_decay_integral: Interval,
 }
 
-/// What holds throughout a period: Γ and W.
 struct PeriodBounds {
     gamma: Interval,
     forcing: Interval,
@@ -160,7 +158,7 @@ struct PeriodBounds {
 impl PeriodCoefficients {
     fn new() -> Self {
         let half = Interval::point(0.5);
-        // A tenth is between the numbers beside its nearest.
+        // A tenth lies between the neighbours of its nearest number.
         let time = Interval::ONE.over(Interval::point(10.0));
         let doubled = time + time;
         let decay = exp_neg(doubled.low()).hull(exp_neg(doubled.high()));
@@ -182,7 +180,7 @@ impl CarState {
         Self { distance: AffineForm::default(), speed, gamma: AffineForm::default() }
     }
 
-    /// A period later, with a held; what is off becomes the symbol. None if nothing can be shown of it.
+    /// Advances by a period with constant a; the remainder becomes `symbol`. Returns `None` if the enclosure fails.
     fn advance(&self, a: &AffineForm, period: &PeriodCoefficients, symbol: usize) -> Option<(Self, PeriodBounds)> {
         let at = Interval::point;
         let (before, drag) = (self.speed.range(), Interval::ONE.over(at(10_000.0)));
@@ -211,10 +209,10 @@ impl CarState {
     }
 }
 
-/// Bounds of what a network does in the benchmark.
+/// Bounds the behaviour of a network in the benchmark.
 ///
 /// # Errors
-/// [`CruiseBoundsError`] if it is not a network for it, or bounds become too wide.
+/// [`CruiseBoundsError`] if the network does not fit the benchmark, or bounds become too wide.
 pub fn compute_bounds(actor: &NeuralController, cells: u32) -> Result<CruiseBounds, CruiseBoundsError> {
     compute_bounds_with_budget(actor, cells, &OpBudget::new(WorkLimit::UNLIMITED))
 }
@@ -244,7 +242,6 @@ fn compute_bounds_with_budget(
     Ok(found)
 }
 
-/// The same from where D_rel lies in an interval.
 fn bound_cell(
     actor: &NeuralController,
     distance: Interval,
@@ -294,7 +291,7 @@ fn bound_cell(
     let mut end = ego.distance;
     end.shift(Interval::new(x_ego[0], x_ego[1]).unwrap_or(Interval::ENTIRE));
     let range = end.range();
-    // Bounds of no numbers are comparable to nothing.
+    // NaN bounds compare with nothing.
     if margin_m.is_finite() && range.low().is_finite() && range.high().is_finite() {
         Ok(CruiseBounds { margin_m, x_ego_m: [range.low(), range.high()] })
     } else {
@@ -308,7 +305,7 @@ pub(crate) fn check(claim: &CruiseClaim, file: Option<&[u8]>, work: &OpBudget) -
         return Err(Rejection::invalid("cells", "must be 1 to 10 000"));
     }
     let found = compute_bounds_with_budget(&actor, claim.cells, work);
-    // Where it was too much, nothing else is said.
+    // Reports an exceeded budget before anything else.
     work.charge_or_reject(0)?;
     let found = found.map_err(|unshown| Rejection::Policy { problem: unshown.to_string() })?;
     let is_shown = |stated: f64, margin: f64| stated.partial_cmp(&margin).is_some_and(std::cmp::Ordering::is_le);

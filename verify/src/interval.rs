@@ -1,8 +1,8 @@
-//! Sets of real numbers with floating-point ends, and arithmetic that never loses a member.
+//! Intervals with floating-point ends, and outward-rounded arithmetic.
 //!
-//! Every operation rounds to nearest and then moves each end outwards by one floating-point number. The nearest number is
-//! at most half a gap away from the exact result, so the exact result lies inside. What overflows or has no value becomes
-//! the whole line, about which nothing can be proved.
+//! Every operation rounds to nearest and then moves each end outwards by one floating-point number. The nearest number
+//! is at most half a gap away from the exact result, so the exact result lies inside. Overflow and undefined results
+//! become the whole line, about which nothing can be proved.
 
 use std::fmt;
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
@@ -22,30 +22,28 @@ pub struct Interval {
 impl Interval {
     /// Exactly zero.
     pub const ZERO: Self = Self { low: 0.0, high: 0.0 };
-    /// Exactly one.
     pub(crate) const ONE: Self = Self { low: 1.0, high: 1.0 };
-    /// The whole line.
     pub(crate) const ENTIRE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
 
-    /// The numbers from `low` to `high`; none unless both are finite and in order.
+    /// Returns the numbers from `low` to `high`, or `None` unless both are finite and in order.
     #[must_use]
     pub fn new(low: f64, high: f64) -> Option<Self> {
         (low.is_finite() && high.is_finite() && low <= high).then_some(Self { low, high })
     }
 
-    /// One number; the whole line if it is not finite.
+    /// Returns one number; the whole line if it is not finite.
     #[must_use]
     pub fn point(value: f64) -> Self {
         Self::new(value, value).unwrap_or(Self::ENTIRE)
     }
 
-    /// The numbers from -`radius` to `radius`; the whole line unless `radius` is a finite number that is not negative.
+    /// Returns [-`radius`, `radius`]; the whole line unless `radius` is finite and not negative.
     #[must_use]
     pub(crate) fn around_zero(radius: f64) -> Self {
         Self::new(-radius, radius).unwrap_or(Self::ENTIRE)
     }
 
-    /// A number near the middle, and a bound of every member's distance from it.
+    /// Returns a number near the middle, and a bound of every member's distance from it.
     #[must_use]
     pub(crate) fn middle_and_radius(self) -> (f64, f64) {
         if self.low == self.high {
@@ -58,36 +56,36 @@ impl Interval {
         (middle, (self.high - middle).max(middle - self.low).next_up())
     }
 
-    /// Its lower end.
+    /// Returns the lower end.
     #[must_use]
     pub fn low(self) -> f64 {
         self.low
     }
 
-    /// Its upper end.
+    /// Returns the upper end.
     #[must_use]
     pub fn high(self) -> f64 {
         self.high
     }
 
-    /// Whether `value` is a member.
+    /// True if `value` is a member.
     #[must_use]
     pub fn contains(self, value: f64) -> bool {
         self.low <= value && value <= self.high
     }
 
-    /// The ends of a result that were rounded to nearest, moved outwards. A NaN is in neither order and gives the line.
+    /// Moves ends that were rounded to nearest outwards. NaN compares false and gives the whole line.
     fn round_outward(low: f64, high: f64) -> Self {
         if low <= high { Self { low: low.next_down(), high: high.next_up() } } else { Self::ENTIRE }
     }
 
-    /// The quotient; the whole line if the divisor may be zero.
+    /// Returns the quotient; the whole line if the divisor may be zero.
     #[must_use]
     pub fn over(self, divisor: Self) -> Self {
         if divisor.contains(0.0) { Self::ENTIRE } else { self.apply_at_corners(divisor, |a, b| a / b) }
     }
 
-    /// The square: not the product of two independent members, so never negative.
+    /// Returns the square: never negative, unlike the product of two independent members.
     #[must_use]
     pub fn sqr(self) -> Self {
         let (a, b) = (self.low.abs(), self.high.abs());
@@ -96,36 +94,36 @@ impl Interval {
         Self { low: square.low.max(0.0), ..square }
     }
 
-    /// The square root of its members that are not negative; the whole line if there is none.
+    /// Returns the square root of the members that are not negative; the whole line if there is none.
     #[must_use]
     pub fn sqrt(self) -> Self {
         let root = Self::round_outward(self.low.max(0.0).sqrt(), self.high.sqrt());
         if self.high < 0.0 { Self::ENTIRE } else { Self { low: root.low.max(0.0), ..root } }
     }
 
-    /// The smaller of a member of each.
+    /// Returns the range of the smaller of a member of each.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.min(other.high) }
     }
 
-    /// The larger of a member of each.
+    /// Returns the range of the larger of a member of each.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self { low: self.low.max(other.low), high: self.high.max(other.high) }
     }
 
-    /// The smallest interval that holds both.
+    /// Returns the smallest interval that holds both.
     #[must_use]
     pub fn hull(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// An operation that takes its extremes at the ends of both operands.
+    /// Applies an operation whose extremes are at the ends of both operands.
     fn apply_at_corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
         let [a, b] = [operation(self.low, other.low), operation(self.low, other.high)];
         let [c, d] = [operation(self.high, other.low), operation(self.high, other.high)];
-        // The sum is a NaN if one of them is, and nothing is lost if it is one for opposite infinities.
+        // The sum is NaN if one of them is; NaN from opposite infinities loses nothing.
         if (a + b + c + d).is_nan() {
             Self::ENTIRE
         } else {
@@ -172,7 +170,6 @@ impl Mul for Interval {
     }
 }
 
-/// An interval as a file states it.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum IntervalRepr {
@@ -193,7 +190,7 @@ impl From<Interval> for IntervalRepr {
     }
 }
 
-// By hand, since an untagged enumeration keeps whatever it finds in memory before it looks at it.
+// Handwritten: an untagged enumeration buffers any value before it is checked.
 impl<'de> Deserialize<'de> for Interval {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         from.deserialize_any(IntervalVisitor)

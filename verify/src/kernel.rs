@@ -1,18 +1,18 @@
-//! The states from which a vehicle can still avoid the one ahead: a proof that needs no solver.
+//! Safety kernel: the states from which a vehicle can avoid the one ahead, proved without a solver.
 //!
 //! # What is claimed
 //!
 //! A state is (g, v, w): bumper gap, own speed, speed of the vehicle ahead. The own vehicle can brake at b, the vehicle
-//! ahead never brakes harder than c; both stop and stay, and contact is g <= 0. For a vehicle that brakes at rate β from
-//! speed u to standstill let P_β(u, t) = u t - β t²/2 until t = u/β, and u²/2β from then on. With
+//! ahead never brakes harder than c; both stop and stay, and a collision is g <= 0. For a vehicle that brakes at rate β
+//! from speed u to standstill let P_β(u, t) = u t - β t²/2 until t = u/β, and u²/2β from then on. With
 //!
 //! ```text
 //! closing(t) = P_b(v, t) - P_c(w, t),         D(v, w) = the largest closing(t) over t >= 0,
 //! K = { g > D(v, w) }
 //! ```
 //!
-//! the claim is that K is *exactly* the set of states that can be kept free of contact, and that D has the closed form
-//! whose coefficients p, q and r the certificate states:
+//! the claim is that K is *exactly* the set of states from which a collision can be avoided, and that D has the closed
+//! form whose coefficients p, q and r the certificate states:
 //!
 //! ```text
 //! D = max(0, p v² + q w²)        if b <= c or v/b >= w/c     (p = 1/2b, q = -1/2c)
@@ -21,28 +21,29 @@
 //!
 //! # What holds for all constants
 //!
-//! 1. *Full braking keeps K, at every instant.* While both brake fully for a time s, whatever stops on the way, the
-//!    motion from (v_s, w_s) on is the rest of the motion from (v, w): P_β(u, s + t) = P_β(u, s) + P_β(u_s, t). So
-//!    D(v_s, w_s) = max over t >= s of closing(t), less closing(s), which is at most D(v, w) - closing(s). The gap after s is
-//!    g - closing(s). Hence **the margin g - D never falls**; it need not be a step's end, and s may lie past any stop.
-//! 2. *The worst leader stands for all.* Whoever never brakes harder than c has, after s, at least the speed
-//!    max(w - c s, 0) and, as the integral of it, has covered at least P_c(w, s). P_c(w, t) does not fall in w, so D does
-//!    not rise in w. Against any such leader the gap after s is therefore no smaller, and the demanded gap no larger, than
-//!    against full braking. This holds whatever the own vehicle does meanwhile; so a test of one step against full braking
-//!    of the vehicle ahead, its inside included, implies the same for all leaders. (Its inside does need testing: one that
-//!    brakes harder than the vehicle ahead may be closest in mid-step, and the end in K all the same.)
-//! 3. *Outside K nothing helps.* The same lower bound holds for the own vehicle: it covers at least P_b(v, t). Against full
-//!    braking the gap at the t where closing(t) is largest is at most g - D(v, w) <= 0: contact.
-//! 4. *Friction.* P_{μβ}(u, t) = P_β(u, μ t)/μ, so on a road that allows the share μ of both limits D is the same function
-//!    divided by μ, and 1 to 3 hold again. Where limits scale unlike, the certificate is for the scaled limits.
+//! 1. *Full braking stays in K at every instant.* If both brake fully for a time s, stops included, the motion from
+//!    (v_s, w_s) on is the rest of the motion from (v, w): P_β(u, s + t) = P_β(u, s) + P_β(u_s, t). So D(v_s, w_s) =
+//!    max over t >= s of closing(t), less closing(s), which is at most D(v, w) - closing(s). The gap after s is g -
+//!    closing(s). Hence **the margin g - D never falls**; s may lie inside a step and past any stop.
+//! 2. *The worst leader bounds all.* A leader that never brakes harder than c has, after s, at least the speed max(w -
+//!    c s, 0), and has covered at least P_c(w, s). P_c(w, t) does not fall in w, so D does not rise in w. Against any
+//!    such leader the gap after s is no smaller, and the demanded gap no larger, than against full braking, whatever
+//!    the own vehicle does. So a test of one step, its inside included, against full braking of the leader covers all
+//!    leaders. The inside matters: a vehicle that brakes harder than its leader may be closest in mid-step and still
+//!    end in K.
+//! 3. *Outside K a collision is unavoidable.* The own vehicle covers at least P_b(v, t) likewise. Against full braking
+//!    the gap at the t of the largest closing(t) is at most g - D(v, w) <= 0.
+//! 4. *Friction.* P_{μβ}(u, t) = P_β(u, μ t)/μ, so on a road that allows the share μ of both limits D is the same
+//!    function divided by μ, and 1 to 3 hold again. If the limits scale differently, the certificate is for the scaled
+//!    limits.
 //!
-//! A margin m > 0, demanded on top of D, pays for floating-point evaluation; by 1 full braking keeps it too.
+//! A margin m > 0, demanded on top of D, covers floating-point evaluation; by 1 full braking keeps it too.
 //!
 //! # What is checked for the constants
 //!
-//! That the closed form *is* the largest closing(t). With A = v/b and B = w/c, the times to standstill, everything is a
-//! polynomial; each case orders 0, t, A and B, writes the differences as variables x, y, z >= 0, and expands exactly. A
-//! polynomial without negative coefficients is then nonnegative. One case needs a perfect square besides.
+//! The closed form must equal the largest closing(t). With A = v/b and B = w/c, the times to standstill, everything is
+//! a polynomial. Each case orders 0, t, A and B, writes the differences as variables x, y, z >= 0, and expands exactly.
+//! A polynomial without negative coefficients is then nonnegative. One case needs a perfect square besides.
 
 use num_rational::BigRational;
 use num_traits::Signed;
@@ -52,18 +53,17 @@ use crate::polynomial::Polynomial;
 use crate::work::OpBudget;
 use crate::{ProvedClaim, Rejection};
 
-/// What it takes for the longest numbers: the polynomials are always the same ones.
+/// Cost for the longest numbers; the polynomials are always the same.
 const OPS_PER_CHECK: u64 = 50_000_000;
-/// Longest number that is read, in characters.
 const MAX_NUMBER_CHARS: usize = 100;
 
 /// A kernel for one pair of brake limits. Numbers are exact quotients: `"15/2"` or `"6"`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KernelClaim {
-    /// b, what the own vehicle can brake at, in m/s².
+    /// b, deceleration of which the own vehicle is capable, in m/s².
     pub ego_brake_mps2: String,
-    /// c, what the vehicle ahead never brakes harder than, in m/s².
+    /// c, largest deceleration of the vehicle ahead, in m/s².
     pub leader_brake_mps2: String,
     /// Time between two decisions, in seconds. The proof holds for any; a shield is built for one.
     pub step_s: String,
@@ -73,7 +73,7 @@ pub struct KernelClaim {
     pub stopping_own_squared: String,
     /// q, in s²/m.
     pub stopping_ahead_squared: String,
-    /// r, in s²/m; only where the own vehicle brakes harder.
+    /// r, in s²/m; only if the own vehicle brakes harder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub catching_up_squared: Option<String>,
 }
@@ -114,13 +114,12 @@ fn parse_rational(field: &'static str, text: &str) -> Result<BigRational, Reject
     read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
 }
 
-/// One case of who moves and who stands: what must hold of a polynomial in x, y, z >= 0 for the closed form to be right there.
+/// A condition on a polynomial in x, y, z >= 0 that makes the closed form right in one case of moving and standing.
 #[derive(Debug, Clone)]
 struct ProofCase {
-    /// What is said if it does not hold.
     failure_message: &'static str,
     polynomial: Polynomial,
-    /// Whether it has to be zero; otherwise it only must not be negative.
+    /// True if the polynomial must be zero; otherwise it must not be negative.
     must_be_zero: bool,
 }
 
@@ -138,7 +137,7 @@ impl ProofCase {
     }
 }
 
-/// The two limits, and the polynomials they make. `a` and `b` are times to standstill, `t` an instant.
+/// The two limits, and their polynomials. `a` and `b` are times to standstill, `t` an instant.
 struct BrakeLimits<'a> {
     b: &'a BigRational,
     c: &'a BigRational,
@@ -147,28 +146,28 @@ struct BrakeLimits<'a> {
 }
 
 impl BrakeLimits<'_> {
-    /// What is covered up to t while braking at `rate` with `stop` to go: rate (stop t - t²/2).
+    /// Returns the distance up to t with time `stop` to standstill: rate (stop t - t²/2).
     fn distance_covered(rate: &BigRational, stop: &Polynomial, t: &Polynomial) -> Polynomial {
         let half = BigRational::new(1.into(), 2.into());
         rate * &(&(stop * t) - &(&half * &t.squared()))
     }
 
-    /// closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). A vehicle that stands has t = its own stop.
+    /// Returns closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). A vehicle that stands has t = its own stop.
     fn closing_distance(&self, [a, ta]: [&Polynomial; 2], [b, tb]: [&Polynomial; 2]) -> Polynomial {
         &Self::distance_covered(self.b, a, ta) - &Self::distance_covered(self.c, b, tb)
     }
 
-    /// S = p v² + q w² with v = b A and w = c B.
+    /// Returns S = p v² + q w² with v = b A and w = c B.
     fn difference_of_stops(&self, a: &Polynomial, b: &Polynomial) -> Polynomial {
         let (v, w) = (self.b * a, self.c * b);
         &(self.stopping_coefficients[0] * &v.squared()) + &(self.stopping_coefficients[1] * &w.squared())
     }
 
-    /// S is what closing comes to in the end, and bounds it from the leader's stop on; A and B in any order.
+    /// S is the final value of closing, and bounds it from the leader's stop on; A and B in any order.
     fn last_stop_cases(&self) -> [ProofCase; 2] {
         let [x, y, z] = Polynomial::variables();
         let s_of = |a: &Polynomial, b: &Polynomial| self.difference_of_stops(a, b);
-        // Both stand: A = x, B = y. Where S >= 0 this is also the instant at which D = S is reached; else D = 0 at t = 0.
+        // Both stand: A = x, B = y. For S >= 0, D = S is reached at this instant; else D = 0 at t = 0.
         let both_stand = &s_of(&x, &y) - &self.closing_distance([&x, &x], [&y, &y]);
         // Only the leader stands: B = x, t = x + y, A = x + y + z.
         let (t, a) = (&x + &y, &(&x + &y) + &z);
@@ -179,31 +178,31 @@ impl BrakeLimits<'_> {
         ]
     }
 
-    /// b > c, and the own vehicle stops last: S also bounds what comes before the leader's stop.
+    /// b > c, and the own vehicle stops last: S also bounds closing before the leader's stop.
     fn harder_braking_case(&self) -> ProofCase {
         let [x, y, z] = Polynomial::variables();
-        // t = x, B = x + y, A = x + y + z: what is still to come is never negative.
+        // t = x, B = x + y, A = x + y + z: the remaining closing is never negative.
         let (b, a) = (&x + &y, &(&x + &y) + &z);
         let at_end = self.closing_distance([&a, &a], [&b, &b]);
         let to_come = &at_end - &self.closing_distance([&a, &x], [&b, &x]);
         ProofCase::nonnegative("fails where both move, the own vehicle brakes harder and stops last", to_come)
     }
 
-    /// b > c, and the own vehicle stops first: D = r (v - w)² where v > w, else 0.
+    /// b > c, and the own vehicle stops first: D = r (v - w)² for v > w, else 0.
     fn catching_up_cases(&self, r: &BigRational) -> [ProofCase; 4] {
         let [x, y, z] = Polynomial::variables();
         let harder = self.b - self.c;
         let half_harder = &harder / BigRational::from_integer(2.into());
-        // Both move. Free of the order of t, A and B: D - closing = (b - c)/2 · (t - t*)², t* = (v - w)/(b - c).
+        // Both move, for any order of t, A and B: D - closing = (b - c)/2 · (t - t*)², t* = (v - w)/(b - c).
         let (t, a, b) = (&x, &y, &z);
         let (v, w) = (self.b * a, self.c * b);
         let demanded = r * &(&v - &w).squared();
         let turn = &harder.recip() * &(&v - &w);
         let short_by = &demanded - &self.closing_distance([a, t], [b, t]);
         let both_move = &short_by - &(&half_harder * &(t - &turn).squared());
-        // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A: with A = x and B = x + y the latter is
+        // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A. The latter, with A = x and B = x + y:
         let before_stop = &x - &(&harder.recip() * &(&(self.b * &x) - &(self.c * &(&x + &y))));
-        // Where w = v + z, closing is never positive before the own stop: A = x, t = y, c B = b x + z.
+        // For w = v + z, closing is never positive before the own stop: A = x, t = y, c B = b x + z.
         let ahead = &self.c.recip() * &(&(self.b * &x) + &z);
         let falling_back = -&self.closing_distance([&x, &y], [&ahead, &y]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z. Closing has not grown since its stop.
@@ -217,10 +216,11 @@ impl BrakeLimits<'_> {
         ]
     }
 
-    /// b <= c: D = max(0, S), whoever stops first.
+    /// b <= c: D = max(0, S), for any order of stops.
     fn softer_braking_cases(&self) -> [ProofCase; 4] {
         let [x, y, z] = Polynomial::variables();
-        // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >= 0.
+        // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >=
+        // 0.
         let (b, a) = (&x + &y, &(&x + &y) + &z);
         let stop_ahead = &(&x * &self.difference_of_stops(&a, &b)) - &(&b * &self.closing_distance([&a, &x], [&b, &x]));
         // The own vehicle stops first: closing <= 0 throughout. Both move: t = x, A = x + y, B = x + y + z.

@@ -1,41 +1,35 @@
-//! Checks what crumple claims to have proved about a traffic scene, sharing no code with it.
+//! Checks crumple's proofs about traffic scenes, and shares no code with crumple.
 //!
-//! crumple simulates, searches and solves convex programs. What it concludes is written to a file together with a proof, and
-//! this crate accepts or rejects the file. It depends on no simulator, solver or random number. Read it in this order:
-//!
-//! 1. [`interval`]: numbers that are never wrong, only wide;
-//! 2. [`claim`]: what a scene is; [`motion`]: where its vehicles are;
-//! 3. [`avoidable`]: a profile is replayed, and nobody touches;
-//! 4. [`unavoidable`]: whatever is done, somebody touches;
-//! 5. [`kernel`]: from which states contact can be avoided for ever; [`polynomial`] is its arithmetic;
-//! 6. [`rate`]: what counted failures show;
-//! 7. [`reach`]: where a learned policy, or a network from outside, can take a whole box of starts;
-//! 8. [`cruise`]: the same of a public benchmark with other dynamics;
-//! 9. [`certificate`]: the file; [`scope`]: how far what it says reaches; [`work`]: how long it may keep the checker busy.
+//! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
+//! This crate accepts or rejects the file. It depends on no simulator, solver or random number. Modules in reading
+//! order: [`interval`], [`claim`], [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`],
+//! [`reach`], [`cruise`], [`certificate`], [`scope`], [`work`].
 //!
 //! # What is claimed
-//! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
-//! with a latched emergency brake, or, in *reach*, one that follows by a law. Two vehicles touch when the gap between them is zero or less at any time from instant 0
-//! to instant N. A claim over intervals holds for every member: every start, every acceleration within its bounds.
+//! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test. Behind them there may be a
+//! follower with a latched emergency brake or, in *reach*, with a control law. Two vehicles collide if their gap is
+//! zero or less at any time from instant 0 to instant N. A claim over intervals holds for every member: every initial
+//! state, every acceleration within its bounds.
 //!
-//! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
-//! - *Unavoidable*: for no accelerations of the egos within their limits, however they are decided, does nobody touch.
-//! - *Gap bound*: for no such accelerations does every gap stay larger than stated.
-//! - *Reach*: driven by the stated network, nobody touches from any start in the parts of the box marked so; instead of a script, the
-//!   leader may brake anyhow within a limit there.
+//! - *Avoidable*: if the egos follow the stated profile, which is within their limits, no collision occurs.
+//! - *Unavoidable*: every choice of ego accelerations within their limits leads to a collision.
+//! - *Gap bound*: no such choice keeps every gap larger than stated.
+//! - *Reach*: with the stated network, no initial state in the verified parts of the box leads to a collision. Instead
+//!   of following a script, the leader may brake arbitrarily within a limit.
 //! - *Adaptive cruise*: in a public benchmark the stated network keeps its distance.
-//! - *Kernel*, *rate*, *fails less often*: about no one scene; said where they are checked.
+//! - *Kernel*, *rate*, *fails less often*: these concern no single scene; their modules state them.
 //!
 //! # What is assumed
-//! What the certificate lists as [`Assumption`]s, and has to list. The numbers are those in the file, read as the nearest
-//! 64-bit floating-point numbers; that they describe the scenario whose text is in the file is not checked here, but by `crumple
-//! check`. Motion is that of real numbers: a simulator rounds, at each step by about 1e-13 m within a kilometre of its origin and by
-//! 1e-10 m a thousand kilometres from it. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
+//! The certificate must list its [`Assumption`]s. Numbers in the file are read as the nearest 64-bit floating-point
+//! numbers. `crumple check`, not this crate, compares them with the scenario text in the file. Motion is that of real
+//! numbers. A simulator rounds at each step by about 1e-13 m within a kilometre of its origin, and by 1e-10 m a
+//! thousand kilometres from it. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
 //!
 //! # Checking by hand
-//! A car at 20 m/s that can brake at 8 m/s², 1 m behind a standing vehicle of 2 m, steps of 0.1 s. One row says it all: at
-//! instant 1 the car must be behind the bumper, x_1 ≤ 1. With multiplier 1 on it q falls from 0.1 to 0, never below, so the
-//! sum is least for full braking: L = 20 · 0.1 - 8 · 0.1² / 2 - 1 = 0.96 > 0. Nobody could have avoided it.
+//! A car at 20 m/s that can brake at 8 m/s² is 1 m behind a standing vehicle of 2 m; steps take 0.1 s. One row
+//! suffices: at instant 1 the car must be behind the bumper, x_1 ≤ 1. With multiplier 1 on it q falls from 0.1 to 0,
+//! never below, so the sum is least for full braking: L = 20 · 0.1 - 8 · 0.1² / 2 - 1 = 0.96 > 0. The collision is
+//! unavoidable.
 //!
 //! ```
 //! let text = r#"{
@@ -54,10 +48,10 @@
 //! }"#;
 //! let certificate = crumple_verify::Certificate::from_json(text)?;
 //! match crumple_verify::check(&certificate) {
-//!     Ok(crumple_verify::Accepted::Unavoidable { overlap_m, .. }) => assert!((overlap_m - 0.96).abs() < 1e-12),
+//!     Ok(crumple_verify::ProvedClaim::Unavoidable { overlap_m, .. }) => assert!((overlap_m - 0.96).abs() < 1e-12),
 //!     other => panic!("{other:?}"),
 //! }
-//! # Ok::<(), crumple_verify::ParseError>(())
+//! # Ok::<(), crumple_verify::CertificateParseError>(())
 //! ```
 
 pub mod avoidable;
@@ -91,87 +85,87 @@ pub use scope::Scope;
 use work::OpBudget;
 pub use work::WorkLimit;
 
-/// What has been proved.
+/// A proved claim.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ProvedClaim {
-    /// With the stated profile nobody touches.
+    /// The stated profile leads to no collision.
     Avoidable {
-        /// No gap is ever smaller, in metres...
+        /// Lower bound of all gaps, in metres.
         min_gap_m: f64,
-        /// ... within this time from the start, in seconds.
+        /// Time from the start for which the bound holds, in seconds.
         horizon_s: f64,
-        /// What holds after that.
+        /// Safety after that time.
         after_horizon: SafetyAfterHorizon,
     },
-    /// Whatever the egos do, somebody touches.
+    /// Every ego behaviour leads to a collision.
     Unavoidable {
-        /// Whatever they do, two vehicles would overlap by at least this if they could, in metres...
+        /// Lower bound of the overlap of two vehicles if they could pass through each other, in metres.
         overlap_m: f64,
-        /// ... within this time from the start, in seconds.
+        /// Time from the start within which it occurs, in seconds.
         horizon_s: f64,
     },
-    /// Whatever the egos do, some gap gets small.
+    /// Every ego behaviour makes some gap small.
     GapBound {
-        /// As small as this at least, in metres: what is proved, and no more than stated...
+        /// Proved upper bound of the smallest gap, at most as large as stated, in metres.
         gap_m: f64,
-        /// ... within this time from the start, in seconds.
+        /// Time from the start within which it occurs, in seconds.
         horizon_s: f64,
     },
-    /// The stated kernel is exactly the set of states that can be kept free of contact.
+    /// The stated kernel is exactly the set of states from which a collision can be avoided.
     Kernel,
     /// A failure rate is bounded.
     Rate {
-        /// The bound.
+        /// Upper bound of the rate.
         max_rate: f64,
-        /// Its confidence.
+        /// Confidence level.
         confidence: f64,
     },
     /// The first of two controllers fails less often than the second.
     FailsLessOften {
-        /// With this confidence.
+        /// Confidence level.
         confidence: f64,
     },
-    /// From every start in parts of a box nobody touches.
+    /// No initial state in the verified parts of a box leads to a collision.
     Reach {
-        /// Their share of its volume.
+        /// Verified share of the volume.
         verified_share: f64,
-        /// Share of the cells of which a member is known to touch.
+        /// Share of the cells with a member that is known to collide.
         falsified_share: f64,
-        /// No gap is ever smaller in the verified ones, in metres...
+        /// Lower bound of all gaps in the verified cells, in metres.
         min_gap_m: f64,
-        /// ... within this time from the start, in seconds.
+        /// Time from the start for which the bound holds, in seconds.
         horizon_s: f64,
-        /// Whether somebody drives behind.
+        /// True if there is a follower.
         has_follower: bool,
-        /// The limit within which the leader brakes as it likes, in m/s²; none if it brakes as scripted.
+        /// Limit within which the leader brakes arbitrarily, in m/s²; `None` for a scripted leader.
         leader_brakes_at_most_mps2: Option<f64>,
-        /// The law from which the policy departs, if it does.
+        /// Base controller of a residual policy.
         residual_over: Option<reach::ResidualPolicy>,
     },
-    /// From every start of the benchmark of adaptive cruise control the distance is kept.
+    /// Every initial state of the adaptive cruise control benchmark keeps its distance.
     Cruise {
-        /// D_rel - 10 - 1.4 v_ego is never smaller, in metres, for 5 s.
+        /// Lower bound of D_rel - 10 - 1.4 v_ego for 5 s, in metres.
         margin_m: f64,
-        /// All x_ego at the end lie in an interval of this width, in metres.
+        /// Width of an interval with all final x_ego, in metres.
         x_ego_width_m: f64,
     },
 }
 
-/// What holds once the stated profile has ended without contact.
+/// Safety after a stated profile has ended without a collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SafetyAfterHorizon {
-    /// Everybody behind the leader can stop within the gap ahead: nobody need ever touch, whatever the leader does.
+    /// Every vehicle behind the leader can stop within the gap ahead: safe for any leader.
     ForAnyLeader,
-    /// Everybody behind the leader can slow down to the slowest ahead: nobody need ever touch if the leader does not brake any more.
+    /// Every vehicle behind the leader can slow down to the slowest ahead: safe if the leader brakes no more.
     UnlessLeaderBrakes,
     /// Nothing is shown.
     Unproved,
 }
 
 impl SafetyAfterHorizon {
-    /// Its name in results.
+    /// Returns the name in results.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -248,87 +242,87 @@ impl std::fmt::Display for ProvedClaim {
     }
 }
 
-/// Why a certificate proves nothing.
+/// Reason for which a certificate proves nothing.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Rejection {
-    /// A field has a value that makes no sense.
+    /// A field has an invalid value.
     #[error("`{field}` {problem}")]
     Invalid {
-        /// Where.
+        /// Name of the field.
         field: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: &'static str,
     },
     /// The assumptions are not those that the statement needs.
     #[error("`assumptions` must be {needed:?}, and at most noise-of-seed besides")]
     Assumptions {
-        /// What it needs.
+        /// Assumptions that the statement needs.
         needed: Vec<Assumption>,
     },
-    /// On the stated profile two vehicles may touch.
+    /// Two vehicles may collide on the stated profile.
     #[error(
         "vehicle {front_vehicle} and the one behind it may touch in step {step}: only a gap of {gap_m} m is proved"
     )]
     MayCollide {
-        /// The vehicle ahead, 0 for the leader.
+        /// Index of the vehicle ahead, 0 for the leader.
         front_vehicle: usize,
-        /// The step, 0 for the first.
+        /// Index of the step, from 0.
         step: u32,
-        /// What is proved of the gap, in metres.
+        /// Proved lower bound of the gap, in metres.
         gap_m: f64,
     },
     /// The smallest gap is not proved to be as large as stated.
     #[error("`min_gap_m_at_least` is {stated_m}, and only {min_gap_m} m is proved")]
     GapTooSmall {
-        /// What is stated, in metres.
+        /// Stated bound, in metres.
         stated_m: f64,
-        /// What is proved, in metres.
+        /// Proved bound, in metres.
         min_gap_m: f64,
     },
     /// The branches do not cover the firing instants one after the other.
     #[error("`branches[{branch}]` must begin where the one before ends, and end no later than instant N")]
     Tiling {
-        /// Which branch.
+        /// Index of the branch.
         branch: usize,
     },
     /// The multipliers of a branch prove nothing.
     #[error("`branches[{branch}]` is not proved: its sum may be as low as {sum_m} m")]
     Unproved {
-        /// Which branch.
+        /// Index of the branch.
         branch: usize,
-        /// The lower bound found, in metres.
+        /// Lower bound of the sum, in metres.
         sum_m: f64,
     },
-    /// It is not proved that some gap gets as small as stated.
+    /// No gap is proved to get as small as stated.
     #[error("`gap_m` is {stated_m}, and only {gap_m} m is proved")]
     GapBound {
-        /// What is stated, in metres.
+        /// Stated gap, in metres.
         stated_m: f64,
-        /// What is proved, in metres.
+        /// Proved gap, in metres.
         gap_m: f64,
     },
     /// The policy file is missing, another one, or not usable.
     #[error("the policy file {problem}")]
     Policy {
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
-    /// What is said of a cell of a partition is not proved.
+    /// The claim about a cell of a partition is not proved.
     #[error("leaf {leaf} of `partition`: {problem}")]
     Leaf {
-        /// Which one, among those that are not cut.
+        /// Index among the cells that are not cut.
         leaf: usize,
-        /// What stands against it.
+        /// Reason.
         problem: String,
     },
-    /// Checking takes more work than is allowed: nothing is said for or against the claim.
+    /// Checking exceeds the operation limit: the claim stays undecided.
     #[error("checking it takes more than {limit} operations, and no more are allowed")]
     BudgetExceeded {
-        /// What is allowed.
+        /// Allowed number of operations.
         limit: WorkLimit,
     },
-    /// What was observed is not rare enough where the claim is false.
+    /// The observation, or a better one, is too probable if the claim is false.
     #[error(
         "what was observed, or better, may have probability {} if the claim is false, and {} is allowed",
         scope::format_number(*tail_probability),
@@ -351,15 +345,15 @@ impl Rejection {
 /// Checks a certificate that needs no other file.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states, or checking it takes more work than the default limit.
+/// [`Rejection`] if it does not prove its statement, or checking it exceeds the default limit.
 pub fn check(certificate: &Certificate) -> Result<ProvedClaim, Rejection> {
     check_with(certificate, None, WorkLimit::default())
 }
 
-/// Checks a certificate with the bytes of the policy file that it is about, and a limit of work.
+/// Checks a certificate with the bytes of its policy file and an operation limit.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states, or checking it takes more work than `limit`.
+/// [`Rejection`] if it does not prove its statement, or checking it exceeds `limit`.
 pub fn check_with(
     certificate: &Certificate,
     policy: Option<&[u8]>,

@@ -1,9 +1,8 @@
 //! `crumple-verify [--policy FILE] [--work-limit N] FILE...`: accepts or rejects certificates.
 //!
-//! A certificate about a policy names the policy file, which is expected beside it unless it is given. A certificate that takes more
-//! than N billion operations to check, 4000 unless it is said, is rejected: about ten minutes of one core.
-//!
-//! Exit code 0 if all are accepted, 1 if one is rejected, 2 if one is not a certificate.
+//! Reads the policy that a certificate names from the certificate's folder, unless `--policy` gives it. Rejects a
+//! certificate that takes more than N billion operations to check; by default 4000, about ten minutes of one core. Exit
+//! code 0 if all are accepted, 1 if one is rejected, 2 if one is not a certificate.
 
 use std::fs::File;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Where vehicles are, without loss.
+//! Positions and speeds of vehicles, enclosed without loss.
 //!
 //! A vehicle at speed v ≥ 0 that holds the acceleration a has the speed max(0, v + a s) after s seconds: it does not
 //! reverse, and once it stands with a < 0 it stays. So after t seconds it has covered
@@ -8,18 +8,16 @@
 //!                                                =  v² / (-2 a)     otherwise: it stopped on the way
 //! ```
 //!
-//! The integrand grows with v and with a, hence so do d and the speed, whether it stops or not. Over a box of speeds and
-//! accelerations both are therefore least where v and a are least, and largest where they are largest: no case of a stop
-//! in some members only needs to be told apart. The same comparison holds for an acceleration that changes within its
-//! bounds during the step.
-//!
-//! Firing later never moves the follower back, for the same reason: its acceleration is nowhere less.
+//! The integrand grows with v and with a, hence so do d and the speed. Over a box of speeds and accelerations both are
+//! least at the least v and a, and largest at the largest, even if only some members stop. This also holds for an
+//! acceleration that changes within its bounds during the step, and implies that firing later never moves the follower
+//! back.
 
 use crate::claim::{ConstantPiece, Scene, SceneFollower};
 use crate::interval::Interval;
 
-/// Distance covered in metres, and speed in m/s, after `time_s` seconds at a held acceleration. Speeds and times are not
-/// negative.
+/// Returns the distance in metres and the speed in m/s after `time_s` seconds at a held acceleration. Speeds and times
+/// are not negative.
 #[must_use]
 pub fn distance_and_speed_after(
     speed_mps: Interval,
@@ -45,19 +43,18 @@ fn corner_distance_and_speed(v: f64, a: f64, t: Interval) -> (Interval, Interval
     (covered, end.max(Interval::ZERO))
 }
 
-/// The value of every step.
 pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
     held.iter().flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
 }
 
 impl Scene {
-    /// Instant `k`, in seconds.
+    /// Returns instant `k`, in seconds.
     #[must_use]
     pub fn time_s(&self, k: u32) -> Interval {
         Interval::point(f64::from(k)) * Interval::point(self.step_s)
     }
 
-    /// The leader's rear bumper at the instants 0 to N, in metres.
+    /// Returns the leader's rear bumper at the instants 0 to N, in metres.
     #[must_use]
     pub fn leader_rear_m(&self) -> Vec<Interval> {
         let rear_m = self.leader.position_m - Interval::point(self.leader.length_m);
@@ -70,7 +67,8 @@ impl Scene {
         std::iter::once(rear_m).chain(moves).collect()
     }
 
-    /// The follower's front bumper in metres at instant `k`, at most N, if its brake fires at instant `fires`; N means never.
+    /// Returns the follower's front bumper in metres at instant `k`, at most N, if its brake fires at `fires`; N means
+    /// never.
     #[must_use]
     pub fn follower_position_m(&self, follower: &SceneFollower, fires: u32, k: u32) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
@@ -81,7 +79,6 @@ impl Scene {
         coasting_m + distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
     }
 
-    /// The follower's speed in m/s there.
     pub(crate) fn follower_speed_mps(&self, follower: &SceneFollower, fires: u32, k: u32) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
         distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
@@ -93,7 +90,6 @@ mod tests {
     use super::*;
     use crate::claim::{SceneEgo, SceneLeader};
 
-    /// Speed v until the brake takes hold, and v - b t from then on.
     #[test]
     fn a_follower_loses_speed_from_its_reaction_on() {
         let follower = SceneFollower {

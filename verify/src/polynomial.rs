@@ -1,5 +1,5 @@
-//! Polynomials in three variables with exact rational coefficients, and the one way in which they are shown to be
-//! nonnegative: without a negative coefficient they are, wherever no variable is negative.
+//! Polynomials in three variables with exact rational coefficients. One without a negative coefficient is nonnegative
+//! if no variable is negative.
 
 use std::collections::BTreeMap;
 use std::ops::{Add, Mul, Neg, Sub};
@@ -12,13 +12,12 @@ use num_traits::{Signed, Zero};
 pub struct Polynomial(BTreeMap<[u8; 3], BigRational>);
 
 impl Polynomial {
-    /// A number.
     #[must_use]
     pub(crate) fn constant(value: &BigRational) -> Self {
         Self::term([0; 3], value.clone())
     }
 
-    /// The three variables.
+    /// Returns the three variables.
     #[must_use]
     pub fn variables() -> [Self; 3] {
         let one = BigRational::from_integer(1.into());
@@ -30,13 +29,12 @@ impl Polynomial {
         Self(terms.collect())
     }
 
-    /// The product with itself.
+    /// Returns the product with itself.
     #[must_use]
     pub fn squared(&self) -> Self {
         self * self
     }
 
-    /// Its value at a point.
     #[cfg(test)]
     pub(crate) fn evaluate(&self, point: [&BigRational; 3]) -> BigRational {
         let term = |(powers, coefficient): (&[u8; 3], &BigRational)| {
@@ -46,13 +44,13 @@ impl Polynomial {
         self.0.iter().map(term).sum()
     }
 
-    /// Whether it is the polynomial 0.
+    /// True for the polynomial 0.
     #[must_use]
     pub fn is_zero(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether no coefficient is negative, so that no value is, for x, y, z >= 0.
+    /// True if no coefficient is negative, so that no value is, for x, y, z >= 0.
     #[must_use]
     pub fn has_no_negative_coefficient(&self) -> bool {
         self.0.values().all(|coefficient| !coefficient.is_negative())

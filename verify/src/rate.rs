@@ -1,4 +1,4 @@
-//! Failure rates that were observed, and what they show about the rate behind them.
+//! Bounds of failure rates from observed failures.
 //!
 //! If each of n independent runs fails with probability p, then k failures or fewer happen with probability
 //!
@@ -7,16 +7,16 @@
 //! ```
 //!
 //! which falls as p rises. The claim "p <= p₀ at confidence γ" after k failures is the one-sided bound of Clopper and
-//! Pearson (Biometrika 26, 1934): it is made exactly where F(k; n, p₀) <= 1 - γ, so whatever the true p is, a false claim is
-//! made with probability 1 - γ at most. That holds only if n, γ and the distribution of runs were fixed beforehand: the
-//! certificate therefore carries its registration, whose digest can be held by somebody else before the first run.
+//! Pearson (Biometrika 26, 1934). It is made exactly if F(k; n, p₀) <= 1 - γ, so a false claim has probability 1 - γ at
+//! most, for any true p. That holds only if n, γ and the distribution of runs were fixed beforehand. The certificate
+//! therefore carries its registration; a third party can hold its digest before the first run.
 //!
-//! Two controllers that drove the same draws are compared by the sign test (McNemar's test, exact): of the d draws in which
-//! exactly one of them fails, the first one fails in k. If it failed as often as the second, k would be binomial with rate
-//! 1/2; so F(k; d, 1/2) <= 1 - γ shows that it fails less often.
+//! The exact McNemar test (sign test) compares two controllers on the same samples. Of the d samples in which exactly
+//! one of them fails, the first one fails in k. If both failed equally often, k would be binomial with rate 1/2; so
+//! F(k; d, 1/2) <= 1 - γ shows that the first fails less often.
 //!
-//! The tail is evaluated upwards: every factor is positive, every operation rounds to nearest and then moves up by one
-//! floating-point number, so the result is an upper bound of F.
+//! The tail is evaluated upwards: every factor is positive, and every operation rounds to nearest and then up by one
+//! floating-point number. The result is an upper bound of F.
 
 use std::collections::BTreeMap;
 
@@ -27,41 +27,38 @@ use crate::canonical;
 use crate::work::OpBudget;
 use crate::{ProvedClaim, Rejection};
 
-/// Most runs a certificate may speak about.
+/// Maximum number of runs of a certificate.
 pub const MAX_RUNS: u64 = 1_000_000_000;
-/// Up to so many runs, the tail is evaluated one factor after the other; with more, powers of the factor that is the same for all runs
-/// are taken together.
+/// Maximum number of runs for a tail with one factor per run; above it, powers of the common factor are used.
 const MAX_FACTORWISE_RUNS: u64 = 100_000_000;
 
-/// Most blocks that they may come in.
+/// Maximum number of blocks of runs.
 pub const MAX_BLOCKS: u64 = 10_000;
 
-/// Most entries of a registered configuration.
 const MAX_ENTRIES: usize = 10_000;
-/// Operations for the factors and the term of one run.
 const OPS_PER_RUN: u64 = 100;
 
-/// What was fixed before the first run.
+/// Parameters that were fixed before the first run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registration {
-    /// What was to be run: controllers, policy, space, seed, version. Nothing is concluded from it.
+    /// Controllers, scenario space, seed and version of the runs. Nothing is concluded from them.
     #[serde(deserialize_with = "bounded::deserialize_map::<MAX_ENTRIES, _>")]
     pub configuration: BTreeMap<String, String>,
     /// n, the number of runs.
     pub runs: u64,
     /// γ, above 1/2, read as the nearest floating-point number.
     pub confidence: f64,
-    /// How many runs make a block, for which the certificate holds a hash; the last block may be shorter. Since version 2.
+    /// Runs per hashed block; the last block may be shorter. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block_runs: Option<u64>,
 }
 
-/// What a certificate holds of a block of runs: what was counted in it, and a hash that only who has made the runs can know.
+/// Counts of a block of runs, and a hash that only the author of the runs can know.
 pub(crate) type CertifiedBlock<T> = (T, String);
 
 impl Registration {
-    /// SHA-256 of the registration as compact JSON, fields in the order of this type, in hexadecimal.
+    /// Returns the SHA-256 in hexadecimal of the registration as compact JSON with fields in the order of this type.
     #[must_use]
     pub fn digest(&self) -> String {
         // A struct of strings and numbers always has a JSON form.
@@ -73,15 +70,15 @@ impl Registration {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateClaim {
-    /// What was fixed before the first run.
+    /// Parameters that were fixed before the first run.
     pub registration: Registration,
-    /// Its digest, as it was published.
+    /// Published digest of the registration.
     pub registration_sha256: String,
     /// k, the runs that failed.
     pub failures: u64,
     /// p₀, read as the nearest floating-point number.
     pub rate_at_most: f64,
-    /// For each block of runs, in order: how many failed, and its hash. Since version 2.
+    /// Failures and hash of each block of runs, in order. Since version 2.
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",
@@ -90,20 +87,19 @@ pub struct RateClaim {
     pub blocks: Vec<CertifiedBlock<u64>>,
 }
 
-/// The claim that the first of two controllers fails less often than the second, in the same draws.
+/// The claim that the first of two controllers fails less often than the second on the same samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ComparisonClaim {
-    /// What was fixed before the first run.
+    /// Parameters that were fixed before the first run.
     pub registration: Registration,
-    /// Its digest, as it was published.
+    /// Published digest of the registration.
     pub registration_sha256: String,
     /// k, the runs in which the first fails and the second does not.
     pub only_first_failed: u64,
     /// d - k, the runs in which the second fails and the first does not.
     pub only_second_failed: u64,
-    /// For each block of runs, in order: in how many only the first failed and in how many only the second, and its hash. Since
-    /// version 2.
+    /// For each block in order: runs that only the first and only the second failed, and its hash. Since version 2.
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",
@@ -162,7 +158,7 @@ pub(crate) fn check_comparison_blocks(claim: &ComparisonClaim) -> Result<(), Rej
     check_blocks(&claim.registration, counts, [claim.only_first_failed, claim.only_second_failed])
 }
 
-/// Whether blocks cover the runs, and what was counted in them adds up to what is claimed.
+/// Checks that the blocks cover the runs and that their counts sum to the claimed ones.
 fn check_blocks<'a>(
     registration: &Registration,
     blocks: impl ExactSizeIterator<Item = (u64, u64, &'a str)>,
@@ -196,7 +192,7 @@ fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<()
     }
 }
 
-/// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MOST_RUNS`] runs.
+/// Returns an upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MAX_RUNS`] runs.
 #[must_use]
 pub fn binomial_tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
     match runs {
@@ -206,7 +202,7 @@ pub fn binomial_tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
     }
 }
 
-/// Another upper bound of the same, as near to it, in about k + log n steps instead of n.
+/// Returns an upper bound of equal accuracy in about k + log n steps instead of n.
 fn tail_upper_bound_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
     let mut powers = vec![(round_up(1.0 - rate), 1)];
     while let Some(&(power, exponent)) = powers.last()
@@ -222,16 +218,16 @@ fn round_up(rounded: f64) -> f64 {
     rounded.next_up()
 }
 
-/// The tail. Of q = 1 - p, upper bounds of powers are given, each with its exponent, in order, the first of which is q itself: none but
-/// the first is small, so that the product does not vanish.
+/// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p with their exponents, in order, the first of which
+/// is q. Only the first may be small, so that the product does not vanish.
 fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
     if k >= n {
         return 1.0;
     }
     let q = round_up(1.0 - rate);
-    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. A large factor is taken whenever the
-    // product is below one and a small one otherwise, so that it neither overflows nor vanishes before its time.
+    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. Large factors while the product
+    // is below one, else small ones: it neither overflows nor underflows early.
     let mut term = 1.0_f64;
     let (mut taken, mut damped) = (0, 0);
     while taken < k || damped < n - k {
@@ -240,7 +236,6 @@ fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64
             term = round_up(term * round_up(round_up(rate * (n - k + taken) as f64) / taken as f64));
             continue;
         }
-        // What is left to be damped only becomes less.
         while let [rest @ .., (_, exponent)] = powers
             && *exponent > n - k - damped
             && !rest.is_empty()
@@ -265,7 +260,7 @@ fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64
 mod tests {
     use super::*;
 
-    /// Powers are another order of the same product: never below the exact tail, and as near to it.
+    /// Checks that powers, another order of the same product, are as tight and never below the exact tail.
     #[test]
     fn powers_taken_together_come_to_what_factors_come_to_one_by_one() {
         for (failures, runs, rate) in
@@ -282,7 +277,6 @@ mod tests {
         assert!(found >= exact && found < exact * (1.0 + 4e-7), "{found} {exact}");
     }
 
-    /// To the last bit what so many factors come to: one for each run, or squares of squares, each of which is at least a half.
     #[test]
     fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
         let times = |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));

@@ -1,5 +1,5 @@
-//! How far a claim reaches: until when, for which vehicles, within which limits. What is printed of a claim without these says too
-//! much: "no gap is ever smaller" may have been about the first four seconds.
+//! Scope of a claim: time, vehicles and limits. Without it a printed claim overstates: "no gap is ever smaller" may
+//! cover only four seconds.
 
 use std::fmt;
 
@@ -12,30 +12,29 @@ use crate::kernel::KernelClaim;
 use crate::rate::Registration;
 use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
 
-/// Of the vehicles of a reach the one under test.
 const EGO_INDEX: usize = 1;
 
 const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
 
-/// What a statement is about, in words, and nothing of what it claims.
+/// The subject of a statement in words, without its claim.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scope {
-    /// The time that it covers, in seconds; infinite if it holds for ever, none if it does not say.
+    /// Covered time in seconds; infinite for an unlimited claim, `None` if unstated.
     pub horizon_s: Option<f64>,
-    /// Whether checking it says what holds after that.
+    /// True if checking also establishes safety after that time.
     pub covers_after_horizon: bool,
-    /// The scenario, box or space, and how it is bound to it.
+    /// Scenario, box or space, and its binding to the statement.
     pub about: String,
-    /// Each vehicle of the claim but those behind, front to rear, with where it may start and what it does or may do.
+    /// Each vehicle except those behind, front to rear, with its initial state and possible behaviour.
     pub vehicles: Vec<String>,
-    /// What the claim says of vehicles behind the last one under test; none where the claim has no such place.
+    /// Claim about vehicles behind the last one under test; `None` if the claim has no such place.
     pub behind: Option<String>,
-    /// Within which limits else.
+    /// Other limits.
     pub limits: Vec<String>,
 }
 
 impl Certificate {
-    /// How far its claim reaches.
+    /// Returns the scope of the claim.
     #[must_use]
     pub fn scope(&self) -> Scope {
         let mut scope = match &self.statement {
@@ -53,7 +52,7 @@ impl Certificate {
         scope
     }
 
-    /// The same, with what the certificate does not say itself and its check has read of the policy.
+    /// Returns the scope with what the check has read from the policy.
     #[must_use]
     pub fn scope_with_result(&self, accepted: &ProvedClaim) -> Scope {
         let mut scope = self.scope();
@@ -83,7 +82,7 @@ impl Certificate {
 
     fn describe_subject(&self) -> String {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
-        // Whoever wrote the file chose the name: nothing in it may steer a terminal.
+        // The author of the file chose the name: it must not control a terminal.
         let name = name.escape_debug();
         if self.is_first_version() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
             return format!("`{name}` by its own word: version 1 binds a statement to nothing");
@@ -99,7 +98,6 @@ impl Certificate {
 }
 
 impl fmt::Display for Scope {
-    /// Some lines, none of them empty.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { horizon_s, covers_after_horizon: has_afterwards, about, vehicles, behind, limits } = self;
         writeln!(out, "about {about}")?;
@@ -113,12 +111,10 @@ impl fmt::Display for Scope {
     }
 }
 
-/// A number, or the ends of a range.
 fn format_range(of: Interval) -> String {
     if of.low() == of.high() { of.low().to_string() } else { format!("{} to {}", of.low(), of.high()) }
 }
 
-/// A scope without its subject and without vehicles behind.
 fn partial_scope(horizon_s: Option<f64>, vehicles: Vec<String>, limits: Vec<String>) -> Scope {
     Scope { horizon_s, covers_after_horizon: false, about: String::new(), vehicles, behind: None, limits }
 }
@@ -159,7 +155,7 @@ fn scene_scope(scene: &Scene) -> Scope {
 }
 
 fn kernel_scope(kernel: &KernelClaim) -> Scope {
-    // Texts of a file: nothing in them may steer a terminal.
+    // Texts from a file must not control a terminal.
     let [b, c, step_s, margin_m] =
         [&kernel.ego_brake_mps2, &kernel.leader_brake_mps2, &kernel.step_s, &kernel.margin_m]
             .map(|text| text.escape_debug());
@@ -194,7 +190,6 @@ fn runs_scope(registration: &Registration) -> Scope {
     partial_scope(horizon_s, vehicles, limits)
 }
 
-/// Which network drives.
 fn describe_network(digest: &str, source: Option<&NetworkFileSource>) -> String {
     let digest = digest.escape_debug();
     match source {
@@ -259,7 +254,7 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
     Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
 }
 
-/// Returns a number as a reader writes it: with an exponent only where it would have many zeros.
+/// Formats a number; with an exponent only where it would have many zeros.
 pub(crate) fn format_number(number: f64) -> String {
     match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
         true => number.to_string(),

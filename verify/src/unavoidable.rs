@@ -1,11 +1,11 @@
-//! Somebody touches whatever the egos do: a weighted sum of what an escape would have to satisfy cannot be satisfied.
+//! Proof of unavoidability: a weighted sum of the conditions of an escape cannot be satisfied.
 //!
-//! # What an escape satisfies
-//! Let a be the egos' accelerations, any measurable functions of time within [-b, A]. Fix a member of the box and suppose
-//! that nobody touches. The follower's brake first fires at some instant τ (N: never), which lies in exactly one branch
-//! [τ1, τ2]. As it moves no further back by firing later, it is at least at R_k, where it would be had it fired at τ1. With
-//! x_k, v_k for position and speed of an ego at instant k, L its length, F_k for the leader's rear bumper, and r_k = r_0 +
-//! v_r k h for the coasting follower, each of these *rows* is at most zero:
+//! # Conditions of an escape
+//! Let a be the egos' accelerations, any measurable functions of time within [-b, A]. Fix a member of the box and
+//! suppose that no collision occurs. The follower's brake first fires at some instant τ (N: never), which lies in
+//! exactly one branch [τ1, τ2]. Firing later moves it no further back, so it is at least at R_k, its position if it
+//! fired at τ1. With x_k, v_k for position and speed of an ego at instant k, L its length, F_k for the leader's rear
+//! bumper, and r_k = r_0 + v_r k h for the coasting follower, each of these *rows* is at most zero:
 //!
 //! ```text
 //! front    x¹_k - F_k                               the first ego
@@ -16,29 +16,29 @@
 //! fired    +[(x_τ - L - r_τ) - θ (v_r - v_τ)]       the last ego, only if τ1 = τ2 = τ < N
 //! ```
 //!
-//! # Why that is impossible
-//! Multiplied by numbers that are not negative and summed, the rows are still at most zero. The sum is, ego by ego,
+//! # Contradiction
+//! The sum of the rows, multiplied by numbers that are not negative, is at most zero. Ego by ego it is
 //!
 //! ```text
 //! constant + Σ_k (w_k x_k + s_k v_k),   x_k = x_0 + v_0 t_k + ∫ (t_k - t)⁺ a dt,   v_k = v_0 + ∫ [t < t_k] a dt
 //! = constant + x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ q(t) a(t) dt,   q(t) = Σ over t_k > t of (w_k (t_k - t) + s_k).
 //! ```
 //!
-//! q is linear inside each step, and q a ≥ φ(q) = min(-b q, A q). So the sum is at least L, which replaces the integrand by
-//! φ(q). If L > 0 over the whole box there is no escape in this branch; if this holds in every branch there is none. No
-//! equation that a solver has solved has to hold: any multipliers prove something or nothing.
+//! q is linear inside each step, and q a ≥ φ(q) = min(-b q, A q). So the sum is at least L, which replaces the
+//! integrand by φ(q). If L > 0 over the whole box, this branch has no escape; if this holds in every branch, none
+//! exists. The multipliers need not solve any equation: any multipliers prove something or nothing.
 //!
-//! A branch whose sum is L with contact multipliers (front, between, rear) adding up to Y shows more: some contact row is
-//! at least L / Y, so that two vehicles would overlap by that many metres if they could pass through each other.
+//! Let the collision multipliers (front, between, rear) of a branch with sum L add up to Y. Then some collision row is
+//! at least L / Y: two vehicles would overlap by that many metres if they could pass through each other.
 //!
-//! # How large a gap nobody keeps
-//! Let G not be negative, and suppose that every gap stays larger than G. Then nobody touches, and each contact row is less than
-//! -G, so that the sum is less than -G Y, for Y > 0. If L >= -G Y over the whole box that cannot be; if this holds in every branch,
-//! or the branch is empty as above, some gap gets as small as G.
+//! # Gap bound
+//! Let G not be negative, and suppose that every gap stays larger than G. Then each collision row is less than -G, and
+//! the sum is less than -G Y, for Y > 0. This contradicts L >= -G Y over the whole box. If L >= -G Y in every branch
+//! that is not empty as above, some gap gets as small as G.
 //!
-//! # Why this covers the simulator, and every car
-//! What an ego does there is a measurable acceleration within [-b, A]: held over steps, zero once it stands, late, lagging,
-//! limited in jerk, decided by whatever it sees. Delay, lag and noise of the sensors only take freedom away.
+//! # Application to the simulator and to vehicles
+//! Every ego behaviour is a measurable acceleration within [-b, A]: held over steps, zero at standstill, delayed,
+//! lagging, limited in jerk, with any observation. Delay, lag and sensor noise only remove freedom.
 
 use crate::certificate::{Branch, GapBoundClaim, MultiplierRows, UnavoidableClaim};
 use crate::claim::{Scene, SceneEgo};
@@ -46,7 +46,6 @@ use crate::interval::Interval;
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 use crate::{ProvedClaim, Rejection};
 
-/// Operations for one instant and one vehicle in a branch.
 const OPS_PER_INSTANT: u64 = 20 * OPS_PER_INTERVAL_OP;
 
 pub(crate) fn check(
@@ -69,7 +68,7 @@ pub(crate) fn check_gap_bound(claim: &GapBoundClaim, work: &OpBudget) -> Result<
     }
 }
 
-/// The least overlap in metres that any branch proves.
+/// Returns the least proved overlap of all branches, in metres.
 fn min_overlap_m(
     scene: &Scene,
     branches: &[Branch],
@@ -86,28 +85,26 @@ fn min_overlap_m(
     overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))
 }
 
-/// The overlap in metres that branch number `index` proves; infinite if no profile fires there at all.
+/// Returns the proved overlap of branch `index`, in metres; infinite if no profile fires there at all.
 ///
 /// # Errors
-/// [`Rejection`] if the scene or the branch makes no sense, or the branch proves nothing.
+/// [`Rejection`] if the scene or the branch is invalid, or the branch proves nothing.
 pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     scene.check()?;
     positive_overlap_m(scene, branch, index)
 }
 
-/// The overlap of a branch in which somebody touches.
 fn positive_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
     if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
 }
 
-/// The overlap that a branch proves; where it is negative, some gap gets as small as that.
+/// Returns the proved overlap of a branch; a negative one bounds a gap.
 fn branch_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
     if overlap_m > f64::NEG_INFINITY { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
 }
 
-/// The overlap, and the least sum, of a branch.
 fn branch_overlap_and_sum(scene: &Scene, branch: &Branch, index: usize) -> Result<(f64, f64), Rejection> {
     if branch.last < branch.first || branch.last > scene.steps {
         return Err(Rejection::Tiling { branch: index });
@@ -122,7 +119,7 @@ fn branch_overlap_and_sum(scene: &Scene, branch: &Branch, index: usize) -> Resul
     Ok((overlap_m, sum_m))
 }
 
-/// The branches cover 0 to N, in order, each instant once; without a follower there is one.
+/// Checks that the branches cover 0 to N in order, each instant once; one branch without a follower.
 fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
     let mut next = Some(0);
     for (index, &Branch { first, last, .. }) in branches.iter().enumerate() {
@@ -140,10 +137,9 @@ fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// Every multiplier belongs to a row that exists, is named once, and is not negative.
+/// Checks that every multiplier belongs to an existing row, occurs once, and is not negative.
 fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Rejection> {
     let place = |name: &str| format!("branches[{index}].{name}");
-    // The rows that mention the follower do not exist without one.
     let with_follower = |end: u32| if scene.follower.is_some() { end } else { 0 };
     let end = scene.steps + 1;
     check_multipliers(&branch.front, end, || place("front"))?;
@@ -165,7 +161,6 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     Err(Rejection::invalid(place("fired"), "must be 0 except for a single firing instant, and not negative"))
 }
 
-/// Instants increase and are less than `end`.
 fn check_multipliers(rows: &MultiplierRows, end: u32, place: impl Fn() -> String) -> Result<(), Rejection> {
     let mut next = 0;
     for (entry, &(k, multiplier)) in rows.iter().enumerate() {
@@ -180,7 +175,8 @@ fn check_multipliers(rows: &MultiplierRows, end: u32, place: impl Fn() -> String
     Ok(())
 }
 
-/// A lower bound of the weighted sum in metres, over the box and all profiles, and the sum of the contact multipliers.
+/// Returns a lower bound of the weighted sum in metres, over the box and all profiles, and the sum of the collision
+/// multipliers.
 fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
     let egos = &scene.egos;
     let leader_rear_m = scene.leader_rear_m();
@@ -230,15 +226,14 @@ fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
 const POSITION: usize = 0;
 const SPEED: usize = 1;
 
-/// Rows with a multiplier other than zero.
 fn nonzero_multipliers(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
     rows.iter().filter(|row| row.1 != 0.0).map(|&(k, multiplier)| (k as usize, Interval::point(multiplier)))
 }
 
-/// A lower bound of x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ φ(q): only its lower end means anything.
+/// Bounds x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ φ(q) from below; only the lower end is meaningful.
 ///
-/// Going back from the last instant, `slope` is the sum of the w so far, and `q` the value of q just before the instant;
-/// at the start they are the factors of x_0 and v_0.
+/// Backwards from the last instant, `slope` sums the w so far, and `q` is the value of q just before the instant; at
+/// the start they are the factors of x_0 and v_0.
 fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
     let Some(end) = weights.iter().rposition(|weight| *weight != [Interval::ZERO; 2]) else {
         return Interval::ZERO;
@@ -256,11 +251,11 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
     sum + slope * ego.position_m + q * ego.speed_mps
 }
 
-/// A lower bound of ∫ φ(q) over a step in which q goes linearly from `begin` to `end`.
+/// Bounds ∫ φ(q) from below over a step in which q is linear from `begin` to `end`.
 ///
-/// Where q surely changes sign, the two triangles are integrated: p² b / (p + n) and n² A / (p + n) times -h/2, for the
-/// values p > 0 and -n < 0. Otherwise φ(q(t)) is concave, so its integral is at least the trapezoid's; without a change of
-/// sign it is the trapezoid's.
+/// If q surely changes sign, two triangles are integrated: p² b / (p + n) and n² A / (p + n) times -h/2, for the values
+/// p > 0 and -n < 0. Otherwise φ(q(t)) is concave, so its integral is at least the trapezoid's, with equality without a
+/// change of sign.
 fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
     let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
     let half = step_s * Interval::point(0.5);
@@ -296,10 +291,9 @@ mod tests {
         BigRational::from_float(value).unwrap()
     }
 
-    /// The integral of min(-b q, A q) over a step, by its triangles above and below zero.
     fn integral(ego: &SceneEgo, [begin, end]: [f64; 2], step_s: f64) -> BigRational {
         let (q, two) = ([rational(begin), rational(end)], rational(2.0));
-        // Of the part of q of a sign, which is negative or zero at one end or both: the share of the step times half of the rest.
+        // For the part of q with one sign, zero at an end: its share of the step times half of its value.
         let part = |sign: f64| {
             let [a, b] = [&q[0], &q[1]].map(|q| q * rational(sign));
             match (a.is_positive(), b.is_positive()) {
@@ -325,7 +319,7 @@ mod tests {
         }
     }
 
-    /// Whether q has changed its sign is not sure where an end may be zero: then a trapezoid is below what it does.
+    /// A sign change is uncertain if an end may be zero; a trapezoid is then a lower bound.
     #[test]
     fn a_q_that_may_be_zero_at_an_end_is_integrated_as_a_trapezoid() {
         let (brake, accel) = (8.0, 3.0);

@@ -1,9 +1,8 @@
-//! How much a check may do.
+//! Limit of the operations of a check.
 //!
-//! A few hundred bytes can announce a million boxes of a hundred thousand steps each, or a hundred million runs. What a check does
-//! is therefore counted while it goes on, in *operations*: about as many multiplications and additions. It stops with
-//! [`Rejection::TooMuchWork`] once they are more than allowed. The count does not depend on the number of threads, so neither
-//! does the verdict.
+//! A few hundred bytes can declare a million boxes of a hundred thousand steps each, or a hundred million runs. A check
+//! therefore counts *operations*, roughly multiplications and additions. It stops with [`Rejection::BudgetExceeded`]
+//! above the limit. Neither the count nor the verdict depends on the number of threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -11,37 +10,37 @@ use crate::Rejection;
 
 const BILLION: u64 = 1_000_000_000;
 
-/// Operations for one operation of outward-rounded intervals, more or less.
+/// Approximate cost of one outward-rounded interval operation.
 pub(crate) const OPS_PER_INTERVAL_OP: u64 = 20;
 
-/// How many operations checking one certificate may take.
+/// Maximum number of operations for checking one certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct WorkLimit(u64);
 
 impl WorkLimit {
-    /// As many as it takes.
+    /// No limit.
     pub const UNLIMITED: Self = Self(u64::MAX);
 
-    /// So many operations.
+    /// Creates a limit from a number of operations.
     #[must_use]
     pub const fn from_operations(operations: u64) -> Self {
         Self(operations)
     }
 
-    /// So many billions of operations, for each of which a core takes a fraction of a second.
+    /// Creates a limit from billions of operations, each a fraction of a second on one core.
     #[must_use]
     pub const fn from_billions(billions: u64) -> Self {
         Self(billions.saturating_mul(BILLION))
     }
 
-    /// The limit in whole billions.
+    /// Returns the limit in whole billions.
     #[must_use]
     pub const fn to_billions(self) -> u64 {
         self.0 / BILLION
     }
 }
 
-/// 4000 billion operations: some ten minutes of one core for a statement about reach.
+/// 4000 billion operations: about ten minutes of one core for a reach statement.
 impl Default for WorkLimit {
     fn default() -> Self {
         Self::from_billions(4000)
@@ -54,7 +53,7 @@ impl std::fmt::Display for WorkLimit {
     }
 }
 
-/// What is left of a limit, for any number of threads.
+/// The rest of a limit, shared by threads.
 #[derive(Debug)]
 pub(crate) struct OpBudget {
     limit: WorkLimit,
@@ -66,7 +65,7 @@ impl OpBudget {
         Self { limit, spent: AtomicU64::new(0) }
     }
 
-    /// Counts operations, best before they are done. Whether they may be.
+    /// Counts operations, ideally before they run. Returns true while the limit holds.
     pub(crate) fn charge(&self, operations: u64) -> bool {
         let before = self.spent.update(Ordering::Relaxed, Ordering::Relaxed, |done| done.saturating_add(operations));
         before.saturating_add(operations) <= self.limit.0
@@ -75,7 +74,7 @@ impl OpBudget {
     /// Counts operations.
     ///
     /// # Errors
-    /// [`Rejection::TooMuchWork`] if they, or those before, are too many.
+    /// [`Rejection::BudgetExceeded`] if the total exceeds the limit.
     pub(crate) fn charge_or_reject(&self, operations: u64) -> Result<(), Rejection> {
         if self.charge(operations) { Ok(()) } else { Err(Rejection::BudgetExceeded { limit: self.limit }) }
     }

@@ -1,13 +1,12 @@
-//! The number of cases of every property test in the workspace.
+//! Number of cases of every property test in the workspace.
 //!
 //! `PROPTEST_CASES` scales all tests together. `cargo test` reads 64 from `.cargo/config.toml`, `.ci/run` sets 256.
 
 use proptest::test_runner::Config;
 
-/// Cases of a property test that states no number.
 const DEFAULT_CASES: u64 = 256;
 
-/// Returns a configuration for `normal` cases at `PROPTEST_CASES=256`, in proportion for other values, at least one.
+/// Returns a configuration for `normal` cases at `PROPTEST_CASES=256`, scaled for other values, with at least one case.
 #[must_use]
 pub fn with_cases(normal: u32) -> Config {
     let config = Config::default();

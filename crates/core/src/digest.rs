@@ -1,33 +1,33 @@
-//! SHA-256, as it stands in files and reports.
+//! SHA-256 in the hexadecimal form of files and reports.
 
 use std::io;
 
 use sha2::Digest;
 
-/// SHA-256 of bytes that come piece by piece.
+/// An incremental SHA-256.
 #[derive(Clone, Default)]
 pub struct Sha256(sha2::Sha256);
 
 impl Sha256 {
-    /// Takes in the next piece.
+    /// Adds the next bytes.
     #[must_use]
     pub fn with(mut self, bytes: impl AsRef<[u8]>) -> Self {
         self.update(bytes);
         self
     }
 
-    /// Takes in the next piece.
+    /// Adds the next bytes.
     pub fn update(&mut self, bytes: impl AsRef<[u8]>) {
         self.0.update(bytes);
     }
 
-    /// The digest of all pieces.
+    /// Returns the digest of all bytes.
     #[must_use]
     pub fn finish(self) -> [u8; 32] {
         self.0.finalize().into()
     }
 
-    /// The digest of all pieces, in hexadecimal.
+    /// Returns the digest of all bytes, in hexadecimal.
     #[must_use]
     pub fn hexadecimal(self) -> String {
         self.finish().iter().map(|byte| format!("{byte:02x}")).collect()
@@ -45,7 +45,7 @@ impl io::Write for Sha256 {
     }
 }
 
-/// SHA-256 in hexadecimal.
+/// Returns a SHA-256 in hexadecimal.
 #[must_use]
 pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
     Sha256::default().with(bytes).hexadecimal()

@@ -1,18 +1,18 @@
 //! Numbers with few significant digits, for readers: `8.31` and not `8.31e0`.
 
-/// Exponents of ten that are written out.
 const FIXED_NOTATION_EXPONENTS: std::ops::RangeInclusive<i32> = -4..=6;
 
-/// Returns a number rounded to so many significant digits, at least one: with an exponent below 0.0001 and from 10 000 000 on.
+/// Returns a number with `digits` significant digits (at least one), in scientific notation below 1e-4 and from 1e7 on.
 ///
 /// ```
-/// use crumple_core::digits::nearest;
-/// assert_eq!(["8.31", "0.00095569", "9.6e-5"], [nearest(8.3149, 3), nearest(9.55691e-4, 5), nearest(9.55e-5, 2)]);
+/// use crumple_core::digits::format_rounded;
+/// let formatted = [format_rounded(8.3149, 3), format_rounded(9.55691e-4, 5), format_rounded(9.55e-5, 2)];
+/// assert_eq!(["8.31", "0.00095569", "9.6e-5"], formatted);
 /// ```
 #[must_use]
 pub fn format_rounded(number: f64, digits: usize) -> String {
     if number == 0.0 || !number.is_finite() {
-        // Without the sign of a zero.
+        // Adding 0 removes the sign of a zero.
         return (number + 0.0).to_string();
     }
     let (rounded, exponent) = format_scientific(number, digits);
@@ -25,8 +25,7 @@ pub fn format_rounded(number: f64, digits: usize) -> String {
     }
 }
 
-/// Returns a bound with so many significant digits, never below what it was: rounded to the nearest, an upper bound would claim more
-/// than was shown.
+/// Returns an upper bound with `digits` significant digits, rounded up, so that it claims no more than was shown.
 #[must_use]
 pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     let (rounded, exponent) = format_scientific(bound, digits);
@@ -37,7 +36,7 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     }
 }
 
-/// A number with an exponent, and that exponent.
+/// Returns a number in scientific notation, and its exponent.
 fn format_scientific(number: f64, digits: usize) -> (String, i32) {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let exponent = rounded.rsplit_once('e').and_then(|(_, exponent)| exponent.parse().ok()).unwrap_or(0);

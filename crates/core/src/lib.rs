@@ -1,11 +1,11 @@
-//! Digests, rounded numbers, quoted text and progress, which every other crate of crumple may use.
+//! Digests, rounded numbers, quoted text and progress, for every other crate of crumple.
 //!
 //! | module | content |
 //! |---|---|
-//! | [`digest`] | SHA-256, in hexadecimal as files and reports state it |
+//! | [`digest`] | SHA-256 in the hexadecimal form of files and reports |
 //! | [`digits`] | numbers with few significant digits, for readers |
 //! | [`observer`] | progress of long work, and the decision to stop it |
-//! | [`quoted`] | text from users, quoted for a terminal, for Markdown or for a shell |
+//! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
 
 pub mod digest;
 pub mod digits;

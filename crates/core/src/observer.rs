@@ -6,22 +6,22 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A receiver of progress that may stop the work.
 ///
-/// Work ends soon after an observer returns [`ControlFlow::Break`], with an error that holds [`Stopped`]. It completes the batch of runs in
-/// progress first. Run folders keep the batches before it, so that the work can be resumed.
+/// Work completes its batch of simulations after an observer returns [`ControlFlow::Break`], then ends with an error
+/// that holds [`Stopped`]. Run folders keep all earlier batches, so that the work can be resumed.
 ///
 /// ```
-/// use crumple_core::observer::{Observer, Progress, Quiet, Stopped};
+/// use crumple_core::observer::{Observer, Quiet, RunProgress, Stopped};
 /// use std::ops::ControlFlow;
 ///
-/// let limited = |progress: &Progress| if progress.done < 3 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) };
-/// assert_eq!(limited.notify(&Progress { done: 3, total: None }), Err(Stopped));
-/// assert_eq!(Quiet.notify(&Progress { done: 3, total: None }), Ok(()));
+/// let limited = |p: &RunProgress| if p.done < 3 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) };
+/// assert_eq!(limited.notify(&RunProgress { done: 3, total: None }), Err(Stopped));
+/// assert_eq!(Quiet.notify(&RunProgress { done: 3, total: None }), Ok(()));
 /// ```
 pub trait Observer<P: ?Sized>: Sync {
-    /// Receives progress, and decides whether the work continues. May be called from several threads.
+    /// Receives progress, and decides whether the work continues. Several threads may call this function.
     fn observe(&self, progress: &P) -> ControlFlow<()>;
 
-    /// Passes progress on, for work that returns an error when it is stopped.
+    /// Passes progress on, and returns an error if the work must stop.
     ///
     /// # Errors
     /// [`Stopped`] if the observer stops the work.
@@ -57,12 +57,12 @@ impl<P: ?Sized, F: Fn(&P) + Sync> Observer<P> for Listener<F> {
     }
 }
 
-/// Progress of work that counts its units, in most cases simulation runs.
+/// Progress in completed units, in most cases simulations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RunProgress {
     /// Completed units.
     pub done: u64,
-    /// Units in all, if that is known.
+    /// Total number of units, if known.
     pub total: Option<u64>,
 }
 
@@ -74,7 +74,7 @@ pub struct ProgressCounter<'o> {
 }
 
 impl<'o> ProgressCounter<'o> {
-    /// Starts at 0.
+    /// Creates a counter at 0.
     #[must_use]
     pub fn new(observer: &'o dyn Observer<RunProgress>, total: Option<u64>) -> Self {
         Self { observer, done: AtomicU64::new(0), total }

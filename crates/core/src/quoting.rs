@@ -1,42 +1,41 @@
-//! What users wrote, as it goes out: names, files and texts quoted for the place that they go to.
+//! User-supplied text, quoted for its output format.
 //!
-//! A name may hold anything: a sequence that moves a terminal's cursor, an override that turns the direction of what follows,
-//! HTML, a backtick, a semicolon. Each type here is one place, and what it displays means the text there and nothing else:
+//! A name may contain control sequences, bidirectional overrides, HTML, a backtick or a semicolon. Each type quotes for
+//! one format:
 //!
-//! | type | place |
+//! | type | output format |
 //! |---|---|
-//! | [`TerminalText`] | a line for a reader: of a terminal, a log, a list |
-//! | [`TerminalLines`] | a whole text for readers or programs, JSON, XML and HTML among them: line breaks and tabs stay |
-//! | [`MarkdownText`] | text within a paragraph, a heading or a cell of Markdown |
-//! | [`MarkdownCode`] | the same, as code |
+//! | [`TerminalText`] | one line of a terminal, log or list |
+//! | [`TerminalLines`] | a whole text (also JSON, XML or HTML); line breaks and tabs stay |
+//! | [`MarkdownText`] | text in a Markdown paragraph, heading or table cell |
+//! | [`MarkdownCode`] | inline code in Markdown |
 //! | [`ShellWord`] | one argument of a command in a POSIX shell |
 
 use std::fmt::{self, Display, Formatter, Write};
 
-/// Text within one line for a reader: what does not show as itself is shown escaped, as in `\u001b`, line breaks and tabs too.
+/// Text in one line for a reader. Hidden characters, line breaks and tabs are escaped, as in `\u001b`.
 #[derive(Debug, Clone, Copy)]
 pub struct TerminalText<'a>(pub &'a str);
 
-/// Text of several lines: as [`TerminalText`], but line feeds and tabs stay. The escapes are those of JSON, where they mean the
-/// same characters; in XML, which forbids most of these characters, they are text.
+/// Text of several lines. Differs from [`TerminalText`] in that line feeds and tabs stay. The escapes are those of
+/// JSON, where they mean the same characters; in XML, which forbids most of these characters, they are text.
 #[derive(Debug, Clone, Copy)]
 pub struct TerminalLines<'a>(pub &'a str);
 
-/// Text of Markdown, within one line, that is nothing but text: no HTML, link, emphasis, code or border of a cell.
+/// Plain text in one line of Markdown: no HTML, link, emphasis, code or cell border.
 #[derive(Debug, Clone, Copy)]
 pub struct MarkdownText<'a>(pub &'a str);
 
-/// Code in a line of Markdown. In a cell of a table, which is divided before code is found, `|` has to be escaped besides.
+/// Inline code in Markdown. In a table cell, the caller also has to escape `|`, because Markdown splits cells first.
 #[derive(Debug, Clone, Copy)]
 pub struct MarkdownCode<'a>(pub &'a str);
 
-/// One argument of a command: a POSIX shell reads it as this text. For what goes into a file that is run; a command that is shown
-/// goes through the type of that place besides.
+/// One argument of a command for a POSIX shell. A displayed command also needs the type of that output format.
 #[derive(Debug, Clone, Copy)]
 pub struct ShellWord<'a>(pub &'a str);
 
-/// Whether a character does not show as itself, or changes how others show: control characters, line and paragraph separators,
-/// whatever sets the direction of text, what has no width and no use in a word, and tags.
+/// Returns true if a character is invisible or changes how others appear: control characters, line and paragraph
+/// separators, bidirectional controls, zero-width characters and tags.
 #[must_use]
 pub fn is_hidden(letter: char) -> bool {
     letter.is_control()
@@ -46,12 +45,11 @@ pub fn is_hidden(letter: char) -> bool {
             | '\u{e0000}'..='\u{e007f}')
 }
 
-/// A character, or its escape if it is hidden.
 fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
     if !is_hidden(letter) {
         return out.write_char(letter);
     }
-    // As JSON writes it, characters beyond 16 bits in two halves.
+    // JSON writes characters beyond 16 bits as surrogate pairs.
     letter.encode_utf16(&mut [0; 2]).iter().try_for_each(|half| write!(out, "\\u{half:04x}"))
 }
 
@@ -79,7 +77,7 @@ impl Display for MarkdownText<'_> {
         for (place, letter) in text.char_indices() {
             let after = text.get(place + letter.len_utf8()..).and_then(|rest| rest.chars().next());
             let ends_word = after.is_none_or(char::is_whitespace);
-            // Where text begins, these make headings, quotations, lines and lists.
+            // At the start of a block, these begin headings, quotations, rules and lists.
             let begins_block = match letter {
                 '#' | '>' | '=' => place == 0,
                 '-' | '+' => place == 0 && (ends_word || after == Some(letter)),
@@ -88,9 +86,9 @@ impl Display for MarkdownText<'_> {
             };
             match letter {
                 '\n' | '\r' | '\t' => out.write_char(' ')?,
-                // Within a word it means nothing.
+                // An underscore within a word has no meaning.
                 '_' if is_word(before) && is_word(after) => out.write_char('_')?,
-                // Neither HTML nor an entity begins so.
+                // Neither HTML nor an entity begins with these.
                 '<' | '&' if after == Some(' ') => out.write_char(letter)?,
                 '\\' | '`' | '*' | '_' | '<' | '&' | '[' | ']' | '|' | '~' | '$' => write!(out, "\\{letter}")?,
                 _ if begins_block => write!(out, "\\{letter}")?,
@@ -108,10 +106,10 @@ impl Display for MarkdownText<'_> {
 
 impl Display for MarkdownCode<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
-        // Longer than any run of them inside.
+        // The fence must be longer than any run of backticks inside.
         let longest = self.0.split(|letter| letter != '`').map(str::len).max().unwrap_or_default();
         let fence = "`".repeat(longest + 1);
-        // A space at each end is taken away again, unless there is nothing else.
+        // Markdown removes a space at each end, unless the code is all spaces.
         let blank = self.0.chars().all(|letter| letter == ' ');
         let pad = if longest > 0 || (self.0.starts_with(' ') && self.0.ends_with(' ') && !blank) { " " } else { "" };
         write!(out, "{fence}{pad}")?;
@@ -125,11 +123,10 @@ impl Display for MarkdownCode<'_> {
 impl Display for ShellWord<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "+-./:@_=,".contains(letter);
-        // Some shells put a program's path in place of what begins with an equals sign.
+        // Some shells expand `=NAME` to the path of a program.
         if !self.0.is_empty() && !self.0.starts_with('=') && self.0.chars().all(is_plain) {
             return out.write_str(self.0);
         }
-        // No argument holds a NUL.
         write!(out, "'{}'", self.0.replace('\0', "").replace('\'', "'\\''"))
     }
 }
@@ -140,7 +137,6 @@ mod tests {
 
     use super::*;
 
-    /// Whatever means something somewhere.
     fn hostile_text() -> impl Strategy<Value = String> {
         let nasty = prop::sample::select(vec![
             "\u{1b}]0;x\u{7}",

@@ -1,8 +1,6 @@
-//! Whether a certificate is about what it says it is about.
-//!
-//! The checker knows numbers, and the hash of a text. Here the text is read as the scenario, box or space that it is, what the
-//! statement should say about it is derived again, and the two are compared number by number. Nothing here adds to what is proved;
-//! it refuses what is proved of something else.
+//! Check that the statement of a certificate matches its scenario, box or space. The checker knows numbers and the hash
+//! of a text. This module parses the text, derives the numbers of the statement again, and compares them. It proves
+//! nothing; it refuses a proof about something else.
 
 use std::path::Path;
 
@@ -21,37 +19,37 @@ use crumple_world::scenario::space::{self, ScenarioSpace};
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
-/// Why a certificate is not about what it says.
+/// Reason why a statement does not match its texts.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BindingError {
-    /// A text that it needs is not there.
+    /// A required text is missing.
     #[error("`{field}` is missing")]
     Missing {
-        /// Which.
+        /// Field of the text.
         field: &'static str,
     },
-    /// The text of a scenario, space or box is none.
+    /// The text is not a valid scenario, space or box.
     #[error(transparent)]
     Text(FileError),
-    /// The ranges make no box around the scenario.
+    /// The ranges form no box around the scenario.
     #[error("provenance.box_text: {0}")]
     Family(#[from] ScenarioBoxError),
-    /// The box is none that can be claimed about.
+    /// The box allows no claim.
     #[error("provenance.box_text: {0}")]
     Box(#[from] super::InvalidBox),
-    /// A registration of which nothing can be claimed.
+    /// The registration allows no claim.
     #[error(transparent)]
     Rate(#[from] InvalidRate),
-    /// The scenario or space names a program, which may not be started, so it was not read.
+    /// The scenario or space names a program that may not be started.
     #[error(transparent)]
     StartRefused(FileError),
-    /// Two places say different things.
+    /// Statement and text differ.
     #[error("`{field}` {problem}")]
     Differs {
-        /// Where.
+        /// Field that differs.
         field: &'static str,
-        /// What it is not.
+        /// Difference.
         problem: &'static str,
     },
 }
@@ -62,44 +60,42 @@ impl From<FileError> for BindingError {
     }
 }
 
-/// Why a claim is not about a scenario.
+/// Reason why a claim does not cover a scenario.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScenarioMismatch {
-    /// Its scene, or what the scene leaves out, differs.
+    /// The scene, or the vehicles outside it, differ.
     #[error("the statement is about other vehicles, a longer or shorter time, or another space")]
     OtherScene,
-    /// The scenario has vehicles or drivers that no such claim is about.
+    /// The scenario has vehicles or controllers that such a claim cannot cover.
     #[error(transparent)]
     Scenario(#[from] super::InvalidBox),
-    /// The claim does not cover the leader's script.
+    /// The claim does not cover the leader's profile.
     #[error(transparent)]
     Script(#[from] ScriptBeyondLimit),
-    /// Steps, duration or the driver behind differ.
+    /// Step, duration or the follower's controller differ.
     #[error("the time step, the duration or the follower's driver of the scenario differs from that of the statement")]
     OtherRun,
-    /// The policy is missing, or asks for more than the vehicle under test can do.
+    /// The policy is missing, or exceeds the limits of the vehicle under test.
     #[error("its vehicle under test cannot do all that the policy asks for")]
     OtherLimits,
-    /// A number of its start lies outside the box.
+    /// A quantity of the initial state is outside the box.
     #[error("its {field} is {value}, outside {} to {}", range[0], range[1])]
     Outside {
-        /// The number, as the statement names it, with its unit.
+        /// Quantity as named in the statement, with its unit.
         field: &'static str,
-        /// Its value in the scenario.
+        /// Value in the scenario.
         value: f64,
-        /// The smallest and the largest value of the statement.
+        /// Range of the statement.
         range: [f64; 2],
     },
 }
 
-/// Checks that the numbers of a statement are those of the texts that it is bound to. A policy's file is needed for a statement about
-/// one.
-///
-/// Of a certificate of version 1, which is bound to nothing, only this: if it carries the hash of a built-in scenario, it is about it.
+/// Checks that the numbers of a statement match its texts. A statement about a policy needs the policy's file. A
+/// certificate of version 1 has no texts; only the hash of a built-in scenario is compared.
 ///
 /// # Errors
-/// [`BindingError`] says what is not.
+/// [`BindingError`] names the difference.
 pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), BindingError> {
     if certificate.is_first_version() {
         let carried = &certificate.provenance.scenario_sha256;
@@ -116,7 +112,7 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
         Statement::Reach(claim) => check_box(certificate, claim, policy),
         Statement::Rate(claim) => check_registration(certificate, &claim.registration),
         Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
-        // All others are about a scene.
+        // All other statements are about a scene.
         _ => {
             let scenario = read_scenario(certificate)?;
             let family = match &certificate.provenance.box_text {
@@ -130,11 +126,11 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
     }
 }
 
-/// Checks that a scenario is one of those that a claim is about. For a claim about a box of starts, its own start has to be in the box
-/// and all else the same. Of a leader that the claim lets brake as it likes, the script has to keep within the limit.
+/// Checks that a claim covers a scenario. For a box, the initial state must be inside and all else equal. The profile
+/// of a leader with free braking must stay within the limit.
 ///
 /// # Errors
-/// [`ScenarioMismatch`] says what keeps the claim from being about it.
+/// [`ScenarioMismatch`] names the difference.
 pub fn check_covers_scenario(
     certificate: &Certificate,
     scenario: &Scenario,
@@ -168,8 +164,7 @@ pub fn check_covers_scenario(
     outside.map_or(Ok(()), Err)
 }
 
-/// Counts the vehicles at the rear of a certificate's own scenario that its scene leaves out; none where the certificate has no scene or
-/// holds no scenario.
+/// Counts the last vehicles of a certificate's scenario that its scene leaves out; `None` without scene or scenario.
 #[must_use]
 pub fn count_omitted_vehicles(certificate: &Certificate) -> Option<usize> {
     let scene = certificate.statement.scene()?;
@@ -204,7 +199,7 @@ fn is_same_run(claim: &ReachClaim, starts: &InitialSet) -> bool {
 
 const BOX_TEXT_FIELD: &str = "provenance.box_text";
 
-/// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
+/// True if the vehicle can execute all commands of the policy, which the checker has validated.
 fn can_execute_policy(policy: Option<&[u8]>, starts: &InitialSet) -> bool {
     policy
         .and_then(|bytes| NeuralController::from_bytes(bytes).ok())
@@ -234,7 +229,6 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
     }
 }
 
-/// The space of a registration, from the text in the certificate.
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
     let text = certificate.provenance.scenario_text.as_ref();
     let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
@@ -246,7 +240,6 @@ pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, Bin
     }
 }
 
-/// The plan that a registration is of, if `controllers` are its controllers.
 pub(super) fn rebuild_plan(
     certificate: &Certificate,
     registration: &Registration,
@@ -261,8 +254,8 @@ pub(super) fn rebuild_plan(
     Ok(RatePlan::new(RateConfig { controller, against, space, seed, estimator, runs, confidence })?)
 }
 
-/// Returns the controllers that a registration names, if all are built in: a name in a certificate stands for no file and no
-/// program.
+/// Returns the controllers of a registration if all are built in. A name in a certificate never opens a file or starts
+/// a program.
 pub(super) fn built_in_controllers(registration: &Registration) -> Option<(NamedController, Option<NamedController>)> {
     let find = |name: &String| NamedController::find_built_in(name);
     let first = find(registration.configuration.get("controller")?)?;
@@ -280,7 +273,7 @@ fn check_registration(certificate: &Certificate, registration: &Registration) ->
     if sha256(text) != of("space_sha256") {
         return Err(mismatch("provenance.scenario_text", "is not the space as it is written by this program"));
     }
-    // Another release may know other controllers by the same names.
+    // Other releases may use these names for other controllers.
     if of("crumple") != env!("CARGO_PKG_VERSION") {
         return Ok(());
     }

@@ -1,37 +1,35 @@
-//! A block of counted runs, and a hash of what came of each, by which it is known when it is made again.
+//! Blocks of counted runs with a hash of their results, for confirmation.
 
 use serde::{Deserialize, Serialize};
 
 use crumple_core::digest::Sha256;
 use crumple_world::sim::{FailedController, FailedControllerRuns, Outcome, SimulationResult};
 
-/// What begins the bytes of which a block's hash is made.
 const HASH_PREFIX: &str = "crumple runs 2\n";
 
-/// What was counted in a block of runs.
+/// Results of a block of runs.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CountedBlock {
-    /// Runs in which the controller failed; of two, both.
+    /// Runs in which the controller failed; with two controllers, both.
     pub failures: u64,
-    /// Of two controllers: runs in which only the first failed.
+    /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,
     /// Runs in which only the second failed.
     pub only_second_failed: u64,
-    /// SHA-256 of what came of each run, which nobody knows who has not made them: see `docs/certificates.md`.
+    /// SHA-256 of the result of each run, known only to a program that simulates them: see `docs/certificates.md`.
     pub sha256: String,
-    /// Runs in which the controller, or the first of two, gave no answer: failures.
+    /// Runs without an answer of the controller, or of the first of two; they count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// Runs in which the second gave none: these speak for neither of the two.
+    /// Runs without an answer of the second controller; they count for neither controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub other_unanswered: Option<FailedControllerRuns>,
 }
 
-/// What came of a run, for hashing: how it ended, when, and the smallest gap, as bits.
+/// Result of a run, for hashing: outcome, time and smallest gap as bits.
 pub(super) struct RunFingerprint {
     failed: bool,
-    /// Why the controller gave no answer, if it gave none.
     unanswered: Option<String>,
     bytes: [u8; 17],
 }
@@ -53,14 +51,13 @@ impl RunFingerprint {
 }
 
 impl RunFingerprint {
-    /// Whether the controller failed.
     pub(super) fn is_failure(&self) -> bool {
         self.failed
     }
 }
 
 impl CountedBlock {
-    /// Counts runs, each with how it ended for each controller, beginning with run number `first` of a registration.
+    /// Counts runs from number `first` of a registration, each with a result per controller.
     pub(super) fn from_runs<'a>(
         registered: &str,
         first: u64,
@@ -79,7 +76,7 @@ impl CountedBlock {
                 [one] if one.failed => block.failures += 1,
                 [first, second] if first.failed && second.failed => block.failures += 1,
                 [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
-                // Who gave no answer is not known to have been worse off.
+                // A second controller without an answer is not known to be worse.
                 [first, second] if !first.failed && second.failed && second.unanswered.is_none() => {
                     block.only_second_failed += 1;
                 }

@@ -17,27 +17,27 @@ pub struct CertificateReport<'a> {
     pub certificate: &'a Certificate,
     /// Accepted statement, or the reason for the rejection.
     pub accepted: Result<ProvedClaim, String>,
-    /// Strength of the counts, if the statement rests on counts.
+    /// Confirmation of the counts, if the statement rests on counts.
     pub counts: Option<CountsStatus>,
     /// Reason why the certificate is not about the requested scenario, if one was requested.
     pub covers_scenario: Option<Result<(), String>>,
 }
 
-/// Strength of the counts of a certificate.
+/// Confirmation of the counts of a certificate.
 #[derive(Debug)]
 pub enum CountsStatus {
-    /// No run was made again.
+    /// No run was repeated.
     Unconfirmed,
-    /// Some or all runs were made again, with the stated results.
+    /// Some or all runs were repeated, with the stated results.
     Confirmed {
-        /// Runs that were made again.
+        /// Repeated runs.
         confirmation: Confirmation,
-        /// Seed of the sample, if not all runs were made again.
+        /// Seed of the sample, if not all runs were repeated.
         seed: Option<u64>,
     },
-    /// Runs that were made again ended in another way.
+    /// A repeated run had another result.
     Refuted {
-        /// First run that differs.
+        /// Description of the first difference.
         because: String,
     },
 }
@@ -63,7 +63,7 @@ impl CountsStatus {
             Self::Confirmed { confirmation, seed } => {
                 let Confirmation { blocks, total_blocks: of_blocks, runs, total_runs: of_runs, .. } = confirmation;
                 let mut chances = detection_probabilities(confirmation).to_vec();
-                // Of few runs a hundredth is one as well.
+                // With few runs, 1 % is one run as well.
                 chances.dedup();
                 let chance = |(forged, chance): (u64, f64)| {
                     let runs = if forged == 1 { "run" } else { "runs" };
@@ -83,18 +83,19 @@ impl CountsStatus {
     }
 }
 
-/// How surely a confirmation would have caught a maker of one, of a hundredth and of a tenth of all runs.
+/// Returns the probabilities of detecting one forged run, 1 % and 10 % forged runs.
 fn detection_probabilities(confirmation: &Confirmation) -> [(u64, f64); 3] {
     [1, confirmation.total_runs.div_ceil(100), confirmation.total_runs.div_ceil(10)]
         .map(|forged| (forged, confirmation.detection_probability(forged)))
 }
 
 impl<'a> CertificateReport<'a> {
-    /// Checks a certificate, and derives again from its texts what it says it is about. `policy` holds the bytes of the policy or
-    /// network that it names; `limit` bounds the work.
+    /// Checks a certificate and its binding to its texts. `policy` holds the bytes of the policy or network that it
+    /// names; `limit` bounds the work.
     ///
     /// # Errors
-    /// [`Unbound::StartRefused`] if a text names a program that may not start, which says nothing against the certificate.
+    /// [`BindingError::StartRefused`] if a text names a program that may not start; this does not refute the
+    /// certificate.
     pub fn check(
         path: String,
         certificate: &'a Certificate,
@@ -110,7 +111,7 @@ impl<'a> CertificateReport<'a> {
         Ok(Self { path, certificate, accepted, counts: None, covers_scenario: None })
     }
 
-    /// Checks a certificate just made, whose texts need not be read again.
+    /// Checks a certificate that was just made, without its binding.
     #[must_use]
     pub fn new(path: String, certificate: &'a Certificate) -> Self {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
@@ -119,19 +120,18 @@ impl<'a> CertificateReport<'a> {
 }
 
 impl CertificateReport<'_> {
-    /// Returns true if the certificate is rejected, refuted, or not about the requested scenario.
+    /// True if the certificate is rejected, refuted, or not about the requested scenario.
     #[must_use]
     pub fn is_refused(&self) -> bool {
         self.is_rejected() || matches!(self.covers_scenario, Some(Err(_)))
     }
 
-    /// Returns true if the statement is not proved, or its counts are refuted.
+    /// True if the statement is not proved, or its counts are refuted.
     #[must_use]
     pub fn is_rejected(&self) -> bool {
         self.accepted.is_err() || matches!(self.counts, Some(CountsStatus::Refuted { .. }))
     }
 
-    /// The confidence of an accepted bound.
     fn confidence(&self) -> Option<f64> {
         match self.accepted {
             Ok(ProvedClaim::Rate { confidence, .. } | ProvedClaim::FailsLessOften { confidence }) => Some(confidence),
@@ -139,8 +139,8 @@ impl CertificateReport<'_> {
         }
     }
 
-    /// Whether the scenario or space that it is about is the built-in one of that name; none if there is no such one, or it is
-    /// bound to none.
+    /// True if the scenario or space of the certificate is the built-in one of that name; `None` without such a name or
+    /// text.
     fn is_built_in(&self) -> Option<bool> {
         let provenance = &self.certificate.provenance;
         let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_first_version())?;
@@ -153,7 +153,6 @@ impl CertificateReport<'_> {
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
-    /// The scope, with the vehicles of its own scenario that the claim leaves out.
     fn scope(&self, accepted: Option<&ProvedClaim>) -> Scope {
         match (count_omitted_vehicles(self.certificate), accepted) {
             (Some(vehicles), _) => self.certificate.scope_with_uncovered_vehicles(accepted, vehicles),
@@ -184,7 +183,6 @@ impl CertificateReport<'_> {
         };
         match (scenario, about) {
             (Some(scenario), Some(Ok(()))) => text += &format!("  is about {}\n", TerminalText(scenario)),
-            // Of an accepted one the first line says so.
             (Some(scenario), Some(Err(why))) if accepted.is_err() => {
                 text += &format!("  is NOT about {}: {}\n", TerminalText(scenario), TerminalText(why));
             }
@@ -217,7 +215,8 @@ impl CertificateReport<'_> {
     }
 }
 
-/// At least how surely all accepted bounds hold together, if there are several: at most the sum of what each leaves open is open.
+/// Returns the number of accepted bounds and their joint confidence level by the Bonferroni inequality, if there are
+/// several.
 fn joint_confidence(all: &[CertificateReport<'_>]) -> Option<(usize, f64)> {
     let open: Vec<f64> =
         all.iter().filter_map(CertificateReport::confidence).map(|confidence| 1.0 - confidence).collect();
@@ -230,7 +229,6 @@ fn joint_confidence(all: &[CertificateReport<'_>]) -> Option<(usize, f64)> {
 pub fn report_text(all: &[CertificateReport<'_>], scenario: Option<&str>) -> String {
     let mut text: String = all.iter().map(|one| one.text(scenario)).collect();
     if let Some((bounds, confidence)) = joint_confidence(all) {
-        // Rounded down.
         let percent = (confidence * 1e8).floor() / 1e6;
         text += &format!(
             "together: all {bounds} bounds hold at once at confidence {percent} % (the sum of what each leaves open)\n"
@@ -239,7 +237,6 @@ pub fn report_text(all: &[CertificateReport<'_>], scenario: Option<&str>) -> Str
     text
 }
 
-/// One line of `--format json`.
 #[derive(Serialize)]
 struct ReportLine<'a> {
     certificate: &'a str,
@@ -268,7 +265,6 @@ struct ReportLine<'a> {
     not_about_scenario: Option<&'a str>,
 }
 
-/// What was counted again.
 #[derive(Serialize)]
 struct RerunReport {
     runs: u64,
@@ -278,15 +274,15 @@ struct RerunReport {
     #[serde(rename = "of_blocks")]
     total_blocks: u64,
     seed: Option<u64>,
-    /// Pairs of a number of forged runs and the least chance of having caught them.
+    /// Numbers of forged runs, each with the minimum probability of detection.
     #[serde(rename = "catches")]
     detection_probabilities: [(u64, f64); 3],
 }
 
-/// Formats reports as one JSON object a line.
+/// Formats reports as one JSON object per line.
 ///
 /// # Errors
-/// None in practice; the serializer's error is passed on.
+/// None in practice; only the serializer can fail.
 pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::Error> {
     let joint_confidence = joint_confidence(all).map(|(_, confidence)| confidence);
     let lines = all.iter().map(|one| Ok(serde_json::to_string(&report_line(one, joint_confidence))? + "\n"));
@@ -298,7 +294,7 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
     let (mut margin_m, mut x_ego_width_m) = (None, None);
-    // JSON has no infinity: an overlap of any size.
+    // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     match *accepted {
         Ok(ProvedClaim::Avoidable { min_gap_m: gap_m, after_horizon: then, .. }) => {

@@ -1,7 +1,6 @@
-//! The adaptive cruise control benchmark of ARCH-COMP AINNCS: what is proved of a network, and what random starts show beside it.
-//!
-//! The problem and the proof are `crumple_verify::cruise`'s. The simulation here is independent of it: the classic method of Runge
-//! and Kutta with a tenth of the period, and the network as it drives in single precision.
+//! Adaptive cruise control benchmark of ARCH-COMP AINNCS: proof and random simulations of a network.
+//! `crumple_verify::cruise` has the problem and the proof. The simulation here is independent of it: a classic
+//! Runge-Kutta method with a tenth of the period, and the network in single precision.
 
 use std::time::Instant;
 
@@ -24,21 +23,21 @@ use crumple_world::network::{FeedForward, NetworkFile};
 use crumple_world::policy::Workspace;
 use crumple_world::random::{self, Purpose};
 
-/// Runge-Kutta steps in a period, and starts that are driven together.
+/// Runge-Kutta steps per period, and initial states per batch.
 const STEPS_PER_PERIOD: usize = 10;
 const BATCH_SIZE: usize = 500;
 
-/// Why nothing can be said of a network.
+/// Reason why a network cannot be proved.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CruiseError {
-    /// It does not fit the benchmark.
+    /// The network does not fit the benchmark.
     #[error("does not fit the benchmark: {0}")]
     Mapping(#[from] InvalidMapping),
-    /// The checker does not read it.
+    /// The checker cannot read the network.
     #[error("{0}")]
     Unreadable(String),
-    /// Nothing is shown of it.
+    /// The bounds do not suffice.
     #[error(transparent)]
     Unproved(#[from] CruiseBoundsError),
 }
@@ -50,35 +49,35 @@ pub struct CruisePlan {
     actor: NeuralController,
 }
 
-/// What is proved.
+/// Proof of a network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CruiseProof {
-    /// The statement, unchecked.
+    /// Certificate, not yet checked.
     pub certificate: Certificate,
-    /// Lower bound of D_rel - 10 - 1.4 v_ego over the whole box and all times, in metres.
+    /// Lower bound of D_rel - 10 - 1.4 v_ego over the box and all times, in metres.
     pub margin_m: f64,
     /// Bounds of x_ego at the end, in metres.
     pub x_ego_m: [f64; 2],
-    /// How long it took, in seconds.
+    /// Duration of the proof, in seconds.
     pub seconds: f64,
 }
 
-/// What the corners of the box and random starts came to.
+/// Results of the corners of the box and of random initial states.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CruiseSamples {
-    /// How many.
+    /// Number of initial states.
     pub samples: usize,
-    /// The least D_rel - 10 - 1.4 v_ego, in metres.
+    /// Smallest D_rel - 10 - 1.4 v_ego, in metres.
     pub margin_m: f64,
-    /// The least and the largest x_ego at the end, in metres.
+    /// Smallest and largest x_ego at the end, in metres.
     pub x_ego_m: [f64; 2],
 }
 
 impl CruisePlan {
-    /// A network that sees (30, 1.4, v_ego, D_rel, v_rel).
+    /// Creates a plan for a network with inputs (30, 1.4, v_ego, D_rel, v_rel).
     ///
     /// # Errors
-    /// [`CruiseError`] if it takes other numbers, or answers with more than one.
+    /// [`CruiseError`] if the network has other inputs, or more than one output.
     pub fn new(file: NetworkFile) -> Result<Self, CruiseError> {
         let answers = file.network.outputs();
         if answers != 1 {
@@ -119,22 +118,22 @@ impl CruisePlan {
         Ok(Self { network, bytes, actor })
     }
 
-    /// The widths of the network's layers.
+    /// Returns the widths of the network's layers.
     #[must_use]
     pub fn shape(&self) -> String {
         self.network.network().shape()
     }
 
-    /// The file of the network, for the checker.
+    /// Returns the file of the network, for the checker.
     #[must_use]
     pub fn network_bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// What can be proved with D_rel cut in so many parts at the start.
+    /// Computes bounds with D_rel divided into `cells` intervals at the start.
     ///
     /// # Errors
-    /// [`CruiseError`] if bounds become too wide.
+    /// [`CruiseError`] if the bounds become too wide.
     pub fn prove(&self, cells: u32) -> Result<CruiseProof, CruiseError> {
         let begin = Instant::now();
         let found = cruise::compute_bounds(&self.actor, cells)?;
@@ -147,7 +146,7 @@ impl CruisePlan {
             policy_sha256,
             source,
             cells,
-            // Whole micrometres: what another version rounds otherwise is still proved.
+            // Rounded to micrometres, so that other rounding in another version keeps the proof.
             margin_m_at_least: (found.margin_m * 1e6).floor() / 1e6,
             x_ego_width_m_at_most: (found.x_ego_width_m() * 1e6).ceil() / 1e6,
         };
@@ -155,7 +154,7 @@ impl CruisePlan {
         Ok(CruiseProof { certificate, margin_m: found.margin_m, x_ego_m: found.x_ego_m, seconds })
     }
 
-    /// Drives from the corners of the box and from random starts, the same for the same seed.
+    /// Simulates from the corners of the box and from random initial states, deterministically by seed.
     #[must_use]
     pub fn sample(&self, samples: usize, seed: u64) -> CruiseSamples {
         let nothing =
@@ -180,7 +179,7 @@ impl CruisePlan {
     }
 }
 
-/// Drives from starts (x_lead, v_lead, x_ego, v_ego).
+/// Simulates from initial states (x_lead, v_lead, x_ego, v_ego).
 fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> CruiseSamples {
     let mut cars: Vec<[[f64; 3]; 2]> =
         starts.iter().map(|[x_lead, v_lead, x_ego, v_ego]| [[*x_lead, *v_lead, 0.0], [*x_ego, *v_ego, 0.0]]).collect();
@@ -207,7 +206,6 @@ fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> CruiseSamples {
     CruiseSamples { samples: starts.len(), margin_m: least, x_ego_m }
 }
 
-/// (x, v, γ) a step later.
 fn runge_kutta_step(from: [f64; 3], a: f64) -> [f64; 3] {
     let h = PERIOD_S / STEPS_PER_PERIOD as f64;
     let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - cruise::DRAG * v * v];

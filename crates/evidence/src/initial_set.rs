@@ -1,4 +1,4 @@
-//! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
+//! Conversion of a box of initial states to the terms of the checker.
 
 use crumple_verify::Interval;
 use crumple_verify::reach::{AccAebLaw, FollowerLaw, IdmLaw, InitialRanges};
@@ -7,30 +7,27 @@ use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
 
-/// The field of a box that lets the leader brake as it likes.
 const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
-/// The field of a box that says who drives behind.
 const FOLLOWER_FIELD: &str = "follower_drives";
 
-/// A scenario with ranges in place of some of its numbers, as the checker knows it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct InitialSet {
     pub(super) step_s: f64,
     pub(super) steps: u32,
     pub(super) follower_ttc_s: Option<f64>,
     pub(super) follower_law: Option<FollowerLaw>,
-    /// Within which limit the leader brakes as it likes; then the ranges say 0 of its rate and onset.
+    /// Limit of the leader's free braking; the ranges then have 0 for its deceleration and onset.
     pub(super) leader_brakes_at_most_mps2: Option<f64>,
     pub(super) ranges: InitialRanges,
-    /// What the vehicle under test can do: hardest braking, negative, and acceleration, in m/s².
+    /// Limits of the vehicle under test: largest deceleration, negative, and acceleration, in m/s².
     accel_limits_mps2: [f64; 2],
 }
 
 impl InitialSet {
-    /// The starts of a box around a scenario.
+    /// Creates the initial states of a box around a scenario.
     ///
     /// # Errors
-    /// [`InvalidBox`] if the scenario has more to it than the checker knows of.
+    /// [`InvalidBox`] if the checker does not support the scenario.
     pub(super) fn new(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         if let Some(limit_mps2) = spec.leader_brakes_at_most_mps2 {
             check_leader_limit(limit_mps2, scenario.usable_brake_mps2(0), &spec.ranges)?;
@@ -105,10 +102,10 @@ impl InitialSet {
         })
     }
 
-    /// Returns the one start of a scenario, with its leader's script, or without it as one of those that brake as they like within a limit.
+    /// Creates the single initial state of a scenario, with the leader's profile or with free braking within a limit.
     ///
     /// # Errors
-    /// [`InvalidBox`], likewise.
+    /// [`InvalidBox`] if the checker does not support the scenario.
     pub(super) fn from_scenario(
         scenario: &Scenario,
         leader_brakes_at_most_mps2: Option<f64>,
@@ -117,18 +114,18 @@ impl InitialSet {
         Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
     }
 
-    /// What the vehicle under test can do, in m/s².
     pub(super) fn accel_limits_mps2(&self) -> [f64; 2] {
         self.accel_limits_mps2
     }
 
-    /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
+    /// True if the vehicle under test can execute all commands between these bounds.
     pub(super) fn can_execute(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
         low_mps2 >= self.accel_limits_mps2[0] && high_mps2 <= self.accel_limits_mps2[1]
     }
 }
 
-/// How a follower drives, in place of what the scenario says if that is given: θ of its latched emergency brake, or a law.
+/// Returns the model of a follower, replaced by `in_place` if given: θ of its latched emergency brake, or a control
+/// law.
 fn follower_model(
     follower: &VehicleSpec,
     in_place: Option<&Driver>,
@@ -165,7 +162,6 @@ fn follower_model(
     Ok((None, Some(law)))
 }
 
-/// Whether a leader can brake as it likes within a limit, and nothing is said of one script besides.
 fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
     if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
         return Err(InvalidBox::field(LEADER_LIMIT_FIELD, format!("must be a number from 0 on, found {limit_mps2}")));

@@ -1,10 +1,10 @@
-//! Exact bounds on a failure rate.
+//! Exact confidence intervals of a failure rate.
 
 use serde::Serialize;
 
 use super::binomial;
 
-/// A two-sided confidence interval for a rate.
+/// A two-sided confidence interval of a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RateInterval {
     /// Lower end.
@@ -14,9 +14,9 @@ pub struct RateInterval {
 }
 
 impl RateInterval {
-    /// The interval of Clopper and Pearson (Biometrika 26, 1934) for `failures` in `runs` independent runs: it covers the
-    /// true rate with probability `confidence` or more, whatever that rate is. Its ends are never inside of the exact ones, and outside by
-    /// a part in 10¹¹ at most, for up to 10⁹ runs.
+    /// Computes the Clopper-Pearson interval (Biometrika 26, 1934) of `failures` in `runs` independent runs. It
+    /// contains the true rate with probability at least `confidence`. Up to 10⁹ runs, its ends are never inside the
+    /// exact ones and outside by at most a part in 10¹¹.
     #[must_use]
     pub fn clopper_pearson(failures: u64, runs: u64, confidence: f64) -> Self {
         let tail = 0.5 * (1.0 - confidence);

@@ -1,4 +1,4 @@
-//! Certificates of kernels: the closed form with exact coefficients.
+//! Certificates of safety kernels: the closed form with exact coefficients.
 
 use crumple_verify::{Certificate, Statement};
 
@@ -6,7 +6,7 @@ use super::certificate_without_scenario;
 use crumple_world::control::{MIN_MARGIN_M, ViabilityKernel};
 use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 
-/// The certificate of each pair of vehicle classes on a dry road, with a name: `light-behind-heavy`.
+/// Returns the certificates of all pairs of vehicle classes on a dry road, by names such as `light-behind-heavy`.
 #[must_use]
 pub fn shipped_kernels() -> Vec<(String, Certificate)> {
     let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
@@ -19,9 +19,8 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
     certificates.collect()
 }
 
-/// The certificate of a kernel; none if a limit is not positive, or too long a number.
-///
-/// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
+/// Returns the certificate of a kernel; `None` if a limit is not positive, or has too many digits. Numbers are taken as
+/// they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
 pub fn kernel_certificate(kernel: &ViabilityKernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
     let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::from_f64);
@@ -38,7 +37,7 @@ pub fn kernel_certificate(kernel: &ViabilityKernel, step_s: f64, margin_m: f64) 
     })))
 }
 
-/// A quotient of whole numbers in lowest terms.
+/// A rational number in lowest terms.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Rational {
     numerator: i128,
@@ -54,7 +53,7 @@ impl Rational {
         (under > 0).then(|| Self { numerator: over / a, denominator: under / a })
     }
 
-    /// A positive number as it is printed.
+    /// Converts a positive number as it is printed.
     fn from_f64(value: f64) -> Option<Self> {
         let text = (value > 0.0 && value.is_finite()).then(|| value.to_string())?;
         let (whole, places) = text.split_once('.').unwrap_or((&text, ""));
@@ -67,7 +66,6 @@ impl Rational {
         Self::new(a.checked_sub(b)?, self.denominator.checked_mul(other.denominator)?)
     }
 
-    /// 1 / (2 x)
     fn half_reciprocal(self) -> Option<Self> {
         Self::new(self.denominator, self.numerator.checked_mul(2)?)
     }

@@ -1,7 +1,8 @@
-//! Claims with a certificate: kernels of shields, failure rates, and boxes in which a policy or a network cannot fail. Estimates without
-//! one: the probability of failures that are too rare to count. [`fit`] fits search spaces to recorded episodes.
+//! Claims with certificates: safety kernels of shields, failure rates, and boxes of initial states in which a policy
+//! cannot fail. [`rare`] estimates rare failure rates without a certificate; [`fit`] fits scenario spaces to recorded
+//! episodes.
 //!
-//! `crumple_verify` checks certificates without this crate. [`RatePlan`] and the folders of counts write none that it has not accepted.
+//! `crumple_verify` checks certificates independently. [`RatePlan`] writes only certificates that it accepts.
 
 mod binding;
 mod binomial;
@@ -47,7 +48,6 @@ use crumple_verify::{Certificate, Statement};
 
 use crumple_search::worst_case::build_certificate;
 
-/// A statement about no scenario as a certificate of this program, with the assumptions it needs.
 fn certificate_without_scenario(statement: Statement) -> Certificate {
     build_certificate(String::new(), None, None, statement)
 }

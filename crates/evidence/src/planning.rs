@@ -1,4 +1,4 @@
-//! How many runs it takes, how fast they go and how much they leave behind: for planning a count.
+//! Planning of a count: number, speed and storage of runs.
 
 use std::time::{Duration, Instant};
 
@@ -7,33 +7,32 @@ use crumple_verify::rate::MAX_RUNS;
 use super::record::upper_bound;
 use super::{CountTally, CountedBlock, RateError, RatePlan, binomial};
 
-/// Why no number of runs does.
+/// Reason why no number of runs suffices.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SampleSizeError {
-    /// The rate.
+    /// The rate is out of range.
     #[error("rate: must be above 0 and below 1, found {}", format_compact(*found))]
     Rate {
-        /// What was asked for.
+        /// Requested rate.
         found: f64,
     },
-    /// Confidence.
+    /// The confidence level is out of range.
     #[error("confidence: must be above 0.5 and below 1, found {}", format_compact(*found))]
     Confidence {
-        /// What was asked for.
+        /// Requested confidence level.
         found: f64,
     },
-    /// It would take too many.
+    /// More runs than the maximum are necessary.
     #[error("a rate of {} with {failures} failures would take more than {MAX_RUNS} runs", format_compact(*rate))]
     TooMany {
-        /// The rate that was asked for.
+        /// Requested rate.
         rate: f64,
-        /// Failures that may happen.
+        /// Allowed number of failures.
         failures: u64,
     },
 }
 
-/// A number as it is read most easily: with an exponent where it would have many zeros.
 fn format_compact(number: f64) -> String {
     match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
         true => number.to_string(),
@@ -41,10 +40,10 @@ fn format_compact(number: f64) -> String {
     }
 }
 
-/// The smallest number of runs of which so many may fail and the certificate still says: at most `rate`.
+/// Returns the smallest number of runs of which `failures` may fail so that the certificate bounds the rate by `rate`.
 ///
 /// # Errors
-/// [`SampleSizeError`] if there is no such number a certificate may speak of.
+/// [`SampleSizeError`] if there is no such number.
 pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, SampleSizeError> {
     if !(rate > 0.0 && rate < 1.0) {
         return Err(SampleSizeError::Rate { found: rate });
@@ -62,7 +61,7 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
         let middle = low + (high - low) / 2;
         if suffices(middle) { high = middle } else { low = middle }
     }
-    // What the checker accepts is rounded outwards, and so a little more.
+    // The checker rounds outwards, so slightly more runs are necessary.
     let mut step = 1;
     while upper_bound(failures, high, confidence) > rate {
         (high, step) = (high + step, 2 * step);
@@ -74,11 +73,11 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
 }
 
 impl RatePlan {
-    /// Runs in a second of one core, measured for about as long as is said. They should be those of another seed: of what is counted
-    /// nothing may be known before it is registered.
+    /// Measures the runs per second of one core for about `during`. The seed must differ from that of the count, whose
+    /// results must stay unknown before its registration.
     ///
     /// # Errors
-    /// [`RateError`] if a run cannot be made.
+    /// [`RateError`] if a run fails.
     pub fn runs_per_second(&self, during: Duration) -> Result<f64, RateError> {
         let measured = || {
             let (begun, mut runs) = (Instant::now(), 0);
@@ -95,7 +94,7 @@ impl RatePlan {
         crumple_store::jobs::run_on_one_core(measured)
     }
 
-    /// Bytes that all shards leave behind, more or less.
+    /// Estimates the size of the files of all shards, in bytes.
     #[must_use]
     pub fn estimated_bytes(&self, shards: u32) -> u64 {
         let length = |blocks: Vec<CountedBlock>| {
@@ -109,14 +108,13 @@ impl RatePlan {
         u64::from(shards) * (record + length(Vec::new()) + MANIFEST_BYTES) + self.block_count() * a_block
     }
 
-    /// The most shards that it can be divided into.
+    /// Returns the maximum number of shards.
     #[must_use]
     pub fn max_shards(&self) -> u32 {
         u32::try_from(self.block_count()).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
     }
 }
 
-/// Bytes of a shard's `work.json`.
 const MANIFEST_BYTES: u64 = 650;
 
 #[cfg(test)]
@@ -124,7 +122,6 @@ mod tests {
     use super::*;
     use crumple_verify::rate::binomial_tail_upper_bound;
 
-    /// The smallest: it does, and one less does not, by the tail that the checker evaluates.
     #[test]
     fn as_many_runs_as_it_takes_and_no_more() {
         for (rate, confidence, failures) in
@@ -133,14 +130,13 @@ mod tests {
             let runs = required_runs(rate, confidence, failures).unwrap();
             assert!(binomial_tail_upper_bound(failures, runs, rate) <= 1.0 - confidence, "{rate} {failures}: {runs}");
             assert!(upper_bound(failures, runs, confidence) <= rate);
-            // The certified bound is stated to nine digits.
             let fewer = runs - 1 - runs / 100_000_000;
             assert!(
                 fewer <= failures || binomial_tail_upper_bound(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence
             );
         }
         assert_eq!(required_runs(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
-        // 10⁶ failures and 3.09 standard deviations more.
+        // 10⁶ failures plus 3.09 standard deviations.
         let many = required_runs(0.5, 0.999, 1_000_000).unwrap();
         assert!((2_004_300..2_004_500).contains(&many), "{many}");
         let large = required_runs(1e-8, 0.999, 0).unwrap();

@@ -1,4 +1,4 @@
-//! Counting failures for a claim about their rate: registered before the first run, counted in order, resumable.
+//! Failure counts for a claim about a rate: registered before the first run, counted in order, resumable.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -20,15 +20,13 @@ use crumple_world::sim::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
 
-/// Runs that are drawn and simulated together, or some more.
+/// Runs that are simulated together, rounded up to whole blocks.
 const BATCH_SIZE: u64 = 1000;
-/// A block of runs that has a hash is no shorter than this...
 const MIN_BLOCK_RUNS: u64 = 100;
-/// ... and there are no more than this, ...
+/// Maximum number of blocks of a count of up to [`LARGE_COUNT_RUNS`].
 const MAX_BLOCKS: u64 = 1000;
-/// ... but for more runs than this, which no machine counts alone, ...
 const LARGE_COUNT_RUNS: u64 = 100_000_000;
-/// ... of which there are so many blocks, as many as a certificate may hold.
+/// Maximum number of blocks of a larger count: the limit of certificates.
 const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MAX_BLOCKS;
 
 /// Progress of a count.
@@ -38,44 +36,43 @@ pub struct CountProgress {
     pub runs: u64,
     /// Runs of them that failed.
     pub failures: u64,
-    /// Runs of the whole plan.
+    /// All runs of the plan.
     pub total: u64,
 }
 
-/// What is to be counted: one controller, or two on the same draws.
+/// A registered count of one controller, or of two on the same scenarios.
 pub struct RatePlan {
     controllers: Vec<NamedController>,
     space: ScenarioSpace,
     seed: u64,
     estimator: EstimatorKind,
-    /// Resamples of the episodes that the space was fitted to, and new runs in each.
+    /// Number of resamples of the episodes that the space was fitted to, and of runs in each.
     resampling: (u32, u32),
     record: CountRecord,
 }
 
-/// Resamples of the episodes that a space was fitted to, and new runs in each, if nobody says otherwise.
 const DEFAULT_RESAMPLING: (u32, u32) = (200, 500);
 
-/// What a plan is made of.
+/// Configuration of a plan.
 pub struct RateConfig {
-    /// The controller.
+    /// Controller whose failures are counted.
     pub controller: NamedController,
-    /// A second controller, to compare the first with.
+    /// Second controller, for a comparison.
     pub against: Option<NamedController>,
-    /// What runs are drawn from.
+    /// Space that scenarios are drawn from.
     pub space: ScenarioSpace,
-    /// Seed of all draws.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// What the vehicles under test look through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// How many runs.
+    /// Number of runs.
     pub runs: u64,
-    /// Confidence of the claim, above 1/2.
+    /// Confidence level of the claim, above 1/2.
     pub confidence: f64,
 }
 
 impl RateConfig {
-    /// Configures a count of one controller through the Kalman filter, with seed 0 and a confidence of 0.99.
+    /// Configures a count of one controller with the Kalman filter, seed 0 and confidence level 0.99.
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace, runs: u64) -> Self {
         let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
@@ -83,63 +80,63 @@ impl RateConfig {
     }
 }
 
-/// Why nothing can be claimed whatever is counted.
+/// Reason why a configuration allows no claim.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidRate {
-    /// Number of runs.
+    /// The number of runs is out of range.
     #[error("runs: must be from 1 to {MAX_RUNS}, found {found}")]
     Runs {
-        /// What was asked for.
+        /// Number in the configuration.
         found: u64,
     },
-    /// A controller that cannot be told from others.
+    /// A controller has no identity.
     #[error("the controller `{controller}` states no identity: nothing can be claimed of it")]
     NoIdentity {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
     },
-    /// A space without anybody whose failures could be counted.
+    /// The space has no vehicle under test.
     #[error("the space `{space}` has no vehicle under test")]
     NoVehicleUnderTest {
-        /// The space.
+        /// Name of the space.
         space: String,
     },
-    /// Confidence.
+    /// The confidence level is out of range.
     #[error("confidence: must be above 0.5 and below 1, found {found}")]
     Confidence {
-        /// What was asked for.
+        /// Value in the configuration.
         found: f64,
     },
     /// The space cannot be written down.
     #[error("the space cannot be written as TOML: {0}")]
     Space(#[from] toml::ser::Error),
-    /// The space has no middle.
+    /// The nominal scenario of the space is invalid.
     #[error("the space: {0}")]
     Nominal(#[from] InvalidField),
 }
 
-/// Why a run of a plan cannot be made.
+/// Reason why runs of a plan cannot be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RateError {
-    /// The space drew something invalid.
+    /// The space gave an invalid scenario.
     #[error("draw {index}: {source}")]
     Draw {
-        /// Which draw.
+        /// Index of the run.
         index: u64,
-        /// What is wrong.
+        /// Problem of the scenario.
         source: InvalidField,
     },
-    /// A controller cannot drive the draw.
+    /// A controller cannot drive in the scenario.
     #[error("draw {index}: {source}")]
     Run {
-        /// Which draw.
+        /// Index of the run.
         index: u64,
-        /// Why.
+        /// Problem of the controller.
         source: RunError,
     },
-    /// A controller contradicted itself, or cannot be started any more.
+    /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
     /// The observer stopped the count.
@@ -148,10 +145,10 @@ pub enum RateError {
 }
 
 impl RatePlan {
-    /// Fixes what is to be counted.
+    /// Creates a plan.
     ///
     /// # Errors
-    /// [`InvalidRate`] if no claim could come of it.
+    /// [`InvalidRate`] if the configuration allows no claim.
     ///
     /// ```
     /// use crumple_core::observer::Quiet;
@@ -179,7 +176,6 @@ impl RatePlan {
         if !(confidence > 0.5 && confidence < 1.0) {
             return Err(InvalidRate::Confidence { found: confidence });
         }
-        // A nominal scenario that is none says so when the first run is drawn.
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
             return Err(InvalidRate::NoVehicleUnderTest { space: space.name().to_owned() });
         }
@@ -215,51 +211,51 @@ impl RatePlan {
         Ok(Self { controllers: drivers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
     }
 
-    /// Sets the number of resamples of the episodes that the space was fitted to, and the number of new runs in each. They say nothing about
-    /// the count, and are not registered.
+    /// Sets the number of resamples of the episodes, and of runs in each. They do not affect the count and are not
+    /// registered.
     #[must_use]
     pub fn with_resampling(self, resamples: u32, runs_each: u32) -> Self {
         Self { resampling: (resamples, runs_each), ..self }
     }
 
-    /// How often it is resampled; none where no rate per hour can be stated: of two controllers, and where the space does not say in how
-    /// much driving it was seen.
+    /// Returns the number of resamples, and of runs in each; `None` if no rate per hour can be stated: for two
+    /// controllers, and for a space without exposure.
     #[must_use]
     pub fn resampling(&self) -> Option<(u32, u32)> {
         (self.has_single_controller() && self.space.spec().exposure.is_some()).then_some(self.resampling)
     }
 
-    /// What must be on record before the first run.
+    /// Returns the data that must be on record before the first run.
     #[must_use]
     pub fn registration(&self) -> &Registration {
         self.record.registration()
     }
 
-    /// The same, with the space: what is said of a count wherever it is made.
+    /// Returns the registration with the space.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
         &self.record
     }
 
-    /// Nothing counted yet.
+    /// Returns a tally without runs.
     #[must_use]
     pub fn empty_tally(&self) -> CountTally {
         self.record.empty_tally()
     }
 
-    /// Makes the next runs, some blocks of them, and adds them to `tally`; nothing once all are made.
+    /// Simulates the next batch of blocks and adds it to `tally`, if any are left.
     ///
     /// # Errors
-    /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
+    /// [`RateError`] names the failed run; `tally` is then unchanged.
     pub fn count_batch(&self, tally: &mut CountTally) -> Result<(), RateError> {
         self.count_batch_in(&(0..self.block_count()), tally, &Quiet)
     }
 
-    /// Counts as [`Self::count_batch`] does, for a tally of consecutive blocks. After every thousand runs, `observer` receives the counts
-    /// from before this call. If it stops the count, runs may have ended early, and none of this call is counted.
+    /// Counts as [`Self::count_batch`], for a tally of consecutive blocks. `observer` receives the counts before this
+    /// call after every thousand runs.
     ///
     /// # Errors
-    /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the count. `tally` does not change then.
+    /// [`RateError`] names the failed run, or is [`RateError::Stopped`]; `tally` is then unchanged.
     pub(super) fn count_batch_in(
         &self,
         part: &Range<u64>,
@@ -277,7 +273,7 @@ impl RatePlan {
         Ok(())
     }
 
-    /// The blocks that a shard counts.
+    /// Returns the blocks of a shard.
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer blocks than shards.
@@ -285,37 +281,35 @@ impl RatePlan {
         shard.range(self.block_count(), "blocks of runs")
     }
 
-    /// Returns the progress that a tally stands for.
     pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {
         CountProgress { runs: tally.runs, failures: tally.failed_runs(), total: self.registration().runs }
     }
 
-    /// Whether it is of one controller.
     pub(super) fn has_single_controller(&self) -> bool {
         self.controllers.len() == 1
     }
 
-    /// How many blocks there are.
+    /// Returns the number of blocks.
     #[must_use]
     pub fn block_count(&self) -> u64 {
         self.record.block_count()
     }
 
-    /// The runs of a block.
+    /// Returns the runs of a block.
     #[must_use]
     pub fn run_range(&self, block: u64) -> Range<u64> {
         self.record.run_range(block..block.saturating_add(1))
     }
 
-    /// Makes the runs of a block, whatever was made before.
+    /// Counts the runs of a block, independently of earlier counts.
     ///
     /// # Errors
-    /// [`RateError`] names the draw that could not be run.
+    /// [`RateError`] names the failed run.
     pub fn recount_block(&self, block: u64) -> Result<CountedBlock, RateError> {
         Ok(self.count_runs(self.run_range(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
-    /// Counts runs, the first of which begins a block: a count for each block. Calls `go_on` after every thousand runs.
+    /// Counts runs from the start of a block, by block. Calls `go_on` after every thousand runs.
     fn count_runs(
         &self,
         runs: Range<u64>,
@@ -341,11 +335,11 @@ impl RatePlan {
         Ok(counted.collect())
     }
 
-    /// What the failures of one controller come to per hour and per 1000 km, where the space says in how much driving it was seen; with
-    /// [resamples](Self::with_resampling) of the episodes for the data's uncertainty.
+    /// Returns failures per hour and per 1000 km if the space states its exposure, with data uncertainty from
+    /// [resamples](Self::with_resampling).
     ///
     /// # Errors
-    /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the runs in resamples.
+    /// [`RateError`] names the failed run, or is [`RateError::Stopped`].
     pub fn rate_per_exposure(
         &self,
         tally: &CountTally,
@@ -360,7 +354,7 @@ impl RatePlan {
         Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
     }
 
-    /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
+    /// Counts the failures in those of the resamples to which a space could be fitted.
     pub(super) fn count_resamples(
         &self,
         own: Range<u64>,
@@ -371,12 +365,10 @@ impl RatePlan {
         let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
             part.next(0, || self.count_failures(space, (seed, runs), counter))
         };
-        // Why nothing can be resampled is said by who puts the parts together.
         let _ = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         Ok(part.into_results())
     }
 
-    /// How many of so many runs fail in a space, with a seed.
     fn count_failures(
         &self,
         space: &ScenarioSpace,
@@ -393,7 +385,6 @@ impl RatePlan {
         Ok(failed)
     }
 
-    /// How runs end, of each controller.
     fn simulate_fingerprints(
         &self,
         space: &ScenarioSpace,
@@ -415,7 +406,8 @@ impl RatePlan {
         Ok(endings)
     }
 
-    /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
+    /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine
+    /// digits.
     #[must_use]
     pub fn certificate(&self, tally: &CountTally) -> Certificate {
         self.record.certificate(tally)

@@ -1,5 +1,5 @@
-//! A count in a folder: `registration.json` before the first run, `progress.json` every second, `certificate.json` once the
-//! checker has accepted it; `work.json` says of each what it is.
+//! A count in a run folder: `registration.json` before the first run, `progress.json` every second, `certificate.json`
+//! once the checker accepts it, and the manifest `work.json`.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -16,44 +16,43 @@ use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 use crumple_store::shard::TooManyShards;
 
-/// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
+/// Checkpoint interval.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Why a count in a folder stops.
+/// Reason why a count in a folder stops.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RateFolderError {
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// Another count is registered in the folder: in what it differs.
+    /// The folder has another registration; the text names the difference.
     #[error("{0}")]
     OtherRegistration(String),
-    /// A run cannot be made, or the observer stopped the count.
+    /// A run failed, or the observer stopped the count.
     #[error(transparent)]
     Run(#[from] RateError),
-    /// There are more shards than blocks of runs.
+    /// More shards than blocks of runs.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
-    /// The checker does not accept what the counts would show.
+    /// The checker rejects the certificate.
     #[error("nothing is shown by {}: {rejection} ({counts})", path.display())]
     Rejected {
-        /// What was counted.
+        /// File of the counts.
         path: PathBuf,
-        /// What they are, in words.
+        /// Summary of the counts.
         counts: String,
-        /// What the checker says.
+        /// Answer of the checker.
         rejection: Rejection,
     },
 }
 
-/// A count that is on record in a folder.
+/// A count that is registered in a folder.
 pub struct RateCount<'a> {
     run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
 }
 
-/// What is being counted: some blocks of a plan that follow each other.
 pub(super) struct BlockCounter<'a> {
     plan: &'a RatePlan,
     blocks: Range<u64>,
@@ -65,11 +64,10 @@ pub(super) const PROGRESS_FILE: &str = "progress.json";
 const CERTIFICATE_FILE: &str = "certificate.json";
 
 impl RatePlan {
-    /// Puts the plan on record in `folder`, which is made if it is not there; where `resume` says so, takes up what was counted
-    /// there.
+    /// Registers the plan in `folder`, which is created if necessary; with `resume`, continues the count there.
     ///
     /// # Errors
-    /// [`RateFolderError`] if the folder cannot be used, or holds another count, or another build's.
+    /// [`RateFolderError`] if the folder cannot be used, or holds the count of another plan or build.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let work = self.record().register_in(folder, resume)?;
         let counting = BlockCounter::load(self, 0..self.block_count(), &work)?;
@@ -78,7 +76,6 @@ impl RatePlan {
 }
 
 impl CountRecord {
-    /// Puts it on record.
     fn register_in(&self, folder: &Path, resume: bool) -> Result<RunFolder, RateFolderError> {
         let path = folder.join(REGISTRATION_FILE);
         let registration = to_json(&path, self.registration())?;
@@ -99,7 +96,7 @@ impl CountRecord {
         Ok(work)
     }
 
-    /// Writes what was counted of all runs, and the certificate if the checker accepts it.
+    /// Writes the counts of all runs, and the certificate if the checker accepts it.
     fn finish_in(&self, work: &RunFolder, tally: &CountTally) -> Result<Certificate, RateFolderError> {
         let path = work.path(PROGRESS_FILE);
         work.write(PROGRESS_FILE, to_json(&path, tally)?)?;
@@ -108,7 +105,6 @@ impl CountRecord {
         if checked.is_ok() {
             work.write(CERTIFICATE_FILE, to_json(&work.path(CERTIFICATE_FILE), &certificate)?)?;
         }
-        // Also where nothing is shown: all is counted.
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
@@ -118,11 +114,11 @@ impl CountRecord {
         }
     }
 
-    /// Writes what was counted elsewhere into a folder, which is then that of a count by one machine, to the byte; one in which it is
-    /// already is left as it is.
+    /// Writes counts from elsewhere into a folder, byte for byte as an undivided count would. Leaves a folder with
+    /// these counts unchanged.
     ///
     /// # Errors
-    /// [`RateFolderError`] if the folder cannot be used, holds other work or other counts, or nothing is shown.
+    /// [`RateFolderError`] if the folder cannot be used or has other content, or if the certificate is rejected.
     pub(super) fn write_in(
         &self,
         folder: &Path,
@@ -142,7 +138,6 @@ impl CountRecord {
 }
 
 impl<'a> BlockCounter<'a> {
-    /// What is left of some blocks of a plan, after what is in a folder.
     pub(super) fn load(plan: &'a RatePlan, blocks: Range<u64>, work: &RunFolder) -> Result<Self, RateFolderError> {
         let tally = match work.read(PROGRESS_FILE)? {
             None => plan.empty_tally(),
@@ -158,23 +153,19 @@ impl<'a> BlockCounter<'a> {
         Ok(Self { plan, blocks, tally })
     }
 
-    /// What has been counted so far.
     pub(super) fn tally(&self) -> &CountTally {
         &self.tally
     }
 
-    /// How many runs there are to count, those that were counted among them.
     pub(super) fn run_count(&self) -> u64 {
         range_len(&self.plan.record().run_range(self.blocks.clone()))
     }
 
-    /// How many new runs there are to make in some of the resamples.
     pub(super) fn resample_run_count(&self, resamples: &Range<u64>) -> u64 {
         let (_, runs_each) = self.plan.resampling().unwrap_or_default();
         range_len(resamples) * u64::from(runs_each)
     }
 
-    /// Makes new runs in some of the resamples, and keeps what they come to.
     pub(super) fn resample(
         &mut self,
         work: &RunFolder,
@@ -185,7 +176,6 @@ impl<'a> BlockCounter<'a> {
         Ok(work.write(PROGRESS_FILE, to_json(&work.path(PROGRESS_FILE), &self.tally)?)?)
     }
 
-    /// Counts what is left, and keeps it in the folder.
     pub(super) fn count(
         &mut self,
         work: &RunFolder,
@@ -206,22 +196,23 @@ impl<'a> BlockCounter<'a> {
 }
 
 impl RateCount<'_> {
-    /// Counts the remaining runs and writes the certificate. If `observer` stops the count, the folder keeps what was counted.
+    /// Counts the remaining runs and writes the certificate. If `observer` stops the count, the folder keeps the tally.
     ///
     /// # Errors
-    /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::Stopped`].
+    /// [`RateFolderError`] if a run fails, a file cannot be written, the certificate is rejected, or the count is
+    /// stopped.
     pub fn certify(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
         self.block_counter.count(&self.run_folder, observer)?;
         self.block_counter.plan.record().finish_in(&self.run_folder, self.tally())
     }
 
-    /// What has been counted so far.
+    /// Returns the tally so far.
     #[must_use]
     pub fn tally(&self) -> &CountTally {
         self.block_counter.tally()
     }
 
-    /// Where the certificate goes.
+    /// Returns the path of the certificate.
     #[must_use]
     pub fn certificate_path(&self) -> PathBuf {
         self.run_folder.path(CERTIFICATE_FILE)
@@ -253,7 +244,6 @@ mod tests {
         .unwrap()
     }
 
-    /// What was counted of a plan in a folder, as an interruption leaves it.
     fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut CountTally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
@@ -283,7 +273,6 @@ mod tests {
         assert_eq!((read_again.run_folder.is_complete(), read_again.tally().runs), (true, 1200));
     }
 
-    /// More runs than were made, other failures, and counts that do not add up, whether the manifest was told of them or not.
     #[test]
     fn counts_that_were_not_made_are_not_gone_on_with() {
         let plan = plan(3);

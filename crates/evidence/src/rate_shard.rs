@@ -1,4 +1,4 @@
-//! A shard of a count in a folder: `shard.json` says all that decides it, `progress.json` what its blocks came to.
+//! A shard of a count in a run folder: `shard.json` has its configuration, `progress.json` the results of its blocks.
 
 use std::ops::Range;
 use std::path::Path;
@@ -13,21 +13,21 @@ use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_store::run_folder::RunFolder;
 use crumple_store::shard::{Mergeable, ShardId, Sharded, open_shard};
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of the run folder in its `work.json`.
 pub const COUNT_SHARD_KIND: &str = "shard of a count";
 
-/// A shard of a count that is on record in a folder.
+/// A shard of a count that is registered in a folder.
 pub struct RateShard<'a> {
     run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
     resample_range: Range<u64>,
 }
 
-/// Everything that decides a count that is divided.
+/// Configuration of a count that is divided into shards.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardedCount {
     pub(super) count: CountRecord,
-    /// Resamples of the episodes and new runs in each, if failures are stated per hour.
+    /// Number of resamples of the episodes, and of runs in each, if failures are stated per hour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) resampling: Option<(u32, u32)>,
 }
@@ -69,7 +69,6 @@ impl Mergeable for ShardedCount {
     fn check(&self, tally: CountTally, shard: ShardId, blocks: &Range<u64>) -> Result<CountTally, String> {
         let (resamples, runs_each) = self.resampling.unwrap_or_default();
         let most = range_len(&resample_range(resamples, blocks, self.part_count()));
-        // There are fewer where no space could be fitted to some.
         let may_be_resampled = tally.resample_failures.len() as u64 <= most
             && tally.resample_failures.iter().all(|failures| *failures <= u64::from(runs_each));
         match tally.blocks.len() as u64 == range_len(blocks)
@@ -83,10 +82,10 @@ impl Mergeable for ShardedCount {
 }
 
 impl RatePlan {
-    /// Puts a shard of the plan on record in `folder`, as [`Self::register_in`] does with the whole.
+    /// Registers a shard of the plan in `folder`, see [`Self::register_in`].
     ///
     /// # Errors
-    /// [`RateFolderError`] if there are fewer blocks than shards, or the folder cannot be used, or holds something else.
+    /// [`RateFolderError`] if there are fewer blocks than shards, or the folder cannot be used or has other content.
     pub fn register_shard_in(
         &self,
         shard: ShardId,
@@ -105,11 +104,11 @@ impl RatePlan {
 }
 
 impl RateShard<'_> {
-    /// Counts what is left, and makes the new runs in its share of the resamples. If `observer` stops the shard, the folder keeps what was
-    /// counted.
+    /// Counts the remaining runs, including those of its resamples. If `observer` stops the shard, the folder keeps the
+    /// tally.
     ///
     /// # Errors
-    /// [`RateFolderError`] if a run cannot be made, a file not written, or `observer` stops the shard.
+    /// [`RateFolderError`] if a run fails, a file cannot be written, or `observer` stops the shard.
     pub fn count(&mut self, observer: &dyn Observer<RunProgress>) -> Result<(), RateFolderError> {
         if self.run_folder.is_complete() {
             return Ok(());
@@ -127,7 +126,7 @@ impl RateShard<'_> {
         Ok(self.run_folder.finish()?)
     }
 
-    /// What has been counted so far.
+    /// Returns the tally so far.
     #[must_use]
     pub fn tally(&self) -> &CountTally {
         self.block_counter.tally()
@@ -138,7 +137,7 @@ impl RateShard<'_> {
         &self.run_folder
     }
 
-    /// How many runs it takes, those in resamples among them.
+    /// Returns the number of runs, including those of resamples.
     #[must_use]
     pub fn run_count(&self) -> u64 {
         self.block_counter.run_count() + self.block_counter.resample_run_count(&self.resample_range)

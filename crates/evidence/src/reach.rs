@@ -1,8 +1,7 @@
-//! Which part of a box of starts a policy keeps free of contact: cutting it until the checker's bounds suffice.
-//!
-//! All of the mathematics is `crumple_verify`'s. Here it is decided which box to cut where: every box that is undecided is cut
-//! in two along the dimension that accounts for most of what is in doubt. Boxes are independent and are taken depth by
-//! depth, so that the result does not depend on the number of threads.
+//! Partition of a box of initial states until the checker's bounds prove that a policy avoids collisions.
+//! `crumple_verify` computes the bounds. This module bisects every undecided box along the dimension with the largest
+//! share of the uncertainty. Boxes are independent and are processed by depth, so the result does not depend on
+//! threads.
 
 use std::path::Path;
 use std::time::Instant;
@@ -29,33 +28,33 @@ use crumple_world::scenario::{
 };
 use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
-/// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
+/// Allowance for rounding of the simulator in double precision, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
-/// Random starts simulated in each box that remains undecided.
 const SAMPLES_PER_BOX: u64 = 16;
 
-/// A box of starts as a file states it: a scenario, and ranges of what differs from it.
+/// A box of initial states as its file states it: a scenario and ranges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BoxSpec {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Why these ranges.
+    /// Reason for the ranges.
     #[serde(default)]
     pub about: String,
-    /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower, that drives with the baseline, idm or acc-aeb.
+    /// Built-in scenario: a braking leader, the vehicle under test, and at most one follower with baseline, idm or
+    /// acc-aeb.
     pub scenario: String,
-    /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
+    /// Maximum error of the eight observed numbers, in metres, m/s and m/s². Default: negligible.
     #[serde(default = "default_observation_error")]
     pub observation_error: [f64; 8],
-    /// If given, the leader does not brake as the scenario's: over each step it accelerates at any rate from minus this to 0, in m/s², at
-    /// another one at each, until it stands. It never speeds up. `ranges` then says nothing of its braking.
+    /// Maximum free braking of the leader, in m/s². If given, its acceleration is any constant from minus this to 0 in
+    /// each step until it stands, and `ranges` has no braking of the leader.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader_brakes_at_most_mps2: Option<f64>,
-    /// If given, the follower drives like this in place of the scenario's: `baseline`, `idm` or `acc-aeb`, by name or with settings.
+    /// Controller that replaces the follower's: `baseline`, `idm` or `acc-aeb`, by name or with settings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub follower_drives: Option<Driver>,
-    /// What varies. Behind the numbers, as tables are in TOML.
+    /// Ranges; last, because TOML writes tables after values.
     pub ranges: RangesSpec,
 }
 
@@ -63,7 +62,7 @@ fn default_observation_error() -> [f64; 8] {
     [ROUNDING; 8]
 }
 
-/// Ranges of what may differ from the scenario. Each is a number or `{ low = …, high = … }`.
+/// Ranges of quantities that differ from the scenario. Each is a number or `{ low = …, high = … }`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[expect(missing_docs, reason = "each is what its name says, in the unit that its name says")]
@@ -78,45 +77,44 @@ pub struct RangesSpec {
     pub onset_s: Option<Interval>,
 }
 
-/// Why nothing can be claimed about a box.
+/// Reason why a box allows no claim.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidBox {
-    /// A field of the box, its scenario or a range, is not one that can be claimed about.
+    /// A field of the box, its scenario or a range is invalid.
     #[error("{field}: {problem}")]
     Field {
         /// Path of the field in the file, such as `ranges.onset_s`.
         field: String,
-        /// What is wrong.
+        /// Problem of the field.
         problem: String,
     },
-    /// Scenario or box cannot be written down.
+    /// The scenario or box cannot be written.
     #[error("cannot be written as TOML: {0}")]
     Unwritable(#[from] toml::ser::Error),
-    /// The controller does not fit.
+    /// The controller is unsuitable.
     #[error("the controller {0}")]
     Controller(String),
-    /// What a network sees cannot be followed.
+    /// The observations of the network cannot be bounded.
     #[error("the controller cannot be followed: {0}")]
     Mapping(#[from] InvalidMapping),
-    /// A start of the box is no scenario: a field of that.
+    /// An initial state of the box makes no scenario.
     #[error("a start of the box is no scenario: {0}")]
     Start(#[from] InvalidField),
-    /// A start of the box cannot be run.
+    /// An initial state of the box cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The observer stopped the work.
+    /// The observer stopped the partition.
     #[error("the cutting of the box was {0}")]
     Stopped(#[from] Stopped),
 }
 
-/// Most boxes that one is cut into: 300 MB of memory, and as much as the checker takes on. The rest stays undecided.
+/// Maximum number of boxes: 300 MB of memory, and the limit of the checker. The rest stays undecided.
 pub const MAX_BOXES: usize = 1_000_000;
 
-/// What is to be cut.
+/// A box and a policy to verify.
 pub struct ReachPlan {
     scenario: Scenario,
-    /// In place of the scenario's.
     follower_drives: Option<Driver>,
     /// The scenario and the box as files.
     texts: [String; 2],
@@ -126,55 +124,54 @@ pub struct ReachPlan {
     claim: ReachClaim,
 }
 
-/// How much of the box is known once it is cut so often.
+/// Result at one depth of the partition, as shares of the volume.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct VolumeShares {
-    /// Number of cuts of one box at most.
+    /// Maximum number of bisections of a box.
     pub depth: u32,
-    /// Share of the volume in which no vehicles touch.
+    /// Share of the volume without collisions.
     pub verified: f64,
-    /// Share of the volume in boxes with a start that ends in contact.
+    /// Share of the volume in boxes with an initial state that ends in a collision.
     pub falsified: f64,
-    /// The rest.
+    /// Undecided share of the volume.
     pub undecided: f64,
-    /// Boxes that were bounded so far.
+    /// Number of boxes that were bounded so far.
     pub boxes: usize,
-    /// Time since the beginning, in seconds.
+    /// Time since the start, in seconds.
     pub seconds: f64,
 }
 
-/// How many of the boxes that remain are undecided, and why.
+/// Numbers of undecided boxes by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct UndecidedCounts {
-    /// The leader may be touched.
+    /// The vehicle under test may hit the leader.
     pub ahead: usize,
-    /// The follower may touch.
+    /// The follower may hit the vehicle under test.
     pub behind: usize,
-    /// Bounds became too wide, or instants at which the follower may brake too many.
+    /// Bounds are too wide, or the follower may brake at too many times.
     pub too_wide: usize,
 }
 
-/// A box cut in parts.
+/// Result of a partition.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Partition {
-    /// The statement, unchecked.
+    /// Certificate, not yet checked.
     pub certificate: Certificate,
-    /// One entry for each depth.
+    /// Results, one per depth.
     pub shares: Vec<VolumeShares>,
-    /// Why the rest is undecided.
+    /// Reasons of the undecided boxes.
     pub undecided: UndecidedCounts,
 }
 
 struct PartitionNode {
     ranges: InitialRanges,
     cell: PartitionCell,
-    /// Number of the lower half; the upper half is the next one.
     first_child: Option<usize>,
     result: Option<ReachResult>,
 }
 
 impl BoxSpec {
-    /// A box around a scenario, in which the true state is seen.
+    /// Creates a box around a scenario, with the true state as observation.
     #[must_use]
     pub fn around(scenario: &str, ranges: RangesSpec) -> Self {
         let (about, scenario) = (String::new(), scenario.to_owned());
@@ -189,10 +186,10 @@ impl BoxSpec {
         }
     }
 
-    /// Reads a box from TOML text; `path` only names it in errors.
+    /// Parses a box; `path` only names the text in errors.
     ///
     /// # Errors
-    /// [`FileError`] for text that is no box.
+    /// [`FileError`] if the text is not a box.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
         let spec: Self = file::parse_toml(text, path)?;
         match spec.version {
@@ -207,11 +204,11 @@ impl BoxSpec {
 }
 
 impl ReachPlan {
-    /// A policy, or a network from outside, and a box.
+    /// Creates a plan for a policy or network and a box.
     ///
     /// # Errors
-    /// [`InvalidBox`] if the scenario has more to it than the checker knows of, or the controller is none that can be followed, or asks for
-    /// what no vehicle can do.
+    /// [`InvalidBox`] if the checker does not support the scenario or the controller, or if a command exceeds the
+    /// limits of the vehicle.
     pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let controller = controller.into();
         let scenario = built_in_scenario(&spec.scenario).ok_or_else(|| {
@@ -222,7 +219,6 @@ impl ReachPlan {
             )
         })?;
         if let Some(driver) = &spec.follower_drives {
-            // What is wrong with its settings is told by who knows them.
             let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
             scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(map_invalid_start)?;
         }
@@ -254,27 +250,27 @@ impl ReachPlan {
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
         let follower_drives = spec.follower_drives.clone();
         let plan = Self { scenario, follower_drives, texts, controller, bytes, actor, claim };
-        // Whatever else is wrong with a start shows here.
+        // Run one initial state now, so that errors not checked above surface here.
         plan.has_contact_at(&[0.5; 8])?;
         Ok(plan)
     }
 
-    /// The policy file, for the checker.
+    /// Returns the policy file, for the checker.
     #[must_use]
     pub fn policy_bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// The name under which the certificate expects it.
+    /// Returns the name of the policy file in the certificate.
     #[must_use]
     pub fn policy_file(&self) -> &str {
         &self.claim.policy_file
     }
 
-    /// Cuts undecided boxes, each at most `depth` times and up to [`MAX_BOXES`] in all. Reports each completed depth.
+    /// Bisects undecided boxes up to `depth` times and [`MAX_BOXES`] in all. Reports each completed depth.
     ///
     /// # Errors
-    /// [`InvalidBox`] if a start of the box is no scenario, or `observer` stops the work.
+    /// [`InvalidBox`] if an initial state makes no scenario, or `observer` stops.
     pub fn partition(&self, depth: u32, observer: &dyn Observer<VolumeShares>) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
         let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
@@ -329,7 +325,6 @@ impl ReachPlan {
         Ok(self.build_partition(&nodes, shares, gap_m, begin))
     }
 
-    /// Looks for starts that end in contact in whatever is undecided.
     fn falsify(&self, scene: &ReachProblem<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
         let undecided: Vec<usize> =
             (0..nodes.len()).filter(|&node| nodes[node].cell == PartitionCell::Undecided).collect();
@@ -339,7 +334,6 @@ impl ReachPlan {
             for start in 0..=SAMPLES_PER_BOX {
                 let mut place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
                 if scene.leader_brakes_at_most_mps2.is_some() {
-                    // Of leaders that brake as they like, one at the limit.
                     place[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
                 }
                 let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
@@ -368,7 +362,7 @@ impl ReachPlan {
         begin: Instant,
     ) -> Partition {
         let (mut doubts, mut partition) = (UndecidedCounts::default(), Vec::new());
-        // Lower halves first, as the certificate wants them.
+        // Lower halves first, as in the certificate.
         let mut pending = vec![0_usize];
         while let Some(number) = pending.pop() {
             let node = &nodes[number];
@@ -385,11 +379,11 @@ impl ReachPlan {
         }
         let mut claim = ReachClaim {
             partition,
-            // Whole micrometres: what another version rounds otherwise is still proved.
+            // Rounded down to micrometres, so that other rounding in another version keeps the proof.
             min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
             ..self.claim.clone()
         };
-        // As the checker will find them: volumes, rounded down where a cut was not one in equal halves.
+        // Shares as the checker computes them, rounded down for unequal halves.
         let [verified, falsified] = claim.volume_shares().unwrap_or_default();
         (claim.verified_share_at_least, claim.falsified_share_at_least) = (verified, falsified);
         if let Some(last) = shares.last_mut() {
@@ -405,10 +399,10 @@ impl ReachPlan {
         self.has_contact(&interpolate(&self.claim.ranges, place))
     }
 
-    /// A start of the box as a scenario, in the order of the ranges.
+    /// Returns an initial state of the box as a scenario; the order is that of the ranges.
     ///
     /// # Errors
-    /// [`InvalidBox`] if it is none.
+    /// [`InvalidBox`] if it makes no scenario.
     pub fn scenario_at(&self, point: &[f64; 8]) -> Result<Scenario, InvalidBox> {
         let [ahead_m, behind_m, leader_mps, ego_mps, follower_mps, brake_mps2, follower_brake_mps2, onset] = *point;
         let onset_s = onset * self.claim.step_s;
@@ -429,7 +423,6 @@ impl ReachPlan {
         scenario.map_err(map_invalid_start)
     }
 
-    /// Whether a start ends in contact in the simulator.
     fn has_contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
         let scenario = self.scenario_at(point)?;
         let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
@@ -444,7 +437,7 @@ impl InvalidBox {
     }
 }
 
-/// What the checker says of a box, as its file names things: the instant at which the leader brakes is in seconds there.
+/// Converts a rejection by the checker to the terms of the box file, with the onset in seconds.
 fn map_rejection(rejection: Rejection) -> InvalidBox {
     match rejection {
         Rejection::Invalid { field, problem } if field == "ranges.onset_steps" => {
@@ -454,18 +447,17 @@ fn map_rejection(rejection: Rejection) -> InvalidBox {
             InvalidBox::field(&field, problem)
         }
         Rejection::Policy { problem } => InvalidBox::Controller(problem),
-        // The rest is the scenario's.
         other => InvalidBox::field("scenario", format!("its {other}")),
     }
 }
 
-/// What is wrong with a start, at the range that it comes from.
+/// Converts an invalid initial state to an error of the range that caused it.
 fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
     if let Some(setting) = invalid.field.strip_prefix("vehicles[2].driver.") {
         return InvalidBox::field("follower_drives", format!("{setting} {}", invalid.problem));
     }
     let range = match invalid.field.as_str() {
-        // Whoever overlaps is the one behind.
+        // Overlap is an error of the vehicle behind.
         "vehicles[1].position_m" => "ranges.gap_ahead_m",
         "vehicles[2].position_m" => "ranges.gap_behind_m",
         "vehicles[0].speed_mps" => "ranges.leader_speed_mps",
@@ -479,7 +471,7 @@ fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
     InvalidBox::field(range, format!("a start in it is no scenario: {}", invalid.problem))
 }
 
-/// Why a controller that may ask for more than the vehicle can do is refused; a network's file says at which field.
+/// Returns the error of a command beyond the limits of the vehicle; for a network it names the field.
 fn excessive_command_error(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller: &ControllerKind) -> InvalidBox {
     let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
         true => ("output.low_mps2", asked_mps2[0]),
@@ -493,31 +485,29 @@ fn excessive_command_error(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller
     }
 }
 
-/// The file by which the checker knows a controller: a policy of crumple's own, or a network from outside; none for others, and for what
-/// is behind a shield.
+/// Returns the file by which the checker identifies a controller: a policy or a network; `None` for others and for
+/// shielded ones.
 ///
 /// # Errors
-/// [`InvalidMapping`] for a network that sees something else than affine functions of what is observed.
+/// [`InvalidMapping`] if an input of the network is not an affine function of the observation.
 pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, InvalidMapping> {
     match controller {
         ControllerKind::Network(network) => network.checker_file().map(Some),
         ControllerKind::BuiltIn(_) | ControllerKind::Policy(_) => {
             let Some(policy) = controller.policy() else { return Ok(None) };
-            // What was read can be written.
             Ok(policy.to_bytes().ok())
         }
         _ => Ok(None),
     }
 }
 
-/// The dimension that accounts for most of the doubt, of those that can be cut, and the halves.
+/// Chooses the dimension with the largest share of the uncertainty, and returns its halves.
 fn choose_cut(ranges: &InitialRanges, reached: &ReachResult) -> Option<(BoxDimension, [InitialRanges; 2])> {
     let mut order: Vec<(f64, BoxDimension)> = reached.sensitivity.into_iter().zip(BoxDimension::ALL).collect();
     order.sort_by(|a, b| b.0.total_cmp(&a.0));
     order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.bisect(dimension)?)))
 }
 
-/// The member at given places between the lower and upper ends.
 fn interpolate(ranges: &InitialRanges, place: &[f64; 8]) -> [f64; 8] {
     std::array::from_fn(|i| {
         let range = ranges.get(BoxDimension::ALL[i]);
@@ -556,14 +546,14 @@ mod tests {
         }
     }
 
-    /// What certificates assume of the functions that networks are driven with, twice as well.
+    /// Tests the assumed accuracy of the functions of networks, with a safety factor of two.
     #[test]
     fn single_precision_functions_are_as_good_as_assumed() {
         use crumple_verify::reach::controller::TANH_ERROR;
         let all = || (0..u32::MAX / 997).map(|k| f32::from_bits(k * 997)).filter(|z| z.is_finite());
         let worst = all().map(|z| (f64::from(libm::tanhf(z)) - f64::from(z).tanh()).abs()).fold(0.0, f64::max);
         assert!(worst < TANH_ERROR / 2.0, "{worst:e}");
-        // Relative to themselves, but for 10⁻³⁸, where single precision ends. Beyond 88 exp is infinite.
+        // Relative errors, except near 10⁻³⁸, where single precision ends. Beyond 88 exp is infinite.
         let off = |single: f32, exact: f64| ((f64::from(single) - exact).abs() - 1e-38).max(0.0) / exact.abs();
         let exp = all().filter(|z| *z < 88.7).map(|z| off(libm::expf(z), f64::from(z).exp())).fold(0.0, f64::max);
         assert!(exp < TANH_ERROR / 2.0, "{exp:e}");

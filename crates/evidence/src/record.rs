@@ -1,4 +1,4 @@
-//! A count as it is on record: all that decides it but the controllers themselves, and what its blocks come to.
+//! Record of a count: its configuration, and the results of its blocks.
 
 use std::ops::Range;
 
@@ -11,45 +11,44 @@ use crumple_core::digest::sha256;
 use crumple_search::worst_case::build_certificate;
 use crumple_world::sim::FailedControllerRuns;
 
-/// What was fixed before the first run, and the space as a file: enough for the certificate of what was counted, wherever that was.
+/// Registration of a count, and its space as a file: sufficient for the certificate of counts from any machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CountRecord {
     pub(super) registration: Registration,
-    /// The space that runs are drawn from, in TOML.
     pub(super) space_text: String,
 }
 
-/// What has been counted so far. A run fails if vehicles touch, or if its controller fails.
+/// Counts so far. A run fails if vehicles collide, or if its controller fails.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CountTally {
-    /// Digest of the registration this belongs to.
+    /// Digest of the registration.
     pub registration_sha256: String,
-    /// Runs made.
+    /// Number of runs.
     pub runs: u64,
-    /// Runs in which the controller failed; of two, both.
+    /// Runs in which the controller failed; with two controllers, both.
     pub failures: u64,
-    /// Of two controllers: runs in which only the first failed.
+    /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,
     /// Runs in which only the second failed.
     pub only_second_failed: u64,
-    /// The blocks that these runs make, in order.
+    /// Completed blocks, in order.
     pub blocks: Vec<CountedBlock>,
-    /// Of a shard in a space that was fitted to episodes: how many of the new runs failed in each of its resamples of these.
+    /// Failures in each resample of a shard, if the space was fitted to episodes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[serde(rename = "resampled")]
     pub resample_failures: Vec<u64>,
 }
 
 impl CountTally {
-    /// Runs that failed: of two controllers, those in which either did.
+    /// Returns the number of failed runs; with two controllers, those in which either failed.
     #[must_use]
     pub fn failed_runs(&self) -> u64 {
         self.failures.saturating_add(self.only_first_failed).saturating_add(self.only_second_failed)
     }
 
-    /// Runs in which a controller gave no answer: of the one that is counted, or of the first of two, and of the second.
+    /// Returns runs without an answer of the controller, or of the first of two, and of the second.
     #[must_use]
     pub fn unanswered(&self) -> [Option<FailedControllerRuns>; 2] {
         let mut all = [None, None];
@@ -60,7 +59,7 @@ impl CountTally {
         all
     }
 
-    /// What was counted, in words: of one controller, or of two.
+    /// Describes the counts of one controller, or of two.
     #[must_use]
     pub fn summary(&self, is_of_two: bool) -> String {
         let Self { runs, failures, only_first_failed, only_second_failed, .. } = self;
@@ -74,7 +73,7 @@ impl CountTally {
         format!("{counts}, of {runs} runs{}", self.unanswered_summary())
     }
 
-    /// Who gave no answer, in words, each after a semicolon; nothing where all were answered.
+    /// Describes missing answers, each after a semicolon; empty without any.
     #[must_use]
     pub fn unanswered_summary(&self) -> String {
         let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];
@@ -82,7 +81,6 @@ impl CountTally {
         words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs)))).collect()
     }
 
-    /// Adds the next block, of so many runs.
     pub(super) fn add_block(&mut self, runs: u64, block: CountedBlock) {
         self.runs += runs;
         self.failures += block.failures;
@@ -93,7 +91,7 @@ impl CountTally {
 }
 
 impl CountRecord {
-    /// What is not right with one that was read from a file; nothing if a count may have it.
+    /// Returns the problem of a record from a file; `None` if it is valid.
     pub(super) fn problem(&self) -> Option<&'static str> {
         let Registration { configuration, runs, confidence, block_runs } = &self.registration;
         let is_count = (1..=MAX_RUNS).contains(runs) && *confidence > 0.5 && *confidence < 1.0;
@@ -107,13 +105,12 @@ impl CountRecord {
         }
     }
 
-    /// What was fixed before the first run.
     #[must_use]
     pub(crate) fn registration(&self) -> &Registration {
         &self.registration
     }
 
-    /// Whether two controllers are compared.
+    /// True if two controllers are compared.
     #[must_use]
     pub fn is_comparison(&self) -> bool {
         self.registration.configuration.contains_key("against")
@@ -123,26 +120,24 @@ impl CountRecord {
         self.registration.block_runs.unwrap_or(1).max(1)
     }
 
-    /// How many blocks there are.
     #[must_use]
     pub(crate) fn block_count(&self) -> u64 {
         self.registration.runs.div_ceil(self.block_runs())
     }
 
-    /// The runs of blocks that follow each other.
     #[must_use]
     pub(crate) fn run_range(&self, blocks: Range<u64>) -> Range<u64> {
         let at = |block: u64| block.saturating_mul(self.block_runs()).min(self.registration.runs);
         at(blocks.start)..at(blocks.end)
     }
 
-    /// Nothing counted yet.
+    /// Returns a tally without runs.
     #[must_use]
     pub fn empty_tally(&self) -> CountTally {
         CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
     }
 
-    /// Whether a tally is of the first of some blocks, adds up, and counts no more runs than there are.
+    /// True if a tally is of the first of some blocks, adds up, and has no more runs than there are.
     #[must_use]
     pub(super) fn is_consistent(&self, blocks: &Range<u64>, tally: &CountTally) -> bool {
         let counted = tally.blocks.len() as u64;
@@ -169,7 +164,8 @@ impl CountRecord {
             && sum(|block| block.only_second_failed) == tally.only_second_failed
     }
 
-    /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
+    /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine
+    /// digits.
     #[must_use]
     pub fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
@@ -201,31 +197,30 @@ impl CountRecord {
         build_certificate(space, Some(self.space_text.clone()), None, statement)
     }
 
-    /// The rate that so many failures of all runs show, at the registered confidence; 1 if they show none. It is one that the checker accepts.
+    /// Returns the accepted upper bound on the rate if so many of all runs fail; 1 if there is none.
     #[must_use]
     pub fn rate_at_most(&self, failures: u64) -> f64 {
         upper_bound(failures, self.registration.runs, self.registration.confidence)
     }
 
-    /// The same without asking the checker, which takes as long as there are failures: for what has no certificate.
+    /// Returns the bound without asking the checker, whose time grows with the number of failures; for results without
+    /// certificate.
     #[must_use]
     pub(super) fn uncertified_rate_at_most(&self, failures: u64) -> f64 {
         binomial::clopper_pearson_upper(failures, self.registration.runs, 1.0 - self.registration.confidence)
     }
 }
 
-/// How long a range is.
 pub(super) fn range_len(range: &Range<u64>) -> u64 {
     range.end.saturating_sub(range.start)
 }
 
-/// A rate that the checker accepts, little above the bound of Clopper and Pearson; 1 if there is none below.
+/// Returns a rate that the checker accepts, little above the Clopper-Pearson bound; 1 if there is none.
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let allowed = 1.0 - confidence;
     let (mut aimed_at, mut rejected) = (allowed, 0.0);
     for doubling in 0..MAX_TRIES {
         let rate = binomial::clopper_pearson_upper(failures, runs, aimed_at);
-        // NaN included.
         if !(rate > 0.0 && rate < 1.0) {
             break;
         }
@@ -233,15 +228,15 @@ pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
         if tail <= allowed {
             return lowest_accepted(rejected, rate, |rate| binomial_tail_upper_bound(failures, runs, rate) <= allowed);
         }
-        // The checker rounds its tail up, and the more so the more runs there are: by how much is seen now. Of rates below 10⁻⁸ it tells
-        // only some apart.
+        // The checker rounds its tail upwards, more so for more runs; correct by the observed excess. It cannot
+        // distinguish all rates below 10⁻⁸.
         rejected = rate;
         aimed_at *= allowed / tail * (1.0 - 1e-11 * f64::from(1_u32 << doubling));
     }
     1.0
 }
 
-/// The lowest rate, to nine digits, between one that is not accepted and one that is; 0 is not looked at.
+/// Bisects to the lowest accepted rate, to nine digits.
 fn lowest_accepted(mut rejected: f64, mut accepted: f64, is_accepted: impl Fn(f64) -> bool) -> f64 {
     while rejected > 0.0 && accepted - rejected > 1e-9 * accepted {
         let middle = 0.5 * (rejected + accepted);
@@ -250,7 +245,6 @@ fn lowest_accepted(mut rejected: f64, mut accepted: f64, is_accepted: impl Fn(f6
     accepted
 }
 
-/// It takes two or three, and some more where a checker tells few rates apart.
 const MAX_TRIES: u32 = 30;
 
 #[cfg(test)]
@@ -272,7 +266,6 @@ mod tests {
         assert!(upper_bound(0, 138_149, 1.0 - 1e-6) <= 1e-4);
         assert!(upper_bound(0, 138_148, 1.0 - 1e-6) > 1e-4);
         assert_eq!(upper_bound(10, 10, 0.99), 1.0);
-        // Where the checker takes one factor after the other, and where it takes powers.
         let bound = upper_bound(12, 20_000_000, 0.995);
         assert!((bound / 1.207_246_691_693_724e-6 - 1.0).abs() < 1e-7 && bound > 1.207_246_691_693_724e-6, "{bound:e}");
         for (failures, confidence) in [(0, 0.999), (3, 0.99), (2000, 0.9)] {
@@ -283,7 +276,7 @@ mod tests {
                 "{failures} {bound}"
             );
         }
-        // 1 - (1 - γ)^(1/n), within what the tail rounds.
+        // Closed form: 1 - (1 - γ)^(1/n).
         let (bound, exact) = (upper_bound(0, 700_000_000, 0.999), -(0.001_f64.ln() / 7e8).exp_m1());
         assert!(bound >= exact && bound < exact * (1.0 + 1e-7), "{bound} {exact}");
     }

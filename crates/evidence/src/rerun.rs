@@ -1,8 +1,7 @@
-//! Counting again: what makes the counts of a certificate more than their maker's word.
-//!
-//! A certificate holds a hash of what came of each block of runs. Whoever checks it draws and simulates again, all blocks or a sample
-//! that is chosen after the file was fixed, and compares counts and hashes. A maker who had changed k runs has changed at least
-//! ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses them with probability C(m - a, s)/C(m, s) at most, a = ⌈k/b⌉.
+//! Confirmation of the counts of a certificate by repeating runs. A certificate has a hash of the results of each
+//! block. A checker repeats all blocks, or a sample that is chosen after the file was fixed, and compares counts and
+//! hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses the forgery with
+//! probability at most C(m - a, s)/C(m, s).
 
 use crumple_verify::{Certificate, Registration, Statement};
 use rayon::prelude::*;
@@ -13,108 +12,108 @@ use crumple_core::digest::Sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_world::sim::NamedController;
 
-/// Which blocks are counted again.
+/// Selection of the blocks to count again.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BlockSelection {
-    /// All of them.
+    /// All blocks.
     All,
-    /// Some.
+    /// A sample of the blocks.
     Sample {
-        /// In percent of the blocks; at least one block is counted.
+        /// Percentage of the blocks; at least one block is counted.
         percent: f64,
-        /// What decides which; nobody may have known it when the certificate was made.
+        /// Seed of the sample; it must be unknown when the certificate is made.
         seed: u64,
     },
 }
 
-/// Why counts could not be confirmed.
+/// Reason why counts are not confirmed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RerunError {
-    /// It counts nothing.
+    /// The certificate has no counts.
     #[error("a certificate of kind `{0}` counts no runs")]
     NothingCounted(&'static str),
-    /// Another release counted.
+    /// Another release made the counts.
     #[error("`registration.configuration.crumple` is {counting_release}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
     OtherRelease {
-        /// The one that counted.
+        /// Release that made the counts.
         counting_release: String,
     },
-    /// It is of version 1.
+    /// The certificate is of version 1, without space and hashes.
     #[error("version 1 holds neither the space that runs were drawn from nor a hash of what came of them: count again")]
     NoBlocks,
-    /// The controllers are not at hand.
+    /// A controller is not available.
     #[error(
         "`registration.configuration.{place}` names no built-in controller, and no --controller has its identity: a name in a \
          certificate opens no file and starts no program, not even with --allow-external"
     )]
     NoController {
-        /// Which.
+        /// Field of the registration that names the controller.
         place: &'static str,
     },
-    /// What is registered is not what would be counted again.
+    /// The registration does not match its controllers and space.
     #[error("`registration` is not that of the controllers and space that it names")]
     OtherRegistration,
-    /// The certificate is not about what it says.
+    /// The certificate does not match its texts.
     #[error(transparent)]
     Binding(#[from] BindingError),
-    /// A run cannot be made.
+    /// A run failed.
     #[error(transparent)]
     Run(#[from] RateError),
     /// The observer stopped the count.
     #[error("counting again was {0}")]
     Stopped(#[from] Stopped),
-    /// The counts are not right.
+    /// The counts differ.
     #[error("blocks[{block}], runs {first} to {last}: {problem}")]
     Refuted {
-        /// Which block.
+        /// Index of the block.
         block: u64,
-        /// Its first run.
+        /// First run of the block.
         first: u64,
-        /// Its last run.
+        /// Last run of the block.
         last: u64,
-        /// What is not as stated.
+        /// Difference from the statement.
         problem: String,
     },
 }
 
-/// A certificate of counts, with all that is needed to count again.
+/// A certificate of counts that can be counted again.
 pub struct Rerun {
     plan: RatePlan,
     stated_blocks: Vec<StatedBlock>,
-    /// SHA-256 of the certificate: part of what decides the sample.
+    /// SHA-256 of the certificate; part of the seed of the sample.
     digest: String,
 }
 
-/// What a certificate states of a block; of a rate, the second number is 0.
+/// Statement of a certificate on a block; the second count is 0 for a single controller.
 struct StatedBlock {
     counts: [u64; 2],
     sha256: String,
 }
 
-/// What was counted again, and found to be as stated.
+/// Result of a confirmation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Confirmation {
-    /// Blocks that were counted again.
+    /// Number of blocks that were counted again.
     pub blocks: u64,
-    /// Of so many.
+    /// Number of all blocks.
     pub total_blocks: u64,
-    /// Runs that were made again.
+    /// Number of runs that were repeated.
     pub runs: u64,
-    /// Of so many.
+    /// Number of all runs.
     pub total_runs: u64,
-    /// Runs of a block.
+    /// Number of runs per block.
     pub block_runs: u64,
 }
 
 impl Confirmation {
-    /// Whether everything was counted again.
+    /// True if all runs were repeated.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.blocks == self.total_blocks
     }
 
-    /// The least chance with which this would have caught a maker who changed what came of `forged` runs, wherever they were.
+    /// Returns the minimum probability of detecting a forgery of the results of `forged` runs.
     #[must_use]
     pub fn detection_probability(&self, forged: u64) -> f64 {
         let changed = forged.div_ceil(self.block_runs.max(1)).min(self.total_blocks);
@@ -127,10 +126,10 @@ impl Confirmation {
 }
 
 impl Rerun {
-    /// Prepares to count again. Controllers that are not built in have to be among `given`.
+    /// Prepares a confirmation. Controllers that are not built in must be in `given`.
     ///
     /// # Errors
-    /// [`RerunError`] if it cannot be done.
+    /// [`RerunError`] if the counts cannot be repeated.
     pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
         let (registration, stated): (&Registration, Vec<StatedBlock>) = match &certificate.statement {
             Statement::Rate(claim) => {
@@ -162,7 +161,7 @@ impl Rerun {
                 _ => "against_sha256",
             });
             let is_it = |one: &&NamedController| one.kind.identity().as_deref() == Some(identity);
-            // It goes by the name under which it was counted.
+            // Keep the name under which the controller was counted.
             given.iter().find(is_it).map(|one| NamedController { name: of(place).to_owned(), kind: one.kind.clone() })
         };
         let controllers = match binding::built_in_controllers(registration) {
@@ -183,7 +182,7 @@ impl Rerun {
         Ok(Self { plan, stated_blocks: stated, digest: certificate.digest() })
     }
 
-    /// How many runs a sample holds.
+    /// Returns the number of runs in a sample.
     #[must_use]
     pub fn run_count(&self, sample: BlockSelection) -> u64 {
         self.select_blocks(sample).into_iter().map(|block| self.block_run_count(block)).sum()
@@ -197,7 +196,8 @@ impl Rerun {
     /// Counts a sample again.
     ///
     /// # Errors
-    /// [`RerunError::Refuted`] names the first block of the sample that is not as stated; [`RerunError::Stopped`] if `observer` stops.
+    /// [`RerunError::Refuted`] names the first differing block of the sample; [`RerunError::Stopped`] if `observer`
+    /// stops.
     pub fn confirm(
         &self,
         sample: BlockSelection,
@@ -206,13 +206,12 @@ impl Rerun {
         let counter = ProgressCounter::new(observer, Some(self.run_count(sample)));
         let blocks = self.select_blocks(sample);
         let judged = blocks.par_iter().map(|&block| {
-            // Without this question, all blocks would be counted after a stop.
             counter.add(0)?;
             let found = self.plan.recount_block(block)?;
             counter.add(self.block_run_count(block))?;
             self.compare_block(block, &found)
         });
-        // The first in order, whichever thread was first.
+        // Report the first error in order of blocks, independent of threads.
         judged.collect::<Vec<_>>().into_iter().collect::<Result<(), RerunError>>()?;
         Ok(Confirmation {
             blocks: blocks.len() as u64,
@@ -223,7 +222,7 @@ impl Rerun {
         })
     }
 
-    /// The blocks of a sample, in order: those whose hashes with the seed and the certificate are the smallest.
+    /// Returns the blocks with the smallest hashes of index, seed and certificate, in order.
     fn select_blocks(&self, sample: BlockSelection) -> Vec<u64> {
         let all = 0..self.plan.block_count();
         let BlockSelection::Sample { percent, seed } = sample else { return all.collect() };

@@ -1,49 +1,48 @@
-//! Scripted leaders among those that brake as they like within a limit.
+//! Check of scripted leaders against a limit of free braking.
 
 use crumple_verify::Interval;
 use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, VehicleSpec};
 
-/// Reason why a script breaks the limits of a claim: it speeds up, brakes too hard or starts at another speed.
+/// Reason why a profile exceeds the limits of a claim.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScriptBeyondLimit {
-    /// A controller decides.
+    /// A controller drives the leader.
     #[error("its leader is not scripted")]
     NotScripted,
-    /// The script accelerates.
+    /// The profile accelerates.
     #[error("its leader's script `{script}` accelerates at {mps2} m/s², and the statement's leader never speeds up")]
     SpeedsUp {
-        /// The name of the script's kind.
+        /// Kind of the profile.
         script: &'static str,
-        /// Its largest acceleration, in m/s².
+        /// Largest acceleration, in m/s².
         mps2: f64,
     },
-    /// The script brakes harder.
+    /// The profile brakes too hard.
     #[error(
         "its leader's script `{script}` brakes at {mps2} m/s², and the statement's leader at {limit_mps2} m/s² at most"
     )]
     BrakesHarder {
-        /// The name of the script's kind.
+        /// Kind of the profile.
         script: &'static str,
-        /// Its hardest braking, in m/s², positive.
+        /// Largest deceleration, in m/s², positive.
         mps2: f64,
-        /// That of the statement.
+        /// Limit of the statement, in m/s².
         limit_mps2: f64,
     },
-    /// The recording begins at another speed than the vehicle.
+    /// The recording starts at another speed than the vehicle.
     #[error("its leader drives at {speed_mps} m/s at the start, and its recording at {recorded_mps} m/s")]
     OtherSpeed {
-        /// The vehicle's speed, in m/s.
+        /// Speed of the vehicle, in m/s.
         speed_mps: f64,
-        /// The recorded one, in m/s.
+        /// Recorded speed, in m/s.
         recorded_mps: f64,
     },
 }
 
-/// Checks that a scripted leader accelerates at every time of the scenario at a rate from -`limit_mps2` to 0.
-///
-/// The acceleration of a step is the mean of the script's acceleration within the step. The simulator rounds that, as it rounds
-/// the motion of a leader with the plain script `brake`: by far less than the 10⁻⁹ m and m/s that every reach allows for.
+/// Checks that the acceleration of a scripted leader is always between -`limit_mps2` and 0. The acceleration of a step
+/// is the mean of the profile within the step. Its rounding in the simulator is far below the allowance of 10⁻⁹ m and
+/// m/s of every reach tube.
 pub(super) fn check_script_limits(
     leader: &VehicleSpec,
     limit_mps2: f64,
@@ -77,7 +76,7 @@ pub(super) fn check_script_limits(
     }
 }
 
-/// The lowest and the highest slope of recorded speeds, 0 included, rounded outward, in m/s².
+/// Returns the smallest and largest slope of recorded speeds, including 0, rounded outward, in m/s².
 fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
     let samples: Vec<[f64; 2]> = recorded.time_s.iter().zip(&recorded.speed_mps).map(|(&t, &v)| [t, v]).collect();
     let pairs = samples.iter().zip(samples.iter().skip(1)).take_while(|([from_s, _], _)| *from_s <= horizon_s);
@@ -91,7 +90,7 @@ fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
     }))
 }
 
-/// The difference of two numbers, rounded outward unless it is exact, which the error of Knuth's sum of two numbers tells.
+/// Returns a difference, rounded outward unless it is exact by Knuth's error of the sum of two numbers.
 fn difference(of: f64, from: f64) -> Interval {
     let nearest = of - from;
     let virtually = nearest - of;
@@ -99,7 +98,6 @@ fn difference(of: f64, from: f64) -> Interval {
     if error == 0.0 { Interval::point(nearest) } else { Interval::point(of) - Interval::point(from) }
 }
 
-/// The smallest range that holds 0 and all of these.
 fn hull(ranges: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
     ranges.fold([0.0, 0.0], |[low, high]: [f64; 2], range| [low.min(range[0]), high.max(range[1])])
 }
@@ -128,7 +126,6 @@ mod tests {
         LeadProfile::Recorded(RecordedSpeeds { time_s: time_s.to_vec(), speed_mps: speed_mps.to_vec() })
     }
 
-    /// Scripts that brake at 3 m/s² at most.
     fn allowed_profiles() -> Vec<LeadProfile> {
         let (onset_s, rate_mps2) = (1.004, 3.0);
         vec![
@@ -140,7 +137,6 @@ mod tests {
             LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps: 30.0 }),
             pieces(&[], &[]),
             pieces(&[0.5, 1.003, 2.0, 4.0], &[-3.0, 0.0, -1.0, -3.0]),
-            // Speeds up after the end.
             pieces(&[0.5, 10.001], &[-3.0, 3.0]),
             recorded(&[0.5, 2.5, 4.0, 5.0], &[20.0, 14.0, 14.0, 13.0]),
             recorded(&[0.0, 0.1, 0.2], &[20.0, 19.75, 19.75]),
@@ -152,7 +148,6 @@ mod tests {
     fn scripts_within_a_limit_are_those_of_a_leader_that_brakes_as_it_likes() {
         for profile in allowed_profiles() {
             assert_eq!(check_profile(profile.clone()), Ok(()), "{profile:?}");
-            // The mean over each step, as the simulator asks for it, is within the limit but for rounding.
             let mut speed_mps = SPEED_MPS;
             for step in 0..1000 {
                 let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
@@ -186,7 +181,7 @@ mod tests {
         ] {
             assert_eq!(check_profile(profile.clone()), refused, "{profile:?}");
         }
-        // 20 - 19.7 in 0.1 s is harder than 3 m/s² as 64-bit numbers are.
+        // As 64-bit numbers, 20 - 19.7 in 0.1 s is more than 3 m/s².
         let rounded = check_profile(recorded(&[0.0, 0.1], &[20.0, 19.7]));
         assert!(matches!(rounded, Err(ScriptBeyondLimit::BrakesHarder { mps2, .. }) if mps2 > 3.0 && mps2 < 3.000_001));
         let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);

@@ -1,4 +1,4 @@
-//! Who is let in.
+//! Access control.
 
 use std::hint::black_box;
 
@@ -6,13 +6,11 @@ use hyper::header::{HOST, HeaderMap, HeaderName, ORIGIN};
 
 use crate::error::RequestError;
 
-/// Says which kind of page a request comes from; set by the browser, which no page can change.
+/// Header with the kind of page that sent a request. Browsers set it, and pages cannot change it.
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
-/// Bytes of the token.
 const TOKEN_BYTES: usize = 32;
 
-/// What a request must have.
 #[derive(Debug)]
 pub(crate) struct RequestAuth {
     token: String,
@@ -20,7 +18,6 @@ pub(crate) struct RequestAuth {
 }
 
 impl RequestAuth {
-    /// That of a server on a port, with a new token.
     pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes)?;
@@ -28,13 +25,13 @@ impl RequestAuth {
         Ok(Self { token, hosts: ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}")) })
     }
 
-    /// The first address, for the user alone.
+    /// Returns the secret URL of the first page.
     pub(crate) fn url(&self) -> String {
         let [host, _] = &self.hosts;
         format!("http://{host}/{}/", self.token)
     }
 
-    /// The path behind the token, for a request that may be answered.
+    /// Checks a request and returns the path after the token.
     pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, RequestError> {
         let said = path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = said.split_once('/').unwrap_or((said, ""));
@@ -57,7 +54,6 @@ impl RequestAuth {
     }
 }
 
-/// Whether two texts are the same, in a time that does not tell where they differ.
 fn is_equal_constant_time(said: &[u8], wanted: &[u8]) -> bool {
     let difference = said.iter().zip(wanted).fold(0, |difference, (one, other)| black_box(difference | (one ^ other)));
     said.len() == wanted.len() && difference == 0
@@ -120,7 +116,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever else is said in place of the token.
+        /// Any other text in place of the token is refused.
         #[test]
         fn nothing_but_the_token_will_do(path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?", change in 0..64_usize, to in "[0-9a-f]") {
             let gate = RequestAuth::new(80).unwrap();

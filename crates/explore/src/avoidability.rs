@@ -1,4 +1,4 @@
-//! Whether anybody could have avoided it.
+//! Avoidability of a collision.
 
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
 use crumple_world::control::ControllerSpec;
@@ -10,19 +10,18 @@ use serde::Serialize;
 use crate::error::RequestError;
 use crate::render::render_replay;
 
-/// The answer.
 #[derive(Debug, Serialize)]
 pub(crate) struct AvoidabilityResponse {
     /// `avoidable`, `unavoidable` or `undecided`.
     verdict: &'static str,
     #[serde(rename = "words")]
     sentences: Vec<String>,
-    /// The escape, drawn; empty where there is none.
+    /// Figure of the escape; empty if there is none.
     #[serde(rename = "escape")]
     escape_figure: String,
 }
 
-/// Decides it, as `crumple avoid` does.
+/// Decides avoidability as `crumple avoid` does.
 pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, RequestError> {
     let found = avoid(scenario, AvoidOptions::default()).map_err(|error| RequestError::invalid("scenario", error))?;
     let mut words = Vec::new();

@@ -1,4 +1,4 @@
-//! What the page may speak of: what it was started with, and what is built in.
+//! Catalog of the scenarios, controllers and campaigns that requests may name.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -14,79 +14,76 @@ use crumple_world::sim::NamedController;
 use crate::campaign::CatalogCampaign;
 use crate::error::RequestError;
 
-/// What an application is started with.
+/// Configuration of the application.
 #[derive(Debug, Default)]
 pub struct ExploreConfig {
-    /// The scenarios it begins with, the first one shown; the built-in ones follow.
+    /// Initial scenarios, the first of which is shown; the built-in ones follow.
     pub scenarios: Vec<CatalogScenario>,
-    /// The controllers it begins with, side by side; the built-in ones can be chosen besides.
+    /// Initial controllers in the order of display; the built-in ones can be added.
     pub controllers: Vec<NamedController>,
-    /// What the vehicles under test look through at first.
+    /// Initial estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// The folder in which scenarios are saved; none to have them downloaded only.
+    /// Folder for saved scenarios; without it they can only be downloaded.
     pub save_folder: Option<PathBuf>,
-    /// Folders of campaigns, finished or under way.
+    /// Folders of campaigns, finished or in progress.
     pub campaigns: Vec<PathBuf>,
 }
 
-/// What is offered, everything built in included.
+/// Everything that requests may name, including the built-in items.
 #[derive(Debug)]
 pub(crate) struct Catalog {
     pub(crate) scenarios: Vec<CatalogScenario>,
     pub(crate) controllers: Vec<NamedController>,
-    /// How many of the controllers run at first.
     pub(crate) selected_controllers: usize,
     pub(crate) estimator: EstimatorKind,
     pub(crate) save_folder: Option<PathBuf>,
     pub(crate) campaigns: Vec<CatalogCampaign>,
-    /// Drivers from files of the scenarios of campaigns that were opened.
+    /// Drivers from files in opened scenarios of campaigns.
     opened_drivers: Mutex<Vec<FileDriver>>,
 }
 
-/// Who drives at first where nobody was chosen.
 const DEFAULT_CONTROLLER: &str = "baseline";
 
-/// A scenario, and what it is called in a list.
+/// Scenario with its name in lists.
 #[derive(Debug, Clone)]
 pub struct CatalogScenario {
-    /// A built-in name, or the path as it was given.
+    /// Built-in name, or path as given.
     pub name: String,
     /// The scenario.
     pub scenario: Scenario,
 }
 
-/// Why an application cannot be started with something.
+/// Reason why a configuration is invalid.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExploreConfigError {
-    /// More controllers than can be looked at side by side.
+    /// There are more controllers than can be compared.
     #[error("--controller: at most {most} can be seen side by side, found {found}", most = ExploreConfig::MAX_CONTROLLERS)]
     TooManyControllers {
-        /// How many there are.
+        /// Number of controllers.
         found: usize,
     },
-    /// Two controllers of one name.
+    /// Two controllers have the same name.
     #[error("--controller: `{name}` is given twice")]
     DuplicateController {
-        /// Its name.
+        /// Name of both.
         name: String,
     },
-    /// The place for saved scenarios is no folder.
+    /// The folder for saved scenarios does not exist.
     #[error("{}: there is no such folder to save scenarios in", path.display())]
     SaveFolder {
-        /// What was given.
+        /// Path as given.
         path: PathBuf,
     },
-    /// A campaign that cannot be looked at.
+    /// A campaign cannot be read.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
 }
 
 impl ExploreConfig {
-    /// Most controllers that run side by side.
     pub(crate) const MAX_CONTROLLERS: usize = 4;
 
-    /// The same with everything built in, if it can be offered.
+    /// Adds everything built in and checks the configuration.
     pub(crate) fn into_catalog(self) -> Result<Catalog, ExploreConfigError> {
         let Self { mut scenarios, mut controllers, estimator, save_folder: out, campaigns } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
@@ -121,7 +118,7 @@ impl ExploreConfig {
                 controllers.push(built_in);
             }
         }
-        // A campaign's controller with settings is built in as well. Commands and files it may name are nobody's wish here.
+        // Adds the controller of a campaign only if it is built in, so that no command or file comes in.
         for campaign in &campaigns {
             let name = campaign.lock_reader().controller().to_owned();
             if let (false, Some(Ok(spec))) =
@@ -143,7 +140,6 @@ impl ExploreConfig {
 }
 
 impl Catalog {
-    /// The controllers that were offered by these names.
     pub(crate) fn find_controllers(&self, names: &[String]) -> Result<Vec<&NamedController>, RequestError> {
         if !(1..=ExploreConfig::MAX_CONTROLLERS).contains(&names.len()) {
             let problem = format!("1 to {} run side by side, found {}", ExploreConfig::MAX_CONTROLLERS, names.len());
@@ -161,7 +157,7 @@ impl Catalog {
         names.iter().enumerate().map(offered).collect()
     }
 
-    /// Remembers the files that drive in a scenario of a campaign, which the page may send back.
+    /// Registers the drivers from files in a campaign's scenario, which the page may send back.
     pub(crate) fn register_drivers(&self, scenario: &Scenario) {
         let mut opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         for driver in file_drivers(scenario) {
@@ -171,8 +167,7 @@ impl Catalog {
         }
     }
 
-    /// Puts what was read from files in the places where a scenario names the same files. Nothing is read: a page cannot have a file
-    /// opened by naming it.
+    /// Fills in drivers that a scenario names by file from known scenarios. A page can have no file opened.
     pub(crate) fn resolve_drivers(&self, spec: &mut ScenarioSpec) -> Result<(), RequestError> {
         let opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         let offered = self.scenarios.iter().flat_map(|offered| file_drivers(&offered.scenario));
@@ -202,7 +197,7 @@ fn file_drivers(scenario: &Scenario) -> impl Iterator<Item = &FileDriver> {
     })
 }
 
-/// The field of a scenario that was sent, as the page knows it.
+/// Converts the error of a scenario in a request; prefixes its field.
 pub(crate) fn scenario_error(invalid: InvalidField) -> RequestError {
     RequestError::invalid(format!("scenario.{}", invalid.field), invalid.problem)
 }

@@ -1,4 +1,4 @@
-//! Everything a request can be answered with instead of what it asks for.
+//! Error responses.
 
 use std::time::Duration;
 
@@ -7,58 +7,46 @@ use crumple_world::scenario::file::FileError;
 use hyper::StatusCode;
 use serde_json::{Value, json};
 
-/// Why a request is not answered.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RequestError {
-    /// Whoever asks is not let in.
     #[error("{0}")]
     Forbidden(&'static str),
-    /// There is nothing there.
     #[error("there is nothing here: {0}")]
     NotFound(&'static str),
-    /// It is there, and asked for otherwise.
     #[error("this is asked for by {0}")]
     MethodNotAllowed(&'static str),
-    /// The request did not end in time.
     #[error("the request took longer than {} s to arrive", .0.as_secs_f64())]
     Timeout(Duration),
-    /// More than is read.
     #[error("a request may have {0} KiB")]
     TooLarge(usize),
-    /// Not what the page sends.
     #[error("what is asked has to be JSON, and to say so: Content-Type: application/json")]
     NotJson,
-    /// Not well formed, or a field is missing, unknown or of the wrong type.
+    /// The JSON is malformed, or a field is missing, unknown or of the wrong type.
     #[error("line {line}: {message}")]
     Malformed {
-        /// Line, from 1.
         line: usize,
-        /// What is wrong, naming the field.
+        /// Problem, with the name of the field.
         message: String,
     },
-    /// A field that is out of range, contradicts another or names what was not offered.
+    /// A field is out of range, contradicts another field or names an item outside the catalog.
     #[error("{field}: {problem}")]
     Invalid {
         /// Path of the field.
         field: String,
-        /// What is wrong with it.
         problem: String,
     },
-    /// Somebody else is having done what is only done once at a time.
+    /// Another request holds the exclusive resource.
     #[error("{0} is being decided already: ask again when that is done")]
     Busy(&'static str),
-    /// The machine failed.
     #[error("{0}")]
     Internal(String),
 }
 
 impl RequestError {
-    /// A field of which something is wrong.
     pub(crate) fn invalid(field: impl Into<String>, problem: impl ToString) -> Self {
         Self::Invalid { field: field.into(), problem: problem.to_string() }
     }
 
-    /// What HTTP calls it.
     pub(crate) fn status(&self) -> StatusCode {
         match self {
             Self::Forbidden(_) => StatusCode::FORBIDDEN,
@@ -89,7 +77,6 @@ impl RequestError {
         }
     }
 
-    /// The answer.
     pub(crate) fn to_json(&self) -> Value {
         let field = match self {
             Self::Invalid { field, .. } => Some(field),

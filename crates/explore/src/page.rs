@@ -1,4 +1,4 @@
-//! The pages, their style sheet and their script. Everything that moves is asked for by the script; nothing comes from elsewhere.
+//! Pages, style sheet and script. The script requests all dynamic content from this server.
 
 use crumple_core::quoting::TerminalText;
 use crumple_report::PAGE_STYLE;
@@ -10,17 +10,14 @@ use serde_json::{Value, json};
 
 use crate::catalog::{Catalog, ExploreConfig};
 
-/// The one style sheet.
 pub(crate) fn style_sheet() -> String {
     [PAGE_STYLE, draw::STYLE, ANIMATION_STYLE, include_str!("explore.css")].concat()
 }
 
-/// The one script.
 pub(crate) fn script() -> String {
     [ANIMATION_SCRIPT, include_str!("explore.js")].concat()
 }
 
-/// The page of a scenario.
 pub(crate) fn scenario_page(offer: &Catalog) -> String {
     let classes = VehicleClass::ALL.iter().map(|class| {
         json!({ "name": class.name(), "max_brake_mps2": class.max_brake_mps2(), "max_accel_mps2": class.max_accel_mps2() })
@@ -80,7 +77,6 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
     document("scenario", "Scenario", &start, &content)
 }
 
-/// The page of campaigns.
 pub(crate) fn campaigns_page(offer: &Catalog) -> String {
     let names = || offer.campaigns.iter().enumerate();
     let content = html! {
@@ -149,7 +145,7 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
     document.into_string()
 }
 
-/// JSON that nothing in it can end as an element of a page.
+/// Returns JSON that is safe in a script element.
 fn escape_json(json: &Value) -> String {
     json.to_string().replace('<', "\\u003c")
 }

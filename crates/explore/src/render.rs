@@ -1,4 +1,4 @@
-//! Runs of a scenario as the page shows them: verdicts, diagrams, the view from above, and where its sliders stand.
+//! Runs of a scenario on the page: verdicts, diagrams, top views, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_report::draw::{self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names};
@@ -12,22 +12,18 @@ use crate::catalog::Catalog;
 use crate::error::RequestError;
 use crate::request::{RunRequest, gaps_m};
 
-/// Cells of the pad on which the leader's braking is drawn, at most.
 const MAX_PAD_CELLS: usize = 60;
 
-/// What the page shows of a scenario.
 #[derive(Debug, Serialize)]
 pub(crate) struct RunResponse {
     runs: Vec<RunSummary>,
-    /// Time-space, speed and gap diagrams, as SVG.
+    /// Position, speed and gap diagrams, as SVG.
     figures: String,
-    /// The views from above.
     #[serde(rename = "above")]
     top_views: String,
     sliders: Sliders,
 }
 
-/// What came of one run.
 #[derive(Debug, Serialize)]
 struct RunSummary {
     controller: String,
@@ -39,7 +35,6 @@ struct RunSummary {
     contact_time_s: Option<f64>,
 }
 
-/// Where sliders stand.
 #[derive(Debug, Serialize)]
 pub(crate) struct Sliders {
     name: String,
@@ -49,28 +44,25 @@ pub(crate) struct Sliders {
     lead: LeadPad,
 }
 
-/// Those of a vehicle.
 #[derive(Debug, Serialize)]
 struct VehicleSliders {
     name: String,
     class: &'static str,
     driver: String,
-    /// None for the first vehicle.
+    /// Gap; none for the first vehicle.
     gap_m: Option<f64>,
     speed_mps: f64,
 }
 
-/// The pad of the leader.
 #[derive(Debug, Serialize)]
 struct LeadPad {
     cell_s: f64,
-    /// What its script asks for in each cell; none if it follows none.
+    /// Mean acceleration of its script in each cell; none without a script.
     accel_mps2: Option<Vec<f64>>,
     max_brake_mps2: f64,
     max_accel_mps2: f64,
 }
 
-/// Runs what is asked for, and draws it.
 pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result<RunResponse, RequestError> {
     let scenario = request.take_scenario(offer)?;
     let controllers = offer.find_controllers(&request.controllers)?;
@@ -127,12 +119,11 @@ fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simula
     }
 }
 
-/// Text that somebody else wrote, with what does not show as itself escaped.
+/// Escapes invisible characters in foreign text.
 fn escape_text(text: &str) -> String {
     TerminalText(text).to_string()
 }
 
-/// The diagrams of all runs on the same axes.
 fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResult)], narrow: bool) -> String {
     let labels = vehicle_names(scenario);
     let traced: Vec<_> =
@@ -165,7 +156,7 @@ fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, SimulationRe
     TerminalLines(&drawn.into_string()).to_string()
 }
 
-/// The diagrams of a run whose drivers the scenario has itself.
+/// Renders the diagrams of a run with the scenario's own drivers.
 pub(crate) fn render_replay(scenario: &Scenario, run: &SimulationResult, title: &str) -> String {
     let Some(trace) = &run.trace else { return String::new() };
     let labels = vehicle_names(scenario);
@@ -218,7 +209,7 @@ impl LeadPad {
     }
 }
 
-/// What a script asks for on average over each cell, of a vehicle that follows it.
+/// Returns the mean acceleration that a script commands in each cell.
 fn mean_accelerations(
     profile: &LeadProfile,
     mut speed_mps: f64,

@@ -1,4 +1,4 @@
-//! What the page sends: a scenario, and what was changed of it.
+//! Requests of the page: a scenario and its edits.
 
 use std::path::Path;
 
@@ -11,10 +11,9 @@ use serde::de::DeserializeOwned;
 use crate::catalog::{Catalog, scenario_error};
 use crate::error::RequestError;
 
-/// Most vehicles times steps that are simulated for one request, over all its controllers: half a second's work.
+/// Maximum number of vehicle steps for one request, over all its controllers: half a second of work.
 pub(crate) const MAX_VEHICLE_STEPS: usize = 400_000;
 
-/// A scenario with what was changed of it, as it is.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EditedScenario {
@@ -23,45 +22,40 @@ pub(crate) struct EditedScenario {
     edits: Edits,
 }
 
-/// A scenario that is to be run.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunRequest {
     scenario: ScenarioSpec,
     #[serde(default)]
     edits: Edits,
-    /// Names of those that run side by side.
     pub(crate) controllers: Vec<String>,
     #[serde(default)]
     pub(crate) estimator: EstimatorKind,
-    /// Whether figures are to fit a narrow screen.
     #[serde(default)]
     pub(crate) narrow: bool,
 }
 
-/// What was changed. What is not said stays as it is.
+/// Edits of a scenario; none keeps a value.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Edits {
     name: Option<String>,
     friction: Option<f64>,
     vehicles: Vec<VehicleEdit>,
-    /// How vehicle 0 accelerates and brakes, in place of its driver.
+    /// Acceleration of vehicle 0, which replaces its driver.
     lead: Option<PiecewiseAcceleration>,
 }
 
-/// What was changed of one vehicle.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct VehicleEdit {
     vehicle: usize,
     class: Option<VehicleClass>,
-    /// The gap to the one listed ahead, between bumpers.
+    /// Bumper-to-bumper gap to the vehicle listed before it.
     gap_m: Option<f64>,
     speed_mps: Option<f64>,
 }
 
-/// Reads what a request says.
 pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestError> {
     let text = std::str::from_utf8(body).map_err(|error| RequestError::Malformed {
         line: 1 + body.iter().take(error.valid_up_to()).filter(|&&byte| byte == b'\n').count(),
@@ -71,21 +65,20 @@ pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestE
 }
 
 impl EditedScenario {
-    /// The scenario that is meant.
     pub(crate) fn into_scenario(self, offer: &Catalog) -> Result<Scenario, RequestError> {
         apply_edits(self.scenario, self.edits, 1, offer)
     }
 }
 
 impl RunRequest {
-    /// The scenario that is meant, taken out.
+    /// Returns the scenario with its edits, and takes the edits out.
     pub(crate) fn take_scenario(&mut self, offer: &Catalog) -> Result<Scenario, RequestError> {
         let (spec, edits) = (self.scenario.clone(), std::mem::take(&mut self.edits));
         apply_edits(spec, edits, self.controllers.len(), offer)
     }
 }
 
-/// A scenario with what was changed, found valid and small enough to be run so often.
+/// Applies edits to a scenario, and checks that it is valid and small enough for `runs` runs.
 fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalog) -> Result<Scenario, RequestError> {
     offer.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
@@ -108,7 +101,7 @@ impl Edits {
         if let Some(friction) = self.friction {
             spec.environment.friction = friction;
         }
-        // Positions that nobody changed stay as they are to the last bit.
+        // Keep positions exact if no gap or class changed.
         let moves = self.vehicles.iter().any(|edit| edit.gap_m.is_some() || edit.class.is_some());
         let mut gaps_m = gaps_m(spec);
         for (index, edit) in self.vehicles.iter().enumerate() {
@@ -138,7 +131,7 @@ impl Edits {
         }
         if let (Some(pieces), Some(lead)) = (self.lead, spec.vehicles.first_mut()) {
             lead.driver = Driver::Profile(LeadProfile::Pieces(pieces));
-            // A script says when a vehicle does what.
+            // A script determines the motion directly.
             (lead.reaction_delay_s, lead.actuator_lag_s, lead.actuator_delay_s, lead.jerk_limit_mps3) =
                 (0.0, 0.0, 0.0, None);
         }
@@ -146,7 +139,7 @@ impl Edits {
     }
 }
 
-/// The gap ahead of each vehicle but the first, between bumpers, in metres.
+/// Returns the bumper-to-bumper gap ahead of each vehicle but the first, in metres.
 pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
     let gap = |pair: &[_]| match pair {
         [ahead, behind] => {
@@ -159,12 +152,11 @@ pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
     spec.vehicles.windows(2).map(gap).collect()
 }
 
-/// Puts vehicles behind the first one with these gaps between them.
 fn place_vehicles(spec: &mut ScenarioSpec, gaps_m: &[f64]) {
     let Some(first) = spec.vehicles.first() else { return };
     let mut rear_bumper_m = first.position_m - first.length_m();
     for (vehicle, gap_m) in spec.vehicles.iter_mut().skip(1).zip(gaps_m) {
-        // To the nanometre, so that a file reads as what was chosen.
+        // Round to the nanometre, so that a file shows the chosen gap.
         vehicle.position_m = ((rear_bumper_m - gap_m) * 1e9).round() / 1e9;
         rear_bumper_m = vehicle.position_m - vehicle.length_m();
     }

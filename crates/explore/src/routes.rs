@@ -1,4 +1,4 @@
-//! Which request is answered by what.
+//! Dispatch of requests.
 
 use std::sync::{Mutex, TryLockError};
 
@@ -18,16 +18,15 @@ use crate::render::{Sliders, run_and_render};
 use crate::request::{EditedScenario, RunRequest, parse_body};
 use crate::save::save_scenario;
 
-/// The application: what it offers, and to whom.
+/// Application state: access control and catalog.
 #[derive(Debug)]
 pub(crate) struct Application {
     pub(crate) auth: RequestAuth,
     catalog: Catalog,
-    /// Held while it is decided whether somebody could have avoided something, which takes up to two minutes.
+    /// Held while avoidability is decided, which takes up to two minutes.
     avoidability_lock: Mutex<()>,
 }
 
-/// What is sent back.
 #[derive(Debug)]
 pub(crate) struct HttpResponse {
     pub(crate) status: StatusCode,
@@ -35,7 +34,6 @@ pub(crate) struct HttpResponse {
     pub(crate) body: Vec<u8>,
 }
 
-/// What is to be opened: an offered scenario, or one of a campaign.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct OpenRequest {
@@ -43,10 +41,9 @@ struct OpenRequest {
     scenario: Option<usize>,
     #[serde(default)]
     campaign: Option<usize>,
-    /// Place among its distinct failures.
+    /// Index among the distinct failures of the campaign.
     #[serde(default)]
     counterexample: Option<usize>,
-    /// Place among its evaluations.
     #[serde(default)]
     evaluation: Option<usize>,
 }
@@ -55,13 +52,12 @@ struct OpenRequest {
 struct OpenResponse<'a> {
     scenario: &'a ScenarioSpec,
     sliders: Sliders,
-    /// Who drove in the campaign; none if that was not offered.
+    /// Controller of the campaign; none if the catalog lacks it.
     controller: Option<String>,
     estimator: Option<&'static str>,
     note: Option<String>,
 }
 
-/// A scenario that is to be saved.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SaveRequest {
@@ -70,7 +66,7 @@ struct SaveRequest {
     controller: String,
     #[serde(default)]
     estimator: EstimatorKind,
-    /// Whether it goes into the folder; otherwise it is only told.
+    /// True to write it into the folder, false to return its text only.
     to_folder: bool,
 }
 
@@ -79,7 +75,7 @@ impl Application {
         Self { auth: gate, catalog: offer, avoidability_lock: Mutex::new(()) }
     }
 
-    /// Answers what is behind the token. What is asked with a body may take its time.
+    /// Responds to a request after the token. Requests with a body may block for long.
     pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
             ("", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::scenario_page(&self.catalog))),
@@ -138,7 +134,7 @@ impl Application {
         let offered = offered.ok_or_else(|| {
             RequestError::invalid("campaign", format!("{} were offered", self.catalog.campaigns.len()))
         })?;
-        // A campaign whose files are damaged is not opened in part.
+        // A damaged campaign is not opened in part.
         offered.poll()?;
         let look = offered.lock_reader();
         let scenario = match (counterexample, evaluation) {
@@ -193,7 +189,7 @@ impl Application {
         let scenario = edited.into_scenario(&self.catalog)?;
         let _alone = match self.avoidability_lock.try_lock() {
             Ok(alone) => alone,
-            // Nothing is kept in it.
+            // The lock protects no data.
             Err(TryLockError::Poisoned(alone)) => alone.into_inner(),
             Err(TryLockError::WouldBlock) => {
                 return Err(RequestError::Busy("whether another scenario could have been avoided"));

@@ -1,4 +1,4 @@
-//! A scenario as a file.
+//! Storage of a scenario as a file.
 
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
@@ -10,23 +10,19 @@ use serde::Serialize;
 
 use crate::error::RequestError;
 
-/// Letters of a file's name.
 const MAX_STEM_CHARS: usize = 60;
-/// Files of one name.
 const MAX_SAME_NAME_FILES: usize = 1000;
 
-/// A scenario that was, or can be, saved.
 #[derive(Debug, Serialize)]
 pub(crate) struct SaveResponse {
     file_name: String,
     toml: String,
-    /// Where it was saved; none if there is no folder for that.
+    /// Path of the saved file; none without a folder.
     path: Option<String>,
-    /// What runs it again.
     command: String,
 }
 
-/// Writes a scenario into a folder, if there is one, under a name of its own; nothing there is overwritten.
+/// Writes a scenario into a folder, if given, under an unused name. Overwrites nothing.
 pub(crate) fn save_scenario(
     scenario: &Scenario,
     controller: &str,
@@ -59,7 +55,7 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
         let name = if number == 1 { format!("{plain}.toml") } else { format!("{plain}-{number}.toml") };
         let path = folder.join(name);
         let failed = |error: std::io::Error| RequestError::Internal(format!("{}: {error}", path.display()));
-        // Only where nothing is, links included: what is there stays as it is.
+        // Fails for any existing entry, links included.
         let mut file = match OpenOptions::new().write(true).create_new(true).open(&path) {
             Ok(file) => file,
             Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
@@ -68,7 +64,7 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
         return match file.write_all(toml.as_bytes()).and_then(|()| file.sync_all()) {
             Ok(()) => Ok(path),
             Err(error) => {
-                // Half a scenario is none.
+                // Remove an incomplete file.
                 let _ = std::fs::remove_file(&path);
                 Err(failed(error))
             }
@@ -77,7 +73,7 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
     Err(RequestError::invalid("edits.name", format!("there are {MAX_SAME_NAME_FILES} scenarios of this name already")))
 }
 
-/// The name of a file: letters, digits and hyphens, so that it leads nowhere else and is none that a system keeps for itself.
+/// Returns a file name of letters, digits and hyphens. It cannot leave the folder and is no reserved name of a system.
 fn file_stem(name: &str) -> String {
     let mut plain = String::new();
     for letter in name.chars() {
@@ -105,7 +101,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Whatever it is called, it goes into the folder, is a scenario, and replaces nothing.
+        /// A scenario with any name is saved in the folder, is valid, and replaces nothing.
         #[test]
         fn a_scenario_is_saved_in_the_folder_and_nowhere_else(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
             let parent = tempfile::tempdir().unwrap();

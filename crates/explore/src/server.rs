@@ -1,4 +1,4 @@
-//! Connections, their limits, and the end.
+//! Connections, their limits, and shutdown.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -28,22 +28,21 @@ use crate::catalog::{ExploreConfig, ExploreConfigError};
 use crate::error::RequestError;
 use crate::routes::{Application, HttpResponse};
 
-/// Most connections at once. Beyond that, the connection ends that has waited longest for its client. A connection whose request is being
-/// answered does not end.
+/// Maximum number of connections. A new one beyond it ends the one that is idle the longest.
 const MAX_CONNECTIONS: usize = 256;
-/// Most bytes of what is asked: a scenario of some minutes of scripted motion.
+/// Maximum size of a request body, in bytes: a scenario of some minutes of scripted motion.
 const MAX_BODY_BYTES: usize = 1 << 20;
-/// Bytes after which nobody listens any more.
+/// Maximum number of body bytes drained before the connection is dropped.
 const MAX_DRAINED_BYTES: usize = 32 << 20;
-/// Most bytes of the head of a request, and most headers in it.
+/// Maximum size of a request head in bytes, and maximum number of headers.
 const MAX_HEAD_BYTES: usize = 32 << 10;
 const MAX_HEADERS: usize = 64;
-/// Time in which the head of a request arrives, and then its body. Clients run on the same machine.
+/// Time limit of the head of a request, and of its body. Clients run on the same machine.
 const READ_TIMEOUT: Duration = Duration::from_secs(10);
-/// Time after which is tried again what could not be had.
+/// Retry interval after failures of `accept`, and while no connection can end.
 const RETRY_AFTER: Duration = Duration::from_millis(20);
 
-/// Sent with every answer. Nothing is loaded but from here, nothing is kept, and no other page can show this one.
+/// Headers of every response. The page loads only from this server, is not cached, and cannot be embedded.
 const SECURITY_HEADERS: [(&str, &str); 7] = [
     (
         "content-security-policy",
@@ -52,14 +51,14 @@ const SECURITY_HEADERS: [(&str, &str); 7] = [
     ),
     ("x-content-type-options", "nosniff"),
     ("x-frame-options", "DENY"),
-    // The address holds the token.
+    // The URL contains the token.
     ("referrer-policy", "no-referrer"),
     ("cache-control", "no-store"),
     ("cross-origin-resource-policy", "same-origin"),
     ("cross-origin-opener-policy", "same-origin"),
 ];
 
-/// A server that is bound and not yet serving.
+/// Server that listens and does not serve yet.
 pub struct Server {
     listener: TcpListener,
     port: u16,
@@ -75,38 +74,36 @@ impl fmt::Debug for Server {
     }
 }
 
-/// Done at Ctrl-C.
 type Interrupt = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
-/// Why it cannot serve.
+/// Reason why the server cannot serve.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// Something cannot be offered.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] ExploreConfigError),
-    /// The port cannot be listened at.
+    /// The server cannot listen on the port.
     #[error("--port {port}: {source}")]
     Port {
-        /// The port that was asked for.
+        /// Requested port.
         port: u16,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
     /// The system has no random numbers for the token.
     #[error("no random numbers for a token: {0}")]
     Random(#[from] getrandom::Error),
-    /// The system takes no more connections, or no signals.
+    /// The system accepts no more connections or signals.
     #[error("cannot serve: {0}")]
     System(io::Error),
 }
 
 impl Server {
-    /// Listens at a port of 127.0.0.1, at any that is free for 0; from here on Ctrl-C is no end of the program but the good end of
-    /// [`Server::run`].
+    /// Listens on a port of 127.0.0.1 (0: any). From then on Ctrl-C ends [`Server::run`] instead of the process.
     ///
     /// # Errors
-    /// [`ServeError`] if that cannot be listened at, or something cannot be offered.
+    /// [`ServeError`] if the server cannot listen or the configuration is invalid.
     pub fn bind(port: u16, offer: ExploreConfig) -> Result<Self, ServeError> {
         let offer = offer.into_catalog()?;
         let unusable = |source| ServeError::Port { port, source };
@@ -114,7 +111,7 @@ impl Server {
         listener.set_nonblocking(true).map_err(unusable)?;
         let port = listener.local_addr().map_err(unusable)?.port();
         let gate = RequestAuth::new(port)?;
-        // Simulations take the processors one each; connections need little more than one thread among them.
+        // Each simulation takes one processor; connections share one more thread.
         let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -122,7 +119,7 @@ impl Server {
             .build()
             .map_err(ServeError::System)?;
         let mut interrupt: Interrupt = Box::pin(tokio::signal::ctrl_c());
-        // The first poll sets the handler: who has read the address may interrupt at once.
+        // The first poll sets the handler, so Ctrl-C works as soon as the URL is known.
         let interrupt: Interrupt =
             match runtime.block_on(poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context)))) {
                 Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
@@ -132,19 +129,19 @@ impl Server {
         Ok(Self { listener, port, application, runtime, interrupt, read_timeout: READ_TIMEOUT })
     }
 
-    /// Sets the time in which the head of a request arrives, and then its body; 10 s otherwise.
+    /// Sets the time limit of the head of a request, and of its body; the default is 10 s.
     #[must_use]
     pub fn with_read_timeout(self, patience: Duration) -> Self {
         Self { read_timeout: patience, ..self }
     }
 
-    /// The first address, with the token.
+    /// Returns the URL of the first page, with the token.
     #[must_use]
     pub fn url(&self) -> String {
         self.application.auth.url()
     }
 
-    /// The port.
+    /// Returns the port.
     #[must_use]
     pub fn port(&self) -> u16 {
         self.port
@@ -153,14 +150,14 @@ impl Server {
     /// Serves until Ctrl-C.
     ///
     /// # Errors
-    /// [`ServeError::System`] if the system does not let it.
+    /// [`ServeError::System`] if the system fails.
     pub fn run(self) -> Result<(), ServeError> {
         let done = self.runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(self.listener)?;
             tokio::spawn(accept(listener, self.application, self.read_timeout));
             self.interrupt.await
         });
-        // What is still being simulated is of use to nobody.
+        // Discard simulations in progress.
         self.runtime.shutdown_background();
         done.map_err(ServeError::System)
     }
@@ -170,7 +167,7 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
     let mut connections = Vec::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of file descriptors, as likely as not: some will be free soon.
+            // Probably out of file descriptors; some will be free soon.
             sleep(RETRY_AFTER).await;
             continue;
         };
@@ -187,30 +184,29 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
                 .max_buf_size(MAX_HEAD_BYTES)
                 .max_headers(MAX_HEADERS)
                 .serve_connection(TokioIo::new(stream), service);
-            // A client that breaks off needs no answer.
+            // A client that disconnects needs no response.
             let _ = connection.await;
         });
         connections.push(Connection { task: task.abort_handle(), idle_since });
     }
 }
 
-/// A connection that was accepted.
 struct Connection {
     task: AbortHandle,
-    /// Tick at which it became idle, or [`BUSY`].
+    /// Tick since which the connection is idle, or [`BUSY`].
     idle_since: Arc<AtomicU64>,
 }
 
-/// Value of a connection whose request is being answered.
+/// Value for a request in progress.
 const BUSY: u64 = u64::MAX;
 
-/// Returns numbers that increase, in the place of times.
+/// Returns increasing numbers as a clock.
 fn next_tick() -> u64 {
     static TICKS: AtomicU64 = AtomicU64::new(0);
     TICKS.fetch_add(1, Ordering::Relaxed)
 }
 
-/// Returns whether another connection may begin. If there are too many, ends the one that is idle the longest.
+/// Returns true if another connection may begin. If there are too many, ends the one that is idle the longest.
 fn try_free_connection(connections: &mut Vec<Connection>) -> bool {
     connections.retain(|connection| !connection.task.is_finished());
     if connections.len() >= MAX_CONNECTIONS {
@@ -245,14 +241,14 @@ async fn handle(
     idle_since: &AtomicU64,
     patience: Duration,
 ) -> Result<HttpResponse, RequestError> {
-    // The time for which the connection was idle before no longer counts.
+    // Earlier idle time no longer counts.
     idle_since.store(next_tick(), Ordering::Relaxed);
     let (head, body) = request.into_parts();
     let rest = application.auth.authorize(head.uri.path(), &head.headers)?.to_owned();
     if head.method == Method::GET {
         return application.dispatch(&head.method, &rest, &[]);
     }
-    // A form of another page cannot say this without asking first.
+    // A form of another page cannot send this content type without a preflight request.
     let is_json = head.headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).is_some_and(|kind| {
         kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
     });
@@ -260,7 +256,7 @@ async fn handle(
         return Err(RequestError::NotJson);
     }
     let body = timeout(patience, read_body(body)).await.map_err(|_| RequestError::Timeout(patience))??;
-    // More than there are threads for wait in line.
+    // Requests beyond the number of threads are queued.
     idle_since.store(BUSY, Ordering::Relaxed);
     let answer = tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
     idle_since.store(next_tick(), Ordering::Relaxed);
@@ -269,7 +265,7 @@ async fn handle(
     })
 }
 
-/// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.
+/// Reads a whole body. A body that is too long is drained, because the client reads the error only after sending.
 async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
     let (mut bytes, mut length) = (Vec::new(), 0_usize);
     while let Some(frame) = body.frame().await {

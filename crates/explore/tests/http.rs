@@ -1,4 +1,4 @@
-//! The server as whoever speaks HTTP to it meets it: who is let in, and what becomes of what was sent.
+//! Tests of the server by HTTP: access control and responses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
 use std::io::{Read, Write};
@@ -19,7 +19,7 @@ use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-/// A server for all tests, its token, and the folder it saves in.
+/// Server of all tests, its token, and its folder for saved scenarios.
 struct TestServer {
     port: u16,
     token: String,
@@ -46,10 +46,9 @@ fn start(server: Server) -> (u16, String) {
     (port, token)
 }
 
-/// Held by tests that open hundreds of connections, of which a process may have about a thousand.
+/// Lock of tests with hundreds of connections; a process can have about a thousand.
 static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 
-/// Sends bytes, and reads status, head and body.
 fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
     exchange_at(test_server().port, request)
 }
@@ -57,7 +56,7 @@ fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
 fn exchange_at(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    // It may have answered and closed before it has heard all.
+    // The server may respond and close before it has read everything.
     let _ = stream.write_all(request);
     let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
@@ -75,7 +74,7 @@ fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> V
     [text.as_bytes(), b"\r\n", body].concat()
 }
 
-/// What the page would send, with the token.
+/// Sends a request of the page, with the token.
 fn post(what: &str, body: &[u8]) -> (u16, Value) {
     let TestServer { port, token, .. } = test_server();
     post_at(*port, token, what, body)
@@ -165,7 +164,7 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
             }
         }
     }
-    // What another page's form can send without asking first is no JSON to it.
+    // A form of another page can send these content types without a preflight request.
     for kind in ["text/plain", "application/x-www-form-urlencoded"] {
         let sent =
             request("POST", &format!("/{token}/api/run"), &[("Host", &host), ("Content-Type", kind)], body.as_bytes());
@@ -175,7 +174,7 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
 
 #[test]
 fn fifty_clients_at_once_lose_nothing() {
-    // Each of them another scenario, so that nobody gets the answer of another.
+    // Different scenarios detect mixed-up responses.
     let ask = |client: usize| {
         let name = format!("client {client}");
         let speed_mps = 15.0 + 0.3 * client as f64;
@@ -212,7 +211,7 @@ fn idle_connections_keep_nobody_out() {
     drop(idle);
 }
 
-/// A request of which the body is missing but for its first byte.
+/// Sends a request without its body except for the first byte.
 fn start_request(port: u16, token: &str) -> TcpStream {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -224,7 +223,6 @@ fn start_request(port: u16, token: &str) -> TcpStream {
     stream
 }
 
-/// Sends the rest, and reads the answer.
 fn finish_request(stream: &mut TcpStream) -> String {
     stream.write_all(br#""scenario": 0}"#).unwrap();
     read_response(stream)
@@ -236,8 +234,7 @@ fn read_response(stream: &mut TcpStream) -> String {
     answer
 }
 
-/// More slow requests than there may be connections. They make room at once, not after a time limit: of them, too, the last ones are
-/// answered.
+/// More slow requests than connections are allowed: the newest ones are answered without waiting for a time limit.
 #[test]
 fn slow_requests_keep_no_other_client_out() {
     let _alone = MANY_CONNECTIONS.lock();
@@ -265,7 +262,7 @@ fn a_request_that_does_not_arrive_in_time_is_ended() {
     assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
 }
 
-/// The page asks again and again: no later answer shows a campaign without failures.
+/// Repeated requests: no later response shows a campaign without failures.
 #[test]
 fn a_damaged_campaign_is_an_error_in_every_answer() {
     let campaign = Campaign {
@@ -361,7 +358,7 @@ fn what_is_wrong_is_said_with_its_field() {
     assert_eq!((status, &answer["error"]["kind"]), (404, &json!("not-found")));
 }
 
-/// A page has no file opened and no process started, whatever it names.
+/// No name in a request opens a file or starts a process.
 #[test]
 fn no_name_in_a_request_is_a_file_or_a_command() {
     let touched = test_server().out.path().join("touched");
@@ -429,7 +426,7 @@ fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
 
 proptest! {
     #![proptest_config(crumple_cases::with_cases(96))]
-    /// A request that was damaged anywhere is answered as well, and with one clear error where it is one.
+    /// A request with any damage gets a response, and one clear error if it is invalid.
     #[test]
     fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {
         let whole = run_request(&json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] })).to_string().into_bytes();
@@ -441,12 +438,12 @@ proptest! {
         prop_assert!((status == 200) == message.is_empty() && message.lines().count() <= 1, "{status}: {answer}");
     }
 
-    /// So is what is no request at all; then there may be no answer, but there is one to the next.
+    /// Bytes that are no request may get no response, but the next request does.
     #[test]
     fn what_is_no_request_harms_nobody(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
         let sent = [&bytes[..], b"\r\n\r\n"].concat();
         let mut stream = TcpStream::connect(("127.0.0.1", test_server().port)).unwrap();
-        // It may have been closed at the first of them.
+        // The server may have closed the connection already.
         let _ = stream.write_all(&sent).and_then(|()| stream.shutdown(Shutdown::Write));
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);

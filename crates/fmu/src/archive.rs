@@ -1,4 +1,4 @@
-//! The zip archive that an FMU is.
+//! Zip archive of an FMU.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
@@ -9,44 +9,40 @@ use zip::result::ZipError;
 
 use crate::description::{FmiVersion, InvalidDescription, ModelDescription};
 
-/// Longest description, in bytes.
 const MAX_DESCRIPTION_BYTES: u64 = 16 << 20;
-/// Most members of an archive, and bytes of all of them unpacked.
+/// Maximum number of members of an archive, and of bytes of all of them unpacked.
 const MAX_MEMBERS: usize = 20_000;
 const MAX_UNPACKED_BYTES: u64 = 1 << 30;
 
-/// The member that describes the FMU.
 const DESCRIPTION: &str = "modelDescription.xml";
 
-/// Why an FMU cannot be used.
+/// Reason why an FMU cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FmuError {
     /// The file cannot be read.
     #[error("cannot be read: {0}")]
     Read(#[from] io::Error),
-    /// It is no archive, or is damaged.
+    /// The file is no zip archive, or is damaged.
     #[error("is no FMU: {0}")]
     Archive(#[from] ZipError),
     /// A member is too large or has a name that leads out of the archive, or there are too many.
     #[error("is no FMU: {0}")]
     Member(String),
-    /// What it says of itself cannot be followed.
+    /// The description cannot be used.
     #[error(transparent)]
     Description(#[from] InvalidDescription),
-    /// It was not built for this platform.
+    /// The FMU has no library for this platform.
     #[error("has no library for this platform, `{wanted}`: it has {}", if found.is_empty() { "none" } else { found })]
     Platform {
-        /// The member that is missing.
+        /// Member that is missing.
         wanted: String,
-        /// Those that are there.
+        /// Libraries that are present.
         found: String,
     },
 }
 
-/// An FMU: its archive, and what it says of itself.
-///
-/// Nothing of it is run.
+/// Archive of an FMU and its description. Runs no code of the FMU.
 #[derive(Debug)]
 pub struct Fmu<R> {
     archive: ZipArchive<R>,
@@ -57,7 +53,7 @@ impl Fmu<BufReader<File>> {
     /// Opens an FMU.
     ///
     /// # Errors
-    /// [`FmuError`] for what cannot be read, is none, or cannot drive on this platform.
+    /// [`FmuError`] if it cannot be read, is no FMU, or cannot be a controller on this platform.
     pub fn open(path: &Path) -> Result<Self, FmuError> {
         let file = File::open(path)?;
         if !file.metadata()?.is_file() {
@@ -71,7 +67,7 @@ impl<R: Read + Seek> Fmu<R> {
     /// Reads an FMU from its bytes.
     ///
     /// # Errors
-    /// [`FmuError`], as for [`Fmu::open`].
+    /// As for [`Fmu::open`].
     pub fn read(bytes: R) -> Result<Self, FmuError> {
         let mut archive = ZipArchive::new(bytes)?;
         if archive.len() > MAX_MEMBERS {
@@ -99,13 +95,13 @@ impl<R: Read + Seek> Fmu<R> {
         Ok(fmu)
     }
 
-    /// What it says of itself.
+    /// Returns the description.
     #[must_use]
     pub fn description(&self) -> &ModelDescription {
         &self.description
     }
 
-    /// The member that is its library for this platform.
+    /// Returns the member that is the library for this platform.
     #[must_use]
     pub fn library_member(&self) -> String {
         let (system, extension) = match std::env::consts::OS {
@@ -123,22 +119,20 @@ impl<R: Read + Seek> Fmu<R> {
         format!("binaries/{folder}/{}.{extension}", self.description.model_identifier)
     }
 
-    /// Whether it has anything beside its description and its libraries that these may want to read.
+    /// True if the FMU has resource files, which its library may read.
     #[must_use]
     pub fn has_resources(&self) -> bool {
         self.member_names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
     }
 
-    /// Members whose names are text.
     fn member_names(&self) -> impl Iterator<Item = String> {
         self.archive.file_names().filter_map(|name| name.ok().map(std::borrow::Cow::into_owned))
     }
 
-    /// Unpacks what the library of this platform needs into an empty folder: its folder, and the resources. Returns
-    /// where the library lies.
+    /// Unpacks the library's folder and the resources into an empty folder. Returns the path of the library.
     ///
     /// # Errors
-    /// [`FmuError`] for an archive that is damaged or too large, and for a folder that cannot be written.
+    /// [`FmuError`] if the archive is damaged or too large, or the folder cannot be written.
     pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
         let library = self.library_member();
         let beside = library.rsplit_once('/').map_or("", |(beside, _)| beside).to_owned();

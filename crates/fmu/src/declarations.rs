@@ -1,4 +1,4 @@
-//! Units and types that a description declares for its variables.
+//! Units and types that a description declares.
 
 use std::collections::HashMap;
 
@@ -17,7 +17,7 @@ impl<'a> Declarations<'a> {
     /// Reads `UnitDefinitions` and `TypeDefinitions`.
     ///
     /// # Errors
-    /// [`InvalidDescription`] for a missing name, for two units of one name, and for numbers that are none.
+    /// [`InvalidDescription`] for a missing name, a duplicate unit, or an invalid number.
     pub(crate) fn read(root: &'a XmlElement, version: FmiVersion) -> Result<Self, InvalidDescription> {
         let listed = |name: &str| root.child(name).into_iter().flat_map(|list| &list.children);
         let mut units = HashMap::new();
@@ -42,10 +42,10 @@ impl<'a> Declarations<'a> {
         Ok(Self { units, types })
     }
 
-    /// Returns the unit of a real variable: its own, or else that of its declared type.
+    /// Returns the unit of a real variable: its own, otherwise that of its declared type.
     ///
     /// # Errors
-    /// [`InvalidDescription`] for a type that is not declared.
+    /// [`InvalidDescription`] if the type is not declared.
     pub(crate) fn unit_of(&self, variable: &XmlElement) -> Result<Option<DeclaredUnit>, InvalidDescription> {
         let declared = match variable.attribute("declaredType") {
             None => None,
@@ -70,7 +70,7 @@ impl<'a> Declarations<'a> {
     }
 }
 
-/// Reads a `BaseUnit`: exponents are 0, the factor 1 and the offset 0 unless they are given.
+/// Reads a `BaseUnit`. By default exponents are 0, the factor 1 and the offset 0.
 fn read_conversion(base: &XmlElement) -> Result<Conversion, InvalidDescription> {
     let mut exponents = [0; 8];
     for (exponent, name) in exponents.iter_mut().zip(BASE_UNITS) {

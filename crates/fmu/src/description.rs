@@ -1,13 +1,12 @@
-//! `modelDescription.xml`, as far as a controller needs it.
+//! Parts of `modelDescription.xml` that a controller needs.
 
 use crate::declarations::Declarations;
 use crate::unit::DeclaredUnit;
 use crate::xml::{XmlElement, XmlError};
 
-/// Most variables that are read.
 const MAX_VARIABLES: usize = 100_000;
 
-/// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and that of a declared type in `SimpleType`.
+/// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and a declared type in `SimpleType`.
 const ELEMENTS: [&str; 16] = [
     "fmiModelDescription",
     "CoSimulation",
@@ -26,7 +25,6 @@ const ELEMENTS: [&str; 16] = [
     "Int32",
     "Dimension",
 ];
-/// Attributes that are read.
 const ATTRIBUTES: [&str; 25] = [
     "fmiVersion",
     "modelName",
@@ -55,7 +53,7 @@ const ATTRIBUTES: [&str; 25] = [
     "rad",
 ];
 
-/// The edition of the standard that an FMU follows.
+/// Edition of the FMI standard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FmiVersion {
     /// FMI 2.0.
@@ -64,66 +62,66 @@ pub enum FmiVersion {
     Three,
 }
 
-/// What an FMU says of itself.
+/// Content of a model description.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelDescription {
-    /// Which edition of the standard it follows.
+    /// Edition of the standard.
     pub version: FmiVersion,
-    /// Its name.
+    /// Name of the model.
     pub model_name: String,
-    /// `guid` of FMI 2, `instantiationToken` of FMI 3: its library compares it.
+    /// `guid` of FMI 2, `instantiationToken` of FMI 3; the library compares it.
     pub instantiation_token: String,
-    /// The name of its library, without an extension, and in FMI 2 of nothing else.
+    /// File name of the library without its extension.
     pub model_identifier: String,
-    /// Whether it can be instantiated once in a process: a run then begins with a reset.
+    /// True if a process can instantiate the FMU only once; each run then begins with a reset.
     pub is_once_per_process: bool,
-    /// Its variables of types that a controller can use, in the order of the text.
+    /// Variables of types that a controller can use, in the order of the text.
     pub variables: Vec<Variable>,
 }
 
-/// A variable of an FMU.
+/// Variable of an FMU.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
-    /// Its name.
+    /// Name of the variable.
     pub name: String,
-    /// By what its library knows it.
+    /// Identifier of the variable in calls of the library.
     pub value_reference: u32,
-    /// What it is for.
+    /// Role of the variable.
     pub causality: Causality,
-    /// Its type.
+    /// Type of the variable.
     pub kind: VariableType,
-    /// Its value unless it is set, as it is written.
+    /// Default value as written.
     pub start: Option<String>,
-    /// Unit of a real variable; none for a variable that declares no unit.
+    /// Unit of a real variable; none if it declares no unit.
     pub unit: Option<DeclaredUnit>,
-    /// What it is, in the author's words.
+    /// Description by the author of the FMU.
     pub description: Option<String>,
 }
 
-/// What a variable is for.
+/// Role of a variable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Causality {
-    /// Set before each step.
+    /// Input, set before each step.
     Input,
-    /// Read after each step.
+    /// Output, read after each step.
     Output,
-    /// Set before the run.
+    /// Parameter, set before the run.
     Parameter,
 }
 
-/// The type of a variable.
+/// Type of a variable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum VariableType {
     /// `Real` of FMI 2, `Float64` of FMI 3.
     Real,
     /// `Integer` of FMI 2, `Int32` of FMI 3.
     Integer,
-    /// A Boolean.
+    /// Boolean of both editions.
     Boolean,
 }
 
 impl VariableType {
-    /// Its name.
+    /// Returns the name of the type.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -133,7 +131,7 @@ impl VariableType {
         }
     }
 
-    /// A value as the number that is handed over, where it is one of this type: 0 and 1 are Booleans.
+    /// True if `value` is a value of this type. 0 and 1 are Booleans.
     #[must_use]
     pub fn accepts(self, value: f64) -> bool {
         match self {
@@ -144,30 +142,30 @@ impl VariableType {
     }
 }
 
-/// What is wrong with a description.
+/// Reason why a description cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidDescription {
-    /// It follows another edition of the standard, or is none.
+    /// The FMU follows another edition of the standard, or states none.
     #[error("modelDescription.xml: is of FMI version {found:?}; FMI 2.0 and 3.0 are read")]
     Version {
-        /// What it says.
+        /// Value of `fmiVersion`.
         found: String,
     },
-    /// It is for model exchange or scheduled execution alone.
+    /// The FMU supports only model exchange or scheduled execution.
     #[error(
         "has no co-simulation, which alone brings its own solver (modelDescription.xml has no element `CoSimulation`)"
     )]
     NoCoSimulation,
-    /// It needs a tool that crumple cannot start.
+    /// The FMU needs a tool that crumple cannot start.
     #[error("needs the tool that made it to run (needsExecutionTool)")]
     NeedsTool,
-    /// Something in it is missing or makes no sense.
+    /// An element or attribute is missing or invalid.
     #[error("modelDescription.xml, line {line}: {problem}")]
     AtLine {
-        /// The line, from 1.
+        /// Line, from 1.
         line: u32,
-        /// What is wrong.
+        /// Problem, as a clause.
         problem: String,
     },
 }
@@ -176,7 +174,7 @@ impl ModelDescription {
     /// Reads a description.
     ///
     /// # Errors
-    /// [`InvalidDescription`] for what is none, or of an FMU that cannot drive.
+    /// [`InvalidDescription`] for an invalid description, or one of an FMU that cannot be a controller.
     pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
         let root = &XmlElement::parse(text, &ELEMENTS, &ATTRIBUTES)?;
         let found = root.attribute("fmiVersion").unwrap_or_default();
@@ -227,13 +225,13 @@ impl ModelDescription {
         })
     }
 
-    /// Its variables that are for something.
+    /// Yields the variables of a role.
     pub fn with_causality(&self, causality: Causality) -> impl Iterator<Item = &Variable> {
         self.variables.iter().filter(move |variable| variable.causality == causality)
     }
 }
 
-/// Reads a `ScalarVariable`; none for one that a controller cannot use.
+/// Reads a `ScalarVariable`; none if a controller cannot use it.
 fn read_fmi2_variable(
     element: &XmlElement,
     declarations: &Declarations<'_>,
@@ -246,7 +244,7 @@ fn read_fmi2_variable(
     }
 }
 
-/// Reads a variable of FMI 3; none for one that a controller cannot use, such as an array.
+/// Reads a variable of FMI 3; none if a controller cannot use it, such as an array.
 fn read_fmi3_variable(
     element: &XmlElement,
     declarations: &Declarations<'_>,
@@ -263,7 +261,6 @@ fn read_fmi3_variable(
     read_variable(element, element, kind, declarations)
 }
 
-/// Reads a variable whose start value and unit are attributes of `typed`.
 fn read_variable(
     element: &XmlElement,
     typed: &XmlElement,
@@ -310,7 +307,6 @@ pub(crate) fn bool_attribute(of: &XmlElement, name: &str) -> Result<bool, Invali
     }
 }
 
-/// Returns an error at the line of an element.
 pub(crate) fn error_at(element: &XmlElement, problem: impl Into<String>) -> InvalidDescription {
     InvalidDescription::AtLine { line: element.line, problem: problem.into() }
 }

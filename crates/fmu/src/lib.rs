@@ -1,16 +1,16 @@
 //! Co-simulation FMUs (Functional Mock-up Units, FMI 2.0 and 3.0) as controllers.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | `archive` | the zip archive: its description, its library for this platform, and unpacking it |
-//! | `listing` | the description as text, a line for each variable |
-//! | `description` | `modelDescription.xml`: what the FMU is called, and its variables |
+//! | `archive` | zip archive: description, library for this platform, unpacking |
+//! | `listing` | description as text, one line per variable |
+//! | `description` | `modelDescription.xml`: name and variables of the FMU |
 //! | `declarations`, `unit` | units and types of variables, and the conversion to SI units |
-//! | `xml` | the elements and attributes that `description` needs, read in linear time |
-//! | `host` (feature `host`) | the program: loads the library and answers crumple's questions by it |
+//! | `xml` | elements and attributes that `description` needs, read in linear time |
+//! | `host` (feature `host`) | program that loads the library and answers crumple's requests |
 //!
-//! All but the host run nothing of an FMU's. All of crumple's `unsafe` code is in `host`, which nothing but the program
-//! `crumple-fmu` calls: an FMU is native code of somebody else's, and what it breaks is that process.
+//! Only `host` runs code of an FMU and contains `unsafe` code. Only the program `crumple-fmu` calls it, because an FMU
+//! is foreign native code that can crash its process.
 
 mod archive;
 mod declarations;

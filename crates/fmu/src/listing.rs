@@ -1,4 +1,4 @@
-//! The variables of an FMU as text, a line each.
+//! Text list of the variables of an FMU.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ impl FmiVersion {
 }
 
 impl Causality {
-    /// Returns the name that the standard gives it.
+    /// Returns the name in the standard.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

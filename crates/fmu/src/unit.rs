@@ -1,4 +1,4 @@
-//! Units of variables, as "Definition of Units" of FMI 2.0 (2.2.2) and FMI 3.0 (2.4.3) state them.
+//! Units of variables by "Definition of Units" of FMI 2.0 (2.2.2) and FMI 3.0 (2.4.3).
 
 use std::fmt;
 
@@ -38,7 +38,7 @@ impl UnitDimension {
     }
 }
 
-/// Writes a unit of Modelica: `m.s-2`, or `1` for a plain number.
+/// Writes the unit in Modelica syntax: `m.s-2`, or `1` for a plain number.
 impl fmt::Display for UnitDimension {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut separator = "";
@@ -65,7 +65,6 @@ pub struct Conversion {
 }
 
 impl Conversion {
-    /// Returns whether values in this unit are SI values.
     #[must_use]
     pub(crate) fn is_identity(&self) -> bool {
         self.factor == 1.0 && self.offset == 0.0
@@ -83,17 +82,16 @@ impl Conversion {
     }
 }
 
-/// Unit that a variable declares.
+/// Unit of a variable as declared.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeclaredUnit {
     /// Name, as written.
     pub name: String,
-    /// Conversion to SI units; none for a unit that the description does not define and that is not an SI unit by its name.
+    /// Conversion to SI units; none if the description does not define the unit and its name is no SI unit.
     pub conversion: Option<Conversion>,
 }
 
 impl DeclaredUnit {
-    /// Returns the unit of a name that has no definition.
     pub(crate) fn undefined(name: &str) -> Self {
         let si = |dimension| Conversion { dimension, factor: 1.0, offset: 0.0 };
         Self { name: name.to_owned(), conversion: UnitDimension::from_si_name(name).map(si) }

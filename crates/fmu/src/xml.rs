@@ -1,47 +1,39 @@
-//! The elements of an XML text that its reader asks for, read in time that is linear in the length of the text.
+//! XML reader for selected elements and attributes, in time linear in the length of the text.
 
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
-/// Deepest level of an element that is kept, with the root on level 1. Dropping elements recurses to this depth.
+/// Maximum depth of a kept element; the root has depth 1. Dropping elements recurses to this depth.
 const MAX_DEPTH: usize = 4;
-/// Most elements and attributes that are kept.
+/// Maximum number of kept elements and attributes.
 const MAX_ITEMS: usize = 4_000_000;
 
-/// An element with the attributes and children that the reader asked for.
 #[derive(Debug)]
 pub(crate) struct XmlElement {
     /// Name without a namespace prefix.
     pub(crate) name: &'static str,
-    /// Line of its start tag, from 1.
     pub(crate) line: u32,
     attributes: Vec<(&'static str, String)>,
     /// Children in the order of the text.
     pub(crate) children: Vec<XmlElement>,
 }
 
-/// Reason why a text is refused.
 #[derive(Debug)]
 pub(crate) struct XmlError {
-    /// Line, from 1.
     pub(crate) line: u32,
-    /// What is wrong there.
     pub(crate) problem: String,
 }
 
 impl XmlElement {
-    /// Returns the value of an attribute.
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(other, _)| *other == name).map(|(_, value)| value.as_str())
     }
 
-    /// Returns the first child of a name.
     pub(crate) fn child(&self, name: &str) -> Option<&XmlElement> {
         self.children.iter().find(|child| child.name == name)
     }
 
-    /// Reads the root element of a text. Keeps only elements and attributes whose names are listed; an element below one that
-    /// is not kept is not kept either.
+    /// Reads the root element. Keeps only listed elements and attributes; drops the children of dropped elements.
     ///
     /// # Errors
     /// [`XmlError`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
@@ -99,7 +91,6 @@ impl XmlElement {
     }
 }
 
-/// Names that are kept, and the number of elements and attributes that were kept so far.
 struct XmlFilter<'n> {
     elements: &'n [&'static str],
     attributes: &'n [&'static str],
@@ -107,7 +98,7 @@ struct XmlFilter<'n> {
 }
 
 impl XmlFilter<'_> {
-    /// Reads a start tag; none for an element that is not kept. Attributes are checked in any case.
+    /// Reads a start tag; none for an element that is not kept. Checks attributes in any case.
     fn read_start_tag(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<XmlElement>, String> {
         let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
         let mut attributes = Vec::new();
@@ -128,7 +119,6 @@ impl XmlFilter<'_> {
     }
 }
 
-/// Line numbers of increasing places in a text.
 struct LineCounter<'a> {
     text: &'a [u8],
     offset: usize,
@@ -136,7 +126,7 @@ struct LineCounter<'a> {
 }
 
 impl LineCounter<'_> {
-    /// Returns the line at a byte offset, which must not be before that of the last call.
+    /// Returns the line at a byte offset, which must not decrease between calls.
     fn line_at(&mut self, offset: u64) -> u32 {
         let offset = usize::try_from(offset).unwrap_or(usize::MAX).min(self.text.len());
         let passed = self.text.get(self.offset..offset).unwrap_or_default();

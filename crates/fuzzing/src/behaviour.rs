@@ -1,8 +1,6 @@
-//! What a run was like, beyond the code it reached: how near vehicles came, who hit whom how hard, how often emergency
-//! brakes came on.
-//!
-//! Two runs through the same code can be far apart: one scrapes by and one does not. A fuzzer that is told so keeps the
-//! first as a way to the second.
+//! Features of a run for fuzzers: smallest gaps, impacts and emergency braking. Two runs through the same code can
+//! differ: one nearly collides and one does not. With these features a fuzzer keeps the first as a step towards a
+//! collision.
 
 use std::path::Path;
 
@@ -11,29 +9,22 @@ use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{SimulationResult, Track};
 
-/// Smallest gaps that are told apart, in metres.
 const GAP_BINS_M: [f64; 12] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0];
-/// Smallest times to collision that are told apart, in seconds.
 const TTC_BINS_S: [f64; 8] = [8.0, 4.0, 2.0, 1.4, 1.0, 0.7, 0.4, 0.2];
-/// Impact speeds are told apart by this, in m/s.
 const IMPACT_BIN_MPS: f64 = 2.0;
 const IMPACT_BINS: usize = 24;
-/// Applications of an emergency brake that are told apart.
 const BRAKE_ONSET_BINS: usize = 8;
-/// Vehicles that are told apart.
 const VEHICLE_BINS: usize = 6;
-/// Roles in a contact that are told apart.
 const ROLE_COUNT: usize = 3;
 
-/// Kinds of approaches and of collisions that are told apart: places in a hash table.
+/// Size of the hash table of kinds of approaches and of collisions.
 const KIND_BINS: usize = 4096;
 
-/// The number of features there are.
+/// Number of features.
 pub const FEATURE_COUNT: usize = VEHICLE_BINS * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS)
     + ROLE_COUNT * (VEHICLE_BINS + IMPACT_BINS)
     + 2 * KIND_BINS;
 
-/// The features of a run, each below [`FEATURES`].
 #[must_use]
 pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) -> Vec<usize> {
     let mut found = Vec::new();
@@ -66,7 +57,7 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
     found
 }
 
-/// How near each pair came to each other, and who drives the two.
+/// Describes how near each pair of vehicles came, and its drivers.
 fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a SimulationResult) -> impl Iterator<Item = String> + 'a {
     let vehicles = test_case.scenario.vehicles();
     let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
@@ -77,7 +68,6 @@ fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a SimulationResult) -> 
     })
 }
 
-/// Where in a table of [`KIND_BINS`] a kind is counted (FNV-1a).
 fn kind_bin(kind: &str) -> usize {
     let hash = kind
         .bytes()
@@ -85,15 +75,14 @@ fn kind_bin(kind: &str) -> usize {
     (hash % KIND_BINS as u64) as usize
 }
 
-/// How often full braking began.
 fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
     let full = |a: &f64| *a <= -0.95 * limit_mps2;
     let then = track.acceleration_mps2.iter().skip(1);
     track.acceleration_mps2.iter().zip(then).filter(|(now, then)| !full(now) && full(then)).count()
 }
 
-/// A name for the kind of collision a run ended in, the same for collisions that tell a reader the same: who is under
-/// test, who hits whom in how long a line, how hard. None if no vehicle under test touched anything.
+/// Returns a name for the kind of collision: vehicles under test, roles, number of vehicles and impact speed.
+/// Equivalent collisions have the same name. `None` if no vehicle under test collided.
 #[must_use]
 pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) -> Option<String> {
     let contact = result.outcome.contact()?;

@@ -1,11 +1,9 @@
-//! Bytes read as departures from what is nominal.
+//! Conversion of bytes to variations of nominal values.
 
 use arbitrary::Unstructured;
 
-/// Bytes from which choices are made, one after the other.
-///
-/// A zero byte, and any byte after the last, chooses what is nominal; the larger a number is, the farther away it leads.
-/// Shrinking bytes towards zero and cutting them short therefore leads to the nominal case.
+/// Source of choices from bytes. A zero byte, or a missing one, gives the nominal value; larger numbers give larger
+/// deviations. Shrinking or truncating the bytes therefore leads to the nominal case.
 pub(super) struct Choices<'b>(Unstructured<'b>);
 
 impl<'b> Choices<'b> {
@@ -13,7 +11,7 @@ impl<'b> Choices<'b> {
         Self(Unstructured::new(bytes))
     }
 
-    /// The next `bytes` bytes by themselves: however many of them are used, what follows stays in its place.
+    /// Takes the next `bytes` bytes as a block, so that later fields keep their place however many are used.
     pub(super) fn read_block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
         Self::new(from.bytes(bytes.min(from.len())).unwrap_or_default())
     }
@@ -31,38 +29,36 @@ impl<'b> Choices<'b> {
         self.0.arbitrary::<u64>().unwrap_or_default() >> 1
     }
 
-    /// From 0 to 1.
     fn unit_interval(&mut self) -> f64 {
         f64::from(self.0.arbitrary::<u16>().unwrap_or_default()) / f64::from(u16::MAX)
     }
 
-    /// From 0, which is nominal, to `most`.
+    /// Returns a number from 0, the nominal value, to `most`.
     pub(super) fn up_to(&mut self, most: f64) -> f64 {
         most * self.unit_interval()
     }
 
-    /// A number about `nominal`, up to either end of a range: the lowest bit says to which side.
+    /// Returns a number between `nominal` and one end of a range; the lowest bit selects the end.
     pub(super) fn around(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
         let bits = self.0.arbitrary::<u16>().unwrap_or_default();
         let share = f64::from(bits >> 1) / f64::from(u16::MAX >> 1);
         let end = if bits & 1 == 0 { most } else { least };
-        // At the ends rounding could lead beyond them.
+        // Rounding could exceed the ends.
         (nominal + share * (end - nominal)).clamp(least, most)
     }
 
-    /// Whether something happens that is not nominal, in about `times` of 256 cases.
+    /// True, which is not nominal, in about `times` of 256 cases.
     pub(super) fn chance(&mut self, times: u8) -> bool {
         self.byte() > u8::MAX - times
     }
 
-    /// A value instead of the nominal none, in about `times` of 256 cases.
+    /// Returns a value in about `times` of 256 cases; nominally `None`.
     pub(super) fn optional(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
         let happens = self.chance(times);
         let value = value(self);
         happens.then_some(value)
     }
 
-    /// One of `all`, the first of which is nominal.
     pub(super) fn choose<T: Copy>(&mut self, all: &[T]) -> Option<T> {
         all.get(usize::from(self.byte()) % all.len().max(1)).copied()
     }

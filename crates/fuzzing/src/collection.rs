@@ -1,4 +1,4 @@
-//! Collisions found, one scenario file for each kind of them.
+//! Collection of collisions, with one scenario file per kind.
 
 use std::fs;
 use std::io;
@@ -7,26 +7,25 @@ use std::path::{Path, PathBuf};
 use super::{TestCase, behaviour};
 use crumple_world::sim::SimulationResult;
 
-/// A folder of scenario files, each named after the collision in it.
 #[derive(Debug, Clone)]
 pub(crate) struct CollisionCorpus {
     folder: PathBuf,
 }
 
 impl CollisionCorpus {
-    /// The collection in a folder, which is made if it is not there.
+    /// Opens or creates a collection.
     ///
     /// # Errors
-    /// What the system says if it cannot be made.
+    /// The folder cannot be created.
     pub(crate) fn open(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// Writes the scenario of a run in which a vehicle under test collided, unless one of its kind is there already.
+    /// Writes the scenario if a vehicle under test collided and no collision of this kind is there.
     ///
     /// # Errors
-    /// What the system says if it cannot be written.
+    /// The file cannot be written.
     pub(crate) fn insert(&self, test_case: &TestCase, result: &SimulationResult) -> io::Result<Option<PathBuf>> {
         let Some(kind) = behaviour::collision_kind(test_case, result) else { return Ok(None) };
         let path = self.folder.join(format!("{kind}.toml"));

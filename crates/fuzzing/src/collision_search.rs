@@ -1,4 +1,4 @@
-//! A hunt for collisions of one controller, and for broken laws on the way.
+//! Search for collisions of one controller; it also checks the invariants.
 
 use std::io;
 use std::path::Path;
@@ -10,10 +10,11 @@ use crumple_world::scenario::controller_file::ControllerFileError;
 use crumple_world::scenario::{InvalidField, Scenario, whole_multiple};
 use crumple_world::sim::{Run, RunError, UnknownController};
 
-/// All oracles take many times as long as a run: they are asked of what is new, and of every so many inputs.
+/// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
+/// run.
 const FULL_CHECK_INTERVAL: usize = 16;
 
-/// What the fuzz target `scenario` does with its inputs.
+/// A search for collisions: the work of the fuzz target `scenario`.
 #[derive(Debug)]
 pub struct CollisionSearch {
     controller: Option<TestedController>,
@@ -22,14 +23,14 @@ pub struct CollisionSearch {
     input_count: AtomicUsize,
 }
 
-/// What a hunt ends with.
+/// Reason why a search ends.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CollisionSearchError {
-    /// There is no such controller.
+    /// The controller does not exist.
     #[error(transparent)]
     Controller(#[from] UnknownController),
-    /// The controller runs in a process of its own, which this search does not start.
+    /// The controller runs in a separate process, which this search does not start.
     #[error(
         "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in controllers, \
          policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
@@ -38,12 +39,12 @@ pub enum CollisionSearchError {
         /// Name of the controller.
         controller: String,
     },
-    /// The controller decides at an interval at which no scenario can run.
+    /// The controller has a decision interval at which no scenario can run.
     #[error("`{controller}` decides every {interval_s} s, and no scenario has a step for that: {reason}")]
     Interval {
         /// Name of the controller.
         controller: String,
-        /// Its decision interval, in seconds.
+        /// Decision interval, in seconds.
         interval_s: f64,
         /// Reason why a scenario with such a step is refused.
         reason: Box<InvalidField>,
@@ -51,17 +52,18 @@ pub enum CollisionSearchError {
     /// A collision cannot be written.
     #[error("the folder for collisions: {0}")]
     Collisions(#[from] io::Error),
-    /// A broken law.
+    /// An invariant is violated.
     #[error(transparent)]
     Violation(#[from] Violation),
 }
 
 impl CollisionSearch {
-    /// Returns a search for collisions of a controller (`any`: each input chooses one), which are kept in a folder if one is given.
+    /// Creates a search for collisions of a controller (`any`: each input chooses one), and the folder for them if one
+    /// is given.
     ///
     /// # Errors
-    /// [`CollisionSearchError`] if there is no such controller, if it is a process or an FMU, if no scenario has a step for its
-    /// decisions, or if the folder cannot be created.
+    /// [`CollisionSearchError`] if the controller does not exist, is a process or an FMU, or has an unsuitable
+    /// interval, or if the folder cannot be created.
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         Ok(Self {
             controller: if controller == "any" { None } else { Some(find_controller(controller)?) },
@@ -71,7 +73,7 @@ impl CollisionSearch {
         })
     }
 
-    /// Returns the test case that an input stands for in this search. Its scenario has a step at which the controller can decide.
+    /// Returns the test case of an input. Its step suits the decision interval of the controller.
     #[must_use]
     pub fn test_case(&self, bytes: &[u8]) -> TestCase {
         let mut test_case = TestCase::from_bytes(bytes);
@@ -86,13 +88,11 @@ impl CollisionSearch {
         test_case
     }
 
-    /// Runs an input, keeps its collision and returns the features of the run: none for a scenario that the
-    /// controller refuses, as a shield does that cannot vouch for a vehicle.
-    ///
-    /// A new search has seen nothing, and asks all oracles about its first input.
+    /// Runs an input, saves its collision and returns the features of the run; none if the controller refuses the
+    /// scenario, for example a shield with an unsuitable vehicle. Checks all oracles with the first input.
     ///
     /// # Errors
-    /// [`CollisionSearchError`] for a broken law, or a collision that cannot be kept.
+    /// [`CollisionSearchError`] for a violated invariant or a collision that cannot be saved.
     pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
@@ -104,7 +104,7 @@ impl CollisionSearch {
         let features = behaviour::extract_features(&test_case, &result);
         let is_new =
             |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
-        // Every feature is marked, so no short cut.
+        // Counts without short-circuiting, so that every feature is marked as seen.
         let news = features.iter().filter(|feature| is_new(feature)).count();
         if news > 0 || self.input_count.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
             test_case.check_all(&Crumple)?;
@@ -116,11 +116,10 @@ impl CollisionSearch {
     }
 }
 
-/// Returns a controller that runs in this process, by its name.
 fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {
     let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
     let controller = TestedController::from_name(name).map_err(|error| match error {
-        // A build without processes refuses FMUs by itself, without saying what to do.
+        // A build without processes refuses FMUs with another error, which has no advice.
         UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::ProcessFeatureDisabled, .. }) => {
             other_process()
         }
@@ -137,7 +136,7 @@ fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError>
     Ok(controller)
 }
 
-/// Returns a scenario with the longest step, up to its own, that divides a decision interval into whole parts.
+/// Returns the scenario with its step reduced to the longest divisor of the decision interval.
 ///
 /// # Errors
 /// [`InvalidField`] if no scenario may have that step.

@@ -1,4 +1,4 @@
-//! Drivers of all sorts.
+//! Generation of drivers.
 
 use std::sync::LazyLock;
 
@@ -9,12 +9,9 @@ use crumple_world::scenario::{
     Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec,
 };
 
-/// Bytes that a driver is read from.
 pub(super) const DRIVER_BYTES: usize = 26;
-/// Most entries of a script that is a list.
 const MAX_ENTRIES: u8 = 5;
 
-/// A driver of a sort.
 pub(super) fn read_driver(kind: DriverKind, choices: &mut Choices<'_>) -> Driver {
     match kind {
         DriverKind::UnderTest => Driver::UnderTest,
@@ -23,20 +20,20 @@ pub(super) fn read_driver(kind: DriverKind, choices: &mut Choices<'_>) -> Driver
     }
 }
 
-/// A lead profile of the `index`-th sort, with its onset in the first 3 s and never more than 9 m/s² of braking.
+/// Reads a lead profile of the `index`-th kind, with an onset in the first 3 s and at most 9 m/s² of braking.
 #[must_use]
 pub fn profile_from_bytes(index: u8, bytes: &[u8]) -> LeadProfile {
     read_profile(index, &mut Choices::new(bytes))
 }
 
-/// The `index`-th built-in controller with any sensible settings; no bytes are its defaults.
+/// Reads the `index`-th built-in controller with valid settings; no bytes give its defaults.
 #[must_use]
 pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> ControllerSpec {
     read_controller(index, &mut Choices::new(bytes))
 }
 
 fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
-    // The paper's leader brakes at 3 m/s² from 1 s on.
+    // The paper's leader brakes at 3 m/s² from 1 s.
     let onset_s = |choices: &mut Choices<'_>| choices.around(1.0, [0.0, 3.0]);
     let rate_mps2 = |choices: &mut Choices<'_>| choices.around(3.0, [0.0, 9.0]);
     match index {
@@ -64,7 +61,6 @@ fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
     }
 }
 
-/// Increasing times, and a value at each.
 fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let entries = 1 + choices.byte() % MAX_ENTRIES;
     let mut time_s = 0.0;
@@ -76,7 +72,7 @@ fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec
         .unzip()
 }
 
-/// Sorts of controllers: the rules, and the reference policy.
+/// Controllers to generate: all up to the reference drivers, and the reference policy.
 pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
     let rules = ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference);
     rules.chain([ControllerSpec::Policy(Default::default())]).collect()
@@ -92,7 +88,7 @@ fn read_controller(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
     spec
 }
 
-/// Makes a vehicle follow a script that it is able to follow: strong enough, and without delay.
+/// Gives a vehicle a script, with sufficient braking and no actuator delay to follow it.
 pub fn make_scripted(vehicle: &mut VehicleSpec, profile: LeadProfile) {
     let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
     if -lowest_mps2 > vehicle.max_brake_mps2() {

@@ -1,15 +1,14 @@
-//! Formulas of signal temporal logic from bytes.
+//! Generation of STL formulas from bytes.
 
 use super::choices::Choices;
 use crumple_world::measure::stl::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 
-/// How deep formulas nest.
 const MAX_DEPTH: u32 = 3;
 
-/// Any formula over some signals, with windows of whole steps.
+/// Reads a formula over some signals, with windows of whole steps.
 ///
 /// # Errors
-/// [`FormulaError`] if a signal's name cannot be written in a formula.
+/// [`FormulaError`] if the name of a signal cannot be written in a formula.
 pub fn formula_from_bytes(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
     FormulaReader { choices: Choices::new(bytes), names, step_s }.formula(MAX_DEPTH)
 }

@@ -1,4 +1,4 @@
-//! Scenarios in which vehicles enter the lane or leave it.
+//! Generation of scenarios with lane changes.
 
 use arbitrary::Unstructured;
 
@@ -6,13 +6,12 @@ use super::choices::Choices;
 use super::shape::MAX_VEHICLES;
 use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
-/// For each vehicle whether, by what and when it enters, then the same of leaving.
+/// Bytes of one change: occurrence, trigger and value. Each vehicle has one for entering, then one for leaving.
 const CHANGE_BYTES: usize = 4;
 
-/// Bytes that changes of lanes are read from.
 pub(crate) const LANE_BYTES: usize = MAX_VEHICLES * 2 * CHANGE_BYTES;
 
-/// The scenario with changes of lanes, as far as they are valid: only scripted vehicles change lanes. No bytes leave it as it is.
+/// Adds lane changes to scripted vehicles, if they are valid. No bytes add none.
 pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
     let mut choices = Choices::read_block(from, LANE_BYTES);
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
@@ -62,7 +61,6 @@ mod tests {
         fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
             let paper = built_in_scenario("paper-1").unwrap();
             let found = with_lane_changes(paper, &mut Unstructured::new(&bytes));
-            // Its leader is the only one that is scripted.
             prop_assert!(!found.keeps_lanes());
             prop_assert!(found.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
         }

@@ -1,12 +1,12 @@
-//! Crash tests of the crash-tester: any scenario, and laws that must hold in it.
+//! Property tests and fuzz targets of crumple: scenarios from bytes, and invariants that must hold in them.
 //!
-//! One generator reads scenarios and setups from bytes, as departures from the paper's scenario 1: no bytes, and zero
-//! bytes, are that scenario under the baseline. Property suites hand it random bytes and fuzzers hand it evolved ones, so
-//! both search one space. Oracles take a [`TestCase`] and answer [`Checked`] or a [`Violation`] with a scenario file that
-//! shows it again. [`targets`] are whole fuzz targets, which the suite replays without a fuzzer. [`behaviour`] is what a
-//! fuzzer is told about a run beyond the code it reached.
+//! One generator reads scenarios and setups from bytes, as variations of the paper's scenario 1. Property tests pass
+//! random bytes and fuzzers pass evolved bytes. No bytes, or zero bytes, give that scenario with the baseline
+//! controller. Oracles check a [`TestCase`] and return an [`OracleOutcome`] or a [`Violation`] with a scenario file
+//! that reproduces it. [`targets`] are complete fuzz targets, which the test suite replays without a fuzzer.
+//! [`behaviour`] provides feedback for fuzzers beyond code coverage.
 //!
-//! For the project's own suites and fuzzers, without any promise of stability.
+//! For crumple's own tests and fuzzers; the API is not stable.
 
 pub mod behaviour;
 mod choices;
@@ -44,18 +44,18 @@ pub use violation::{Invariant, Violation};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::SimulationResult;
 
-/// Bytes that a test case is read from.
+/// Bytes of a test case.
 pub const TEST_CASE_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
 
-/// Bytes that a test case with changes of lanes is read from.
+/// Bytes of a test case with lane changes.
 pub const LANE_CASE_BYTES: usize = TEST_CASE_BYTES + LANE_BYTES;
 
-/// A scenario and how it is run. Its debug format is a reproducer: a scenario file that says how to run it.
+/// A scenario and its setup. The debug format is a reproducer: a scenario file with the command that runs it.
 #[derive(Clone, PartialEq)]
 pub struct TestCase {
-    /// What happens.
+    /// Scenario to simulate.
     pub scenario: Scenario,
-    /// Who is under test, and how it is simulated.
+    /// Controller under test and simulation settings.
     pub setup: RunSetup,
 }
 
@@ -76,14 +76,14 @@ impl fmt::Debug for TestCase {
 }
 
 impl TestCase {
-    /// The test case that bytes stand for; no bytes are the paper's scenario 1 under the baseline.
+    /// Reads a test case from bytes; no bytes give the paper's scenario 1 with the baseline.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
         Self { scenario: read_scenario(&mut from), setup: RunSetup::read(&mut from) }
     }
 
-    /// The test case that bytes stand for, with changes of lanes after the others; without them it is that of [`TestCase::from_bytes`].
+    /// Reads a test case with lane changes; their bytes follow those of [`TestCase::from_bytes`].
     #[must_use]
     pub fn from_bytes_with_lanes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
@@ -91,14 +91,13 @@ impl TestCase {
         Self { scenario: with_lane_changes(scenario, &mut from), setup }
     }
 
-    /// This test case with another controller under test.
     #[must_use]
     pub(crate) fn with_controller(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;
         self
     }
 
-    /// Asks every oracle and returns the run they were asked about.
+    /// Checks all oracles and returns the simulated run.
     ///
     /// # Errors
     /// The first [`Violation`] found.
@@ -106,7 +105,7 @@ impl TestCase {
         self.check_each(&ORACLES, system)
     }
 
-    /// Asks every oracle that holds where vehicles enter or leave the lane.
+    /// Checks all oracles that apply to scenarios with lane changes.
     ///
     /// # Errors
     /// The first [`Violation`] found.
@@ -114,7 +113,7 @@ impl TestCase {
         self.check_each(&LANE_ORACLES, system)
     }
 
-    /// Asks the oracles that look at one run only, which costs little more than the run.
+    /// Checks the oracles that examine a single run, at little more than the cost of the run.
     ///
     /// # Errors
     /// The first [`Violation`] found.
@@ -130,10 +129,10 @@ impl TestCase {
         Ok(question.result)
     }
 
-    /// Asks one oracle.
+    /// Checks one oracle.
     ///
     /// # Errors
-    /// The [`Violation`] it found.
+    /// The [`Violation`] that the oracle found.
     pub fn check(&self, oracle: OracleFn, system: &dyn System) -> Result<OracleOutcome, Violation> {
         OracleContext::new(self, system)?.check(oracle)
     }

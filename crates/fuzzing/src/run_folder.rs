@@ -1,4 +1,4 @@
-//! A folder of work whose files anybody may have written: what is looked at and gone on with in it is what was written there.
+//! Fuzzing of run folders: only genuine content may be accepted and resumed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,16 +14,15 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
-/// Bytes of files by their names, from their folder.
 type FolderContents = BTreeMap<String, Vec<u8>>;
 
-/// What becomes of the genuine folder, read from bytes: each change is a file, what is done to it, and what with.
+/// Applies changes that are read from bytes to the genuine folder. A change has these fields:
 ///
 /// | byte | meaning |
 /// |---|---|
-/// | which | the file, by its place in the order of names |
-/// | how | flip a bit, cut, replace by the rest, remove, swap with another, append the rest |
-/// | where, where | where, or which other file |
+/// | which | index of the file in the order of names |
+/// | how | flip a bit, truncate, replace by the rest, remove, swap with another, append the rest |
+/// | where, where | position, or index of the other file |
 fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
     let mut contents = genuine.clone();
     let names: Vec<&String> = genuine.keys().collect();
@@ -61,7 +60,6 @@ fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
     contents
 }
 
-/// The smallest campaign there is.
 fn small_campaign() -> Option<Campaign> {
     let space = built_in_space("high-risk")?;
     Some(Campaign {
@@ -73,7 +71,7 @@ fn small_campaign() -> Option<Campaign> {
     })
 }
 
-/// All files below a folder, but for the lock, which is empty.
+/// Reads all files below a folder, except the empty lock file.
 fn read_folder(folder: &Path) -> io::Result<FolderContents> {
     let mut contents = FolderContents::new();
     let mut open = vec![folder.to_owned()];
@@ -101,13 +99,11 @@ fn write_folder(folder: &Path, contents: &FolderContents) -> io::Result<()> {
     Ok(())
 }
 
-/// What a campaign leaves: half done, and complete.
 struct CampaignSnapshots {
     half_done: FolderContents,
     complete: FolderContents,
 }
 
-/// Made once a process.
 fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
     static GENUINE: OnceLock<Option<CampaignSnapshots>> = OnceLock::new();
     let make = || {
@@ -124,10 +120,11 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
     GENUINE.get_or_init(make).as_ref()
 }
 
-/// What was wrongly believed of a folder, or refused; none if nothing was. The first byte says whether its campaign was complete.
+/// Describes a changed folder that was wrongly accepted, or a genuine one that was refused; `None` if all is well. The
+/// first byte selects the complete or the half-done campaign.
 ///
 /// # Errors
-/// What the disk says, of which the target makes nothing.
+/// Errors of the file system, which are not findings.
 pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
     let (Some(genuine), Some(campaign)) = (campaign_snapshots(), small_campaign()) else {
         return Ok(Some("the genuine campaign cannot be made".to_owned()));
@@ -146,7 +143,6 @@ pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
         return Ok(Some(format!("the examination is wrong about what is complete and whole: {examined:?}")));
     }
     match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
-        // Gone on with, it ends as the genuine one.
         Ok(_) if read_folder(folder.path())? != genuine.complete => {
             Ok(Some("a campaign went on from what is not its own, to another end".to_owned()))
         }

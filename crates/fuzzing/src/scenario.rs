@@ -1,4 +1,4 @@
-//! Any valid scenario, as a departure from the paper's.
+//! Generation of valid scenarios as variations of the paper's.
 
 use arbitrary::Unstructured;
 
@@ -9,30 +9,26 @@ use crumple_world::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
-/// Bytes of each part: the road and the noise on it, then for each vehicle its motion and driver, then its body.
 const ROAD_BYTES: usize = 24;
 const DRIVE_BYTES: usize = 6 + DRIVER_BYTES;
 const BODY_BYTES: usize = 32;
 
-/// Bytes that a scenario is read from, its shape included.
+/// Bytes of a scenario, including its shape.
 pub const SCENARIO_BYTES: usize = ScenarioShape::BYTES + ROAD_BYTES + MAX_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
 
-/// The paper's duration, speed and bumper gap.
 const DURATION_S: f64 = 15.0;
 const SPEED_MPS: f64 = 25.0;
 const GAP_M: f64 = 16.0;
 
-/// Any valid scenario; no bytes are the paper's scenario 1.
-///
-/// Every field of a scenario has its place in the bytes, whatever stands in the others, so that a change of a byte is a
-/// change of a field. The shape comes first, then duration, road and noise, then gaps, speeds and drivers, and last what a
-/// vehicle is like.
+/// Reads a valid scenario; no bytes give the paper's scenario 1. Every field has a fixed place in the bytes, so that a
+/// change of a byte is a change of a field. Order: shape; duration, road and noise; gaps, speeds and drivers; bodies of
+/// the vehicles.
 pub fn read_scenario(from: &mut Unstructured<'_>) -> Scenario {
     let shape = ScenarioShape::read(from);
     read_scenario_of_shape(&shape, from)
 }
 
-/// Any valid scenario of a shape.
+/// Reads a valid scenario of a shape.
 #[expect(
     clippy::expect_used,
     reason = "valid by construction: a failure is a defect of this module, and tests look for it"
@@ -56,9 +52,9 @@ pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>
     Scenario::new(scenario_spec(shape.step_s, vehicles, &mut road)).expect("valid by construction")
 }
 
-/// Everything but the vehicles, and each vehicle's place behind the one ahead.
+/// Builds the specification; each vehicle's position is relative to its leader until here.
 fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
-    // Most scenarios are much shorter than the paper's: they cost less, and what happens happens early.
+    // Most scenarios are much shorter than the paper's: they cost less, and events happen early.
     let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
     let friction = choices.optional(85, |choices| choices.around(1.0, [0.05, 1.0])).unwrap_or(1.0);
     let nominal = Sensors::default();
@@ -89,7 +85,7 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
     }
 }
 
-/// Turns each position but the first, so far the gap ahead, into a place on the road behind a leader at `leader_m`.
+/// Converts each position but the first from a gap into a position on the road, behind a leader at `leader_m`.
 fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     let mut rear_bumper_m = None;
     for vehicle in vehicles {
@@ -98,7 +94,6 @@ fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     }
 }
 
-/// The gap ahead and the speed at the start.
 fn read_motion(choices: &mut Choices<'_>) -> (f64, f64) {
     let gap_m = choices.around(GAP_M, [0.01, 40.0]);
     let speed_mps = choices.around(SPEED_MPS, [0.0, 45.0]);
@@ -112,7 +107,7 @@ fn nominal_class(index: usize, count: usize) -> VehicleClass {
     if count > 2 && index + 1 == count { VehicleClass::Heavy } else { VehicleClass::Light }
 }
 
-/// A vehicle whose position is still the gap ahead of it.
+/// Reads a vehicle; its position is still the gap to its leader.
 fn read_vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
     let other = if nominal == VehicleClass::Heavy { VehicleClass::Light } else { VehicleClass::Heavy };
     let class = choices.choose(&[nominal, other]).unwrap_or(nominal);
@@ -144,13 +139,12 @@ mod tests {
             let named = |spec: &mut ScenarioSpec| (spec.name, spec.about) = ("test_case".to_owned(), String::new());
             assert_eq!(read_scenario(&mut Unstructured::new(&bytes)), paper_1.edited(named).unwrap());
         }
-        // Two more vehicles make scenario 3.
         let five = read_scenario(&mut Unstructured::new(&[3]));
         assert_eq!(five.vehicles(), built_in_scenario("paper-3").unwrap().vehicles());
     }
 
     proptest! {
-        /// A byte belongs to one vehicle, or to the road: a change of it leaves all others alone.
+        /// A byte belongs to one vehicle or to the road; a change of it leaves the others unchanged.
         #[test]
         fn a_byte_of_a_vehicle_changes_that_vehicle_only(
             bytes in prop::collection::vec(any::<u8>(), SCENARIO_BYTES),

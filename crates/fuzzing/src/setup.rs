@@ -1,4 +1,4 @@
-//! How a scenario is run: what is under test, through which eyes, how finely.
+//! Setup of a simulation: controller under test, estimator and integration step.
 
 use std::fmt;
 use std::path::Path;
@@ -13,34 +13,34 @@ use crumple_world::control::{AebSettings, Controller, ControllerFailure, Control
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};
 
-/// Bytes that a setup is read from.
+/// Bytes of a setup.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
 
-/// How to run scenarios, in words that a failure can print.
+/// Simulation settings that a reproducer can state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunSetup {
-    /// What is put under test.
+    /// Controller under test.
     pub controller: TestedController,
-    /// What it looks through.
+    /// Estimator of its observations.
     pub estimator: EstimatorKind,
-    /// Integration steps in a step of the scenario.
+    /// Integration steps per step of the scenario.
     pub substeps: u32,
-    /// What happens at a contact.
+    /// Behaviour after a collision.
     pub after_contact: AfterContact,
 }
 
-/// What is put under test.
+/// Controller under test.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TestedController {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
-    /// Anything else the command line knows by name: a policy file, a controller behind a shield.
+    /// Another controller by its name on the command line: a policy file, or a shielded controller.
     Named(ControllerByName),
-    /// A controller from outside that uses all it may see, deciding every so many steps; at every step if 0.
+    /// An external controller that uses all its observations and decides every so many steps; at every step if 0.
     FullObservation(u32),
 }
 
-/// A controller that was found by its name, which stands for it.
+/// A controller that was found by name; the name decides equality.
 #[derive(Clone)]
 pub struct ControllerByName(NamedController);
 
@@ -57,7 +57,7 @@ impl fmt::Debug for ControllerByName {
 }
 
 impl RunSetup {
-    /// The baseline, with true states, at the scenario's own step, up to the first contact.
+    /// Returns a setup with the baseline, true states and the scenario's step that stops at the first collision.
     #[must_use]
     pub fn with_true_state() -> Self {
         Self {
@@ -68,7 +68,7 @@ impl RunSetup {
         }
     }
 
-    /// Reads a setup; no bytes are the product's defaults: the baseline, through the filter, up to the first contact.
+    /// Reads a setup; no bytes give the defaults: the baseline with the Kalman filter, until the first collision.
     pub fn read(from: &mut Unstructured<'_>) -> Self {
         let mut choices = Choices::read_block(from, SETUP_BYTES - DRIVER_BYTES);
         let kind = choices.byte();
@@ -88,7 +88,7 @@ impl RunSetup {
         }
     }
 
-    /// The estimator this is not.
+    /// Returns the other estimator.
     #[must_use]
     pub fn other_estimator(&self) -> EstimatorKind {
         match self.estimator {
@@ -97,7 +97,7 @@ impl RunSetup {
         }
     }
 
-    /// Whether the controller is a network, which rounds what it sees to single precision.
+    /// True if the controller is a network, which rounds observations to single precision.
     #[must_use]
     pub fn is_learned(&self) -> bool {
         match &self.controller {
@@ -107,13 +107,13 @@ impl RunSetup {
         }
     }
 
-    /// Whether the controller ignores the vehicle behind.
+    /// True if the controller ignores its follower.
     #[must_use]
     pub fn looks_ahead_only(&self) -> bool {
         matches!(&self.controller, TestedController::BuiltIn(_)) && !self.is_learned()
     }
 
-    /// The options for a scenario of a step.
+    /// Returns the options for a scenario with this step.
     #[must_use]
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
@@ -130,7 +130,7 @@ impl RunSetup {
 }
 
 impl TestedController {
-    /// The controller that `crumple simulate --controller` would take by this name: built in, or a policy file.
+    /// Finds a controller by its name on the command line.
     ///
     /// # Errors
     /// [`UnknownController`] if there is none.
@@ -142,7 +142,7 @@ impl TestedController {
         })
     }
 
-    /// Returns the time between decisions of a controller that has a name, in seconds; none to decide at every step.
+    /// Returns the decision interval of a named controller, in seconds; `None` to decide at every step.
     #[must_use]
     pub fn interval_s(&self) -> Option<f64> {
         match self {
@@ -152,14 +152,14 @@ impl TestedController {
         }
     }
 
-    /// Returns whether the controller runs in a process of its own, behind any number of shields.
+    /// True if the controller runs in a separate process, also behind shields.
     #[must_use]
     pub(crate) fn is_process(&self) -> bool {
         let Self::Named(ControllerByName(found)) = self else { return false };
         matches!(found.kind.unshielded(), ControllerKind::Process(_))
     }
 
-    /// What it is called: as on the command line, but for the controller from outside.
+    /// Returns the name on the command line; for the external controller only a label.
     #[must_use]
     pub fn name(&self) -> &str {
         match self {
@@ -170,7 +170,6 @@ impl TestedController {
     }
 }
 
-/// Uses all eight numbers it may see, and remembers its last answer.
 struct FullObservationController {
     interval_s: Option<f64>,
     last_mps2: f64,
@@ -197,7 +196,7 @@ impl Controller for FullObservationController {
         let behind =
             seen.behind.map_or(0.0, |n| 0.2 * (n.speed_mps - seen.speed_mps) - 0.01 * n.gap_m + n.acceleration_mps2);
         self.last_mps2 = 0.5 * self.last_mps2 + 0.4 * ahead + 0.1 * behind - 0.05 * seen.acceleration_mps2;
-        // Now and then no number, which ends the run.
+        // Sometimes NaN, which ends the run.
         Ok(if seen.speed_mps > 30.0 { f64::NAN } else { self.last_mps2 })
     }
 }

@@ -1,45 +1,42 @@
-//! What scenarios of one batch have in common: the step, and who drives.
+//! Shape of scenarios: the step and the kinds of drivers. Scenarios of one batch share it.
 
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
 
-/// Steps of scenarios, in seconds; the paper's first.
+/// Steps, in seconds; the paper's first.
 const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
 /// Numbers of vehicles; the paper's first.
 const VEHICLE_COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
-/// The most vehicles in a scenario.
 pub(super) const MAX_VEHICLES: usize = 6;
-/// Sorts of lead profiles.
 const PROFILE_COUNT: u8 = 6;
 
-/// What sort of driver sits in a seat.
+/// Kind of a driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DriverKind {
     /// The controller under test.
     UnderTest,
-    /// A script, by its place in [`super::profile`].
+    /// A lead profile, by its index in [`profile_from_bytes`](super::profile_from_bytes).
     Profile(u8),
-    /// A controller of the scenario's own, by its place in [`super::controller`].
+    /// A controller of the scenario, by its index in [`CONTROLLERS`](super::CONTROLLERS).
     Controller(u8),
 }
 
-/// The step of a scenario and who drives its vehicles, front to rear.
+/// Step of a scenario and kinds of its drivers, front to rear.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioShape {
-    /// The scenario's step, in seconds.
+    /// Step of the scenario, in seconds.
     pub step_s: f64,
-    /// One entry a vehicle, at least two.
+    /// Kinds of the drivers, at least two.
     pub drivers: Vec<DriverKind>,
 }
 
 impl DriverKind {
-    /// The braking leader of the paper, and its baseline.
     const BRAKE: Self = Self::Profile(1);
     const BASELINE: Self = Self::Controller(0);
 
-    /// Who drives vehicle `index` of `count` unless something else is chosen: a braking leader, vehicles under test, and a
-    /// follower with the baseline if there is a place for one.
+    /// Returns the nominal driver of vehicle `index` of `count`: a braking leader, vehicles under test, and with more
+    /// than two vehicles a last one with the baseline.
     fn nominal(index: usize, count: usize) -> Self {
         match index {
             0 => Self::BRAKE,
@@ -48,7 +45,7 @@ impl DriverKind {
         }
     }
 
-    /// Any sort of driver but the nominal one: a third under test, a third scripts, a third controllers.
+    /// Returns a driver kind other than the nominal: a third each under test, profiles and controllers.
     #[must_use]
     pub fn non_nominal(byte: u8) -> Self {
         match byte % 3 {
@@ -58,17 +55,16 @@ impl DriverKind {
         }
     }
 
-    /// The sort a byte stands for: nominal if it is zero.
     pub(super) fn from_byte(byte: u8, index: usize, count: usize) -> Self {
         byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::non_nominal)
     }
 }
 
 impl ScenarioShape {
-    /// Bytes that a shape is read from.
+    /// Bytes of a shape.
     pub const BYTES: usize = 2 + MAX_VEHICLES;
 
-    /// Reads a shape; no bytes are the paper's.
+    /// Reads a shape; no bytes give the paper's.
     pub fn read(from: &mut Unstructured<'_>) -> Self {
         let mut choices = Choices::read_block(from, Self::BYTES);
         let count = choices.choose(&VEHICLE_COUNTS).unwrap_or(VEHICLE_COUNTS[0]);

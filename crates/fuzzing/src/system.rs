@@ -1,4 +1,4 @@
-//! What the oracles question.
+//! Interface between the oracles and the program.
 
 use std::path::Path;
 
@@ -13,22 +13,20 @@ use crumple_world::sim::{
     self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
 };
 
-/// The parts of the program that oracles question.
-///
-/// Every method is the program's own by default. An oracle's test overrides one of them by something wrong, and the
-/// oracle must notice.
+/// The parts of the program that oracles check. Every method defaults to crumple's implementation. A test of an oracle
+/// overrides one with a faulty implementation, which the oracle must detect.
 pub trait System {
-    /// One run, step by step.
+    /// Simulates one run, step by step.
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         sim::simulate(run, keep)
     }
 
-    /// Many runs in lockstep.
+    /// Simulates runs as a batch.
     fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<SimulationResult> {
         sim::simulate_batch(runs, keep, |_, simulated| simulated)
     }
 
-    /// Shows what every vehicle sees at every step, until `each` has seen enough and says false.
+    /// Passes the observation of every vehicle at every step to `each`, until it returns false.
     fn for_each_observation(&self, run: &Run, each: &mut dyn FnMut(&ObservationSample<'_>) -> bool) {
         let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
@@ -43,7 +41,7 @@ pub trait System {
         }
     }
 
-    /// Full throttle behind a shield.
+    /// Returns full throttle behind a shield.
     fn shielded_full_throttle(&self) -> ControllerKind {
         ShieldedSource {
             controller: ControllerSpec::FullThrottle(Default::default()).into(),
@@ -52,15 +50,15 @@ pub trait System {
         .into()
     }
 
-    /// What the best driver could have done in a scenario; none if that cannot be asked of it.
+    /// Computes the best avoidance in a scenario; `None` if the scenario is not supported.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
         avoid(scenario, AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() }).ok()
     }
 
-    /// A scenario written to a file and read again.
+    /// Writes a scenario to a file format and reads it again.
     ///
     /// # Errors
-    /// [`FileError`] if what was written cannot be read.
+    /// [`FileError`] if the written text cannot be read.
     fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
         let text = format.to_text(scenario);
         match format {
@@ -69,48 +67,48 @@ pub trait System {
         }
     }
 
-    /// The robustness of a formula over time.
+    /// Returns the robustness of a formula over time.
     ///
     /// # Errors
-    /// [`MonitorError`] as [`Formula::robustness`].
+    /// [`MonitorError`], see [`Formula::robustness`].
     fn robustness_over_time(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
         formula.robustness_over_time(signals)
     }
 
-    /// Whether a formula holds.
+    /// True if a formula holds.
     ///
     /// # Errors
-    /// [`MonitorError`] as [`Formula::is_satisfied`].
+    /// [`MonitorError`], see [`Formula::is_satisfied`].
     fn is_satisfied(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
         formula.is_satisfied(signals)
     }
 
-    /// Whose contact it is.
+    /// Returns the role of the vehicles in a collision.
     fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
         ContactRole::new(contact, scenario)
     }
 }
 
-/// The program as it is.
+/// The program itself.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Crumple;
 
 impl System for Crumple {}
 
-/// What one vehicle sees at one step, and what is true.
+/// Observation of one vehicle at one step, with the true state.
 #[derive(Debug)]
 pub struct ObservationSample<'m> {
     /// Index of the vehicle.
     pub vehicle: usize,
-    /// When, in seconds.
+    /// Time, in seconds.
     pub time_s: f64,
-    /// What it sees.
+    /// Observation of the vehicle.
     pub observation: Observation,
-    /// Where every vehicle is, front to rear.
+    /// True motion of all vehicles, front to rear.
     pub motion: &'m [Motion],
 }
 
-/// The formats of scenario files.
+/// Format of a scenario file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScenarioFormat {
     /// TOML.
@@ -120,10 +118,10 @@ pub enum ScenarioFormat {
 }
 
 impl ScenarioFormat {
-    /// Both.
+    /// All formats.
     pub const ALL: [Self; 2] = [Self::Toml, Self::Json];
 
-    /// A scenario in this format; empty if it cannot be written, which no reader accepts.
+    /// Writes a scenario; empty text, which no reader accepts, if that fails.
     #[must_use]
     pub fn to_text(self, scenario: &Scenario) -> String {
         match self {

@@ -1,5 +1,5 @@
-//! Whole fuzz targets: bytes in, a violation or nothing out. The targets under `fuzz/` call them, and so does the suite
-//! for every seed in `corpora/fuzz/`.
+//! Complete fuzz targets: from bytes to a violation or nothing. The targets under `fuzz/` call them; the test suite
+//! runs them with every seed in `corpora/fuzz/`.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -21,10 +21,10 @@ use crumple_world::scenario::file::{from_json, from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
-/// A target: what it makes of some bytes.
+/// A fuzz target: checks the input that bytes encode.
 pub type FuzzTarget = fn(&[u8]) -> Result<(), Violation>;
 
-/// Every target and its name, which is that of its seeds' folder.
+/// All targets by name, which is also the name of the folder of their seeds.
 pub const TARGETS: [(&str, FuzzTarget); 10] = [
     ("scenario", scenario),
     ("lanes", lanes),
@@ -38,33 +38,33 @@ pub const TARGETS: [(&str, FuzzTarget); 10] = [
     ("work_folder", work_folder),
 ];
 
-/// Most steps times vehicles of a scenario from a file that is run.
+/// Maximum of steps times vehicles of a scenario from a file that is simulated.
 const MAX_VEHICLE_STEPS: usize = 20_000;
-/// What checking a certificate may take: some hundredths of a second.
+/// Limit of the checking of a certificate: some hundredths of a second.
 const WORK_LIMIT: WorkLimit = WorkLimit::from_operations(100_000_000);
-/// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
-/// Any test case, and every oracle. The fuzz target does the same in a [`super::CollisionSearch`], which remembers and collects.
+/// Checks all oracles with a test case. The fuzz target does so in a [`super::CollisionSearch`], which also collects
+/// collisions.
 ///
 /// # Errors
-/// What an oracle found.
+/// The first [`Violation`] found.
 pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
     TestCase::from_bytes(bytes).check_all(&Crumple).map(drop)
 }
 
-/// Any test case in which vehicles enter or leave the lane, and every oracle that holds then.
+/// Checks all oracles that apply to scenarios with lane changes.
 ///
 /// # Errors
-/// What an oracle found.
+/// The first [`Violation`] found.
 pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
     TestCase::from_bytes_with_lanes(bytes).check_lanes(&Crumple).map(drop)
 }
 
-/// How many of the oracles were not left in doubt by the test case that bytes stand for.
+/// Counts the oracles that a test case does not leave undecided.
 ///
 /// # Errors
-/// What an oracle found.
+/// The first [`Violation`] found.
 pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
     let test_case = TestCase::from_bytes(bytes);
     let question = OracleContext::new(&test_case, &Crumple)?;
@@ -72,10 +72,11 @@ pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
     Ok(answers.into_iter().filter(|answer| *answer != OracleOutcome::Undecided).count())
 }
 
-/// A text is a scenario file or refused with a line that exists; a scenario survives being written, and can be run.
+/// Checks that a text is a scenario file or is refused with an existing line, and that a scenario survives a round trip
+/// and runs.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`] or [`Law::Files`], or what the run violated.
+/// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Files`], or that of the run.
 pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
     for format in ScenarioFormat::ALL {
@@ -97,7 +98,6 @@ pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
     Ok(())
 }
 
-/// A scenario from a file survives both formats and moves as vehicles do.
 fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Result<(), Violation> {
     let text = format.to_text(scenario);
     let back = Crumple.file_round_trip(scenario, format);
@@ -106,7 +106,6 @@ fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Resul
     if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MAX_VEHICLE_STEPS {
         let test_case = TestCase { scenario: scenario.clone(), setup: RunSetup::with_true_state() };
         let options = test_case.setup.options(scenario.spec().step_s);
-        // A learned driver decides at instants that need not be this scenario's.
         if !matches!(Run::new(scenario, options), Err(RunError::DecisionInterval { .. })) {
             test_case.check(motion_is_physical, &Crumple)?;
         }
@@ -114,10 +113,10 @@ fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Resul
     Ok(())
 }
 
-/// Bytes are a policy file or refused; a policy has one file, and drives.
+/// Checks that bytes are a policy file or are refused, and that a policy has a single encoding and can drive.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`].
+/// A [`Violation`] of [`Invariant::Reading`].
 pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(policy) = Policy::from_bytes(bytes) else { return Ok(()) };
     let header = format!("{:?}", policy.header());
@@ -130,7 +129,7 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     else {
         return Ok(());
     };
-    // A policy may decide at instants that are not this scenario's.
+    // The decision interval of a policy may not be a multiple of the step of this scenario.
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
         let result = simulate(&run, RecordingLevel::Summary);
         let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
@@ -139,11 +138,11 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Bytes are a network from outside or refused, as ONNX and as a model of Stable-Baselines3; a network says where its answers lie,
-/// and they lie there, the same alone and among others.
+/// Checks that bytes are an ONNX or Stable-Baselines3 network or are refused. The outputs of a network must lie in its
+/// stated ranges and must not depend on the batch.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`].
+/// A [`Violation`] of [`Invariant::Reading`].
 pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
     for (format, read) in [("ONNX", NetworkFile::from_onnx(bytes)), ("a zip", NetworkFile::from_sb3(bytes))] {
         let file = match read {
@@ -156,7 +155,7 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
         };
         let (network, seen) = (&file.network, [-4.0_f32, 0.0, 1.5]);
         let shape = network.shape();
-        // What may overflow is refused where it is to drive.
+        // A network whose outputs may overflow is refused as a controller.
         let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else { continue };
         let mut space = Workspace::default();
         let rows: Vec<f32> = seen.iter().flat_map(|&value| vec![value; network.inputs()]).collect();
@@ -175,12 +174,12 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Bytes are an FMU or refused in one line; nothing of it is run.
+/// Checks that bytes are an FMU or are refused with a one-line error. Runs nothing of the FMU.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`].
+/// A [`Violation`] of [`Invariant::Reading`].
 pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
-    // An archive, or what would be in one.
+    // As an archive, and as the model description within one.
     let read = [
         Fmu::read(Cursor::new(bytes)).map(|fmu| fmu.description().clone()).map_err(|error| error.to_string()),
         ModelDescription::from_xml(&String::from_utf8_lossy(bytes)).map_err(|error| error.to_string()),
@@ -202,10 +201,10 @@ pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
     Ok(())
 }
 
-/// A text is a certificate or refused; it survives being written, and what the checker says of it, it says again.
+/// Checks that a text is a certificate or is refused, and that the checker gives the same answer after a round trip.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Certificates`].
+/// A [`Violation`] of [`Invariant::Certificates`].
 pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
     let Ok(read) = Certificate::from_json(text) else { return Ok(()) };
@@ -215,12 +214,12 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     ensure(same, Invariant::Certificates, text, || format!("it came back as {again:?}"))?;
     let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
     let (said, said_again) = (check(&read), again.as_ref().map(check));
-    // Both are words: a reason may hold a number that is none.
+    // Compared as text, because a reason may contain NaN.
     let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
     ensure(said == said_again, Invariant::Certificates, text, || format!("first {said}, then {said_again}"))
 }
 
-/// Another reading of the columns of car-following events: places of vehicles, by their numbers.
+/// A map that reads the columns of car-following events as positions of numbered vehicles.
 const TRACKS_MAP: &str = r#"version = 1
 name = "tracks"
 time.clock = { column = "time_s" }
@@ -228,11 +227,11 @@ interpolate_s = 0.5
 layout.tracks = { vehicle = "event", position = { column = "gap_m", of = "centre" }, speed = { column = "follower_speed_mps" }, length.metres = 2.0 }
 "#;
 
-/// Bytes are a recording or refused, and every braking episode in one makes a scenario or says why not; with the maps that are built
-/// in, and with one of tracks.
+/// Checks that bytes are a recording or are refused, and that every braking episode makes a scenario or states a
+/// reason. Uses the built-in maps and one of tracks.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`].
+/// A [`Violation`] of [`Invariant::Reading`].
 pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     let tracks = RecordingMap::from_toml(TRACKS_MAP, Path::new("tracks.toml"));
     ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
@@ -259,11 +258,11 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     Ok(())
 }
 
-/// A text is a formula or refused with a column that exists; a formula has the robustness of the definition and is what
-/// its own text says.
+/// Checks that a text is a formula or is refused with an existing column. A formula must have the robustness of the
+/// definition and survive a round trip.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Reading`] or [`Law::Monitor`].
+/// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Monitor`].
 pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
     let formula: Formula = match text.parse() {
@@ -277,7 +276,7 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     };
     let printed = formula.to_string();
     match printed.parse::<Formula>() {
-        // Printing adds parentheses and may write a sum out: a text at the limits can exceed them.
+        // Printing adds parentheses and may expand a sum: a text at the limits can exceed them.
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
         back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || {
             format!("{printed} is read as {back:?}")
@@ -285,7 +284,7 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     }
     let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };
     for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
-        // Small whole numbers, so that margins of exactly zero are common.
+        // Small integers, so that margins of exactly zero are common.
         let samples: Vec<f64> = (0..SAMPLES).map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0).collect();
         if signals.insert(name.to_owned(), samples).is_err() {
             return Ok(());
@@ -302,13 +301,13 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     ensure(sign, Invariant::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
 }
 
-/// A folder of a campaign, complete or half done, of which bytes have changed files: it is said to be complete and whole only if it
-/// is the genuine one, and whatever goes on from there ends as the genuine one.
+/// Checks that a changed campaign folder is accepted as complete only if it is the genuine one, and that a resumed
+/// campaign ends as the genuine one.
 ///
 /// # Errors
-/// A [`Violation`] of [`Law::Folders`].
+/// A [`Violation`] of [`Invariant::Folders`].
 pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
-    // Where there is no room for temporary files, nothing can be said.
+    // Errors of temporary files are not findings.
     match run_folder::find_misjudgement(bytes) {
         Ok(Some(finding)) => ensure(false, Invariant::Folders, &format!("{bytes:?}"), || finding),
         Ok(None) | Err(_) => Ok(()),

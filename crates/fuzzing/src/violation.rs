@@ -1,4 +1,4 @@
-//! A law that was broken, and how to see it again.
+//! Violated invariants with their reproducers.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use crumple_world::scenario::Driver;
 use crumple_world::scenario::file::to_toml;
 use crumple_world::sim::AfterContact;
 
-/// What must hold, whatever happens.
+/// An invariant that must hold in every test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Invariant {
@@ -18,41 +18,41 @@ pub enum Invariant {
     Runnable,
     /// No vehicle reverses.
     ForwardMotion,
-    /// No vehicle is where its speed cannot have taken it.
+    /// The position of a vehicle follows from its speed.
     Continuity,
-    /// Brakes and impacts take energy away.
+    /// Brakes and impacts never add energy.
     Energy,
-    /// Impacts keep momentum.
+    /// Impacts conserve momentum.
     Momentum,
-    /// Vehicles that touched stay together, and no pair touches twice.
+    /// Vehicles that collided stay together, and no pair collides twice.
     Sticking,
-    /// Verdict, summary and trace tell one story.
+    /// Verdict, summary and trace agree.
     MetricsAgree,
-    /// No vehicle goes beyond what road and vehicle allow.
+    /// No vehicle exceeds the limits of road and vehicle.
     Limits,
-    /// The report's verdict is that of the trace.
+    /// The reported role in a collision is that of the trace.
     ContactRole,
-    /// The batch engine gives the scalar engine's results to the last bit.
+    /// The batch engine gives the results of the scalar engine to the last bit.
     Engines,
-    /// The integration step decides nothing.
+    /// The integration step has no influence.
     StepSize,
-    /// Estimates are finite, speeds not negative, errors bounded.
+    /// Estimates are finite, speeds are not negative, and errors are bounded.
     Estimates,
-    /// What is written to a file is read from it.
+    /// A scenario survives a round trip through a file.
     Files,
-    /// The monitor's robustness is that of the definition, and its sign the verdict.
+    /// The robustness of the monitor is that of the definition, and its sign the verdict.
     Monitor,
-    /// A vehicle behind a shield does not hit the one ahead.
+    /// A vehicle with a shield does not hit its leader.
     Shield,
-    /// No driver does what is proved impossible for all.
+    /// No driver does what is proved impossible.
     Avoidability,
-    /// A certificate that is accepted is accepted as it was written and read again.
+    /// The checker gives the same answer to a certificate after a round trip.
     Certificates,
     /// A text or file is read or refused as documented.
     Reading,
-    /// What lies in a folder of work is what was written there, or is refused.
+    /// The content of a run folder is what was written, or is refused.
     Folders,
-    /// Who is in the lane is one story, and whoever is beside it changes nothing.
+    /// Times in the lane are consistent, and vehicles outside the lane have no influence.
     Lanes,
 }
 
@@ -83,20 +83,20 @@ impl fmt::Display for Invariant {
     }
 }
 
-/// A law that was broken.
+/// A violated invariant.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("broken: {invariant}\n{finding}\n\n{reproducer}")]
 pub struct Violation {
-    /// Which law.
+    /// Invariant that is violated.
     pub invariant: Invariant,
-    /// What was found.
+    /// Description of the violation.
     pub finding: String,
-    /// How to see it again: a scenario file, and the command that runs it.
+    /// Scenario file that reproduces the violation, with the command that runs it.
     pub reproducer: String,
 }
 
 impl Violation {
-    /// Ends the program, for suites and fuzzers whose way of being told is a panic.
+    /// Panics, to report the violation to test suites and fuzzers.
     ///
     /// # Panics
     /// Always.
@@ -107,7 +107,7 @@ impl Violation {
 }
 
 impl TestCase {
-    /// A scenario file whose first lines say how to run it.
+    /// Returns a scenario file whose first lines state how to run it.
     #[must_use]
     pub fn reproducer(&self) -> String {
         let Self { scenario, setup } = self;
@@ -122,7 +122,7 @@ impl TestCase {
         if as_named {
             how.push(format!("--controller {}", ShellWord(name)));
         } else if let (TestedController::BuiltIn(spec), EstimatorKind::Truth) = (&setup.controller, setup.estimator) {
-            // Drivers of the scenario's own see the truth: they can stand in for a controller under test that does.
+            // Controllers of a scenario observe the true state, so they can replace a controller under test that does.
             let put = |driver: &mut Driver| {
                 if *driver == Driver::UnderTest {
                     *driver = Driver::Controller(spec.clone());

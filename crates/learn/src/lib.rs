@@ -1,9 +1,9 @@
-//! What can be learned: policies trained on the paper's task, and retrained against what a search found.
+//! Policies that are trained on the paper's task, and retrained on counterexamples of a search.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | [`rl`] | learning to drive: DDPG, its environment, its presets |
-//! | [`retrain`] | search, train on what could have been avoided, accept what breaks nothing; again |
+//! | [`rl`] | reinforcement learning: DDPG, its environment, its presets |
+//! | [`retrain`] | rounds of search, training on avoidable counterexamples, and acceptance |
 
 pub mod retrain;
 pub mod rl;

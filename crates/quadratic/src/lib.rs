@@ -1,13 +1,12 @@
-//! Convex quadratic programs: rows in, a point and multipliers out. A thin layer over the interior-point solver Clarabel.
+//! Convex quadratic programs, solved with the interior-point solver Clarabel.
 //!
-//! A crate of its own since the solver is generic: it is compiled where it is called, and so once and optimised even where its callers
-//! are not.
+//! The solver is generic and compiled where it is called: in this crate it is compiled once, and always optimised.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::SupportedConeT::{NonnegativeConeT, ZeroConeT};
 use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus};
 
-/// Minimise ½ xᵀ P x + qᵀ x over x with A x = b in the first rows and A x <= b in the others.
+/// A program: minimise ½ xᵀ P x + qᵀ x over x with A x = b in the first rows and A x <= b in the others.
 #[derive(Debug, Clone, Default)]
 pub struct QuadraticProgram {
     variables: usize,
@@ -18,7 +17,6 @@ pub struct QuadraticProgram {
     inequalities: SparseRows,
 }
 
-/// Sparse rows and their right-hand sides.
 #[derive(Debug, Clone, Default)]
 struct SparseRows {
     row: Vec<usize>,
@@ -27,24 +25,24 @@ struct SparseRows {
     bound: Vec<f64>,
 }
 
-/// What the solver made of a program.
+/// Result of the solver.
 #[derive(Debug, Clone)]
 pub enum QuadraticSolution {
     /// A minimum, and a multiplier for each inequality.
     Optimal {
-        /// The point.
+        /// Point of the minimum.
         point: Vec<f64>,
-        /// One for each inequality, in the order they were added, not negative.
+        /// Nonnegative multipliers, one for each inequality, in the order of addition.
         multipliers: Vec<f64>,
     },
-    /// No point satisfies all rows, as these multipliers of the inequalities show.
+    /// No point satisfies all rows. These multipliers of the inequalities prove it.
     Infeasible(Vec<f64>),
-    /// Neither was reached.
+    /// The solver reached neither result; holds its status.
     SolverFailed(String),
 }
 
 impl QuadraticProgram {
-    /// No rows and no cost.
+    /// Creates a program without rows and cost.
     #[must_use]
     pub fn new(variables: usize) -> Self {
         Self { variables, cost: vec![0.0; variables], ..Self::default() }
@@ -76,7 +74,7 @@ impl QuadraticProgram {
         self.inequalities.add(terms, bound);
     }
 
-    /// Solves.
+    /// Solves the program.
     #[must_use]
     pub fn solve(&self) -> QuadraticSolution {
         let equalities = self.equalities.bound.len();
@@ -109,7 +107,7 @@ impl QuadraticProgram {
         let solution = &solver.solution;
         let multipliers = || solution.z.iter().skip(equalities).map(|z| z.max(0.0)).collect();
         match solution.status {
-            // The caller checks what is almost solved.
+            // The caller checks solutions that are almost solved.
             SolverStatus::Solved | SolverStatus::AlmostSolved => {
                 QuadraticSolution::Optimal { point: solution.x.clone(), multipliers: multipliers() }
             }

@@ -1,4 +1,4 @@
-//! Figures of a training, of a retraining, of what was understood of a recording, and of what was fitted to it.
+//! Figures of trainings, retrainings, recordings, and fitted scenario spaces.
 
 mod fit;
 
@@ -17,29 +17,29 @@ use crumple_world::recording::{HardestBrakingResult, Preview, SpeedLine};
 const FIGURE_WIDTH: f64 = 720.0;
 const PANEL_HEIGHT: f64 = 260.0;
 
-/// What somebody states of a learning curve in words, where the numbers of the curve itself are not to be had.
+/// A learning curve's result that a source states in words, without the numbers of the curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StatedConvergence<'a> {
-    /// Who states it.
+    /// Source of the statement.
     pub source: &'a str,
-    /// The reward that is reached.
+    /// Reward that is reached.
     pub reward: f64,
-    /// From about which episode on.
+    /// First episode at about that reward.
     pub from_episode: u64,
 }
 
-/// A learning curve: the mean reward in evaluation over all seeds, and its standard deviation.
+/// Draws a learning curve: the mean evaluation reward over all seeds, and its standard deviation.
 #[must_use]
 pub fn draw_learning_curve(curve: &LearningCurve) -> Svg {
     draw_learning_curve_with_reference(curve, None)
 }
 
-/// A learning curve, and what somebody states of theirs: a ring where it is said to arrive, and a line from there on, no curve.
+/// Draws a learning curve, and a stated result of another one: a ring at its first episode, and a line from there.
 #[must_use]
 pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<&StatedConvergence<'_>>) -> Svg {
     let LearningCurve { preset, seeds, points } = curve;
     let trained = points.last().map_or(1.0, |point| point.episode as f64);
-    // What is stated goes on beyond what was trained.
+    // The stated result may lie beyond the trained episodes.
     let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
     let frame = PixelRect {
@@ -56,7 +56,7 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     panel.add_band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
     panel.add_horizontal_line(COLLISION_FREE_REWARD, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.add_line(&line(&|p| p.mean_reward), Stroke::series(0));
-    // Words stand where the curve's right end is not.
+    // Put notes where the right end of the curve is not.
     let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * trained).map(|p| p.mean_reward).collect();
     let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
     let words_at =
@@ -65,7 +65,7 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
             .to_owned();
-    // What is there before any training is not learned.
+    // The reward before any training is not learned.
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
         let words = format!("dots: {}, before any training", format_thousands(untrained));
         panel.add_horizontal_line(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
@@ -95,40 +95,40 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     )
 }
 
-/// A reward as in 22 500.
+/// Formats a reward as in 22 500.
 fn format_thousands(reward: f64) -> String {
     format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
-/// A round of a retraining, for [`retraining`].
+/// A round of a retraining, for [`draw_retraining`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct RetrainingRound {
-    /// Episodes of training, at most.
+    /// Maximum number of episodes.
     pub episodes: u64,
-    /// Checkpoints that touched no vehicle in the paper's scenarios and draws, in order.
+    /// Checkpoints without a collision in the paper's scenarios and random scenarios, in order.
     pub checkpoints: Vec<SelectedCheckpoint>,
     /// True if the candidate of the round was accepted.
     pub is_accepted: bool,
 }
 
-/// A checkpoint as the selection of a retraining judged it.
+/// A checkpoint with its result in the selection of a retraining.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SelectedCheckpoint {
-    /// Episodes of the round before it.
+    /// Number of episodes of the round before the checkpoint.
     pub episode: u64,
-    /// Contacts in the avoidable draws of the selection.
+    /// Number of collisions in the avoidable random scenarios of the selection.
     pub contacts: u64,
-    /// True for the checkpoint that the round proposed.
+    /// True for the candidate of the round.
     pub is_candidate: bool,
 }
 
-/// Draws contacts in the selection over episodes. A ring marks a candidate, a vertical line the end of a round.
+/// Draws the collisions in the selection over episodes. A ring marks a candidate, a vertical line the end of a round.
 #[must_use]
 pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
     let (mut done, mut points, mut candidates, mut ends) = (0, Vec::new(), Vec::new(), Vec::new());
     for (round, number) in rounds.iter().zip(1..) {
         for checkpoint in &round.checkpoints {
-            // Episodes are counted on, even after a learner that began anew.
+            // Episodes accumulate, even after a learner that started anew.
             let point = ((done + checkpoint.episode) as f64, checkpoint.contacts as f64);
             points.push(point);
             if checkpoint.is_candidate {
@@ -161,7 +161,7 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
     Svg::new("retraining", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), title, description, content)
 }
 
-/// What was understood of a recording: speeds of its vehicles, and the gaps behind them, over time.
+/// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
@@ -173,7 +173,7 @@ pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
         let value = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
         let mut panel = Panel::new(frame, title, time, value);
         for (index, line) in preview.lines.iter().enumerate() {
-            // A line is broken where the recording is.
+            // A line is interrupted at gaps of the recording.
             for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5)) {
                 panel.add_line(part, Stroke { width: 1.0, ..Stroke::series(index) });
             }
@@ -213,7 +213,7 @@ mod tests {
         }
     }
 
-    /// It is no curve, and is not taken for one: a ring, a line, and who says so.
+    /// A stated result is drawn as a ring and a line with its source, so that it is not mistaken for a curve.
     #[test]
     fn what_is_stated_of_another_curve_is_labelled_as_such() {
         let points = vec![CurvePoint { episode: 300, mean_reward: 1000.0, deviation: 10.0 }];
@@ -221,7 +221,7 @@ mod tests {
         let stated = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
         let svg = draw_learning_curve_with_reference(&curve, Some(&stated)).document();
         assert!(svg.contains("ring and line: the paper, by its text: 22 500 from about episode 400 on"), "{svg}");
-        // The axis reaches as far as what is stated.
+        // The axis includes the stated episode.
         assert!(svg.contains(">400<"), "{svg}");
     }
 }

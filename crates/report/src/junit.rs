@@ -6,7 +6,6 @@ use quick_xml::escape::escape;
 
 use crumple_core::quoting::TerminalLines;
 
-/// Result of a test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum JunitStatus {
     Passed,
@@ -16,7 +15,6 @@ pub(crate) enum JunitStatus {
 }
 
 impl JunitStatus {
-    /// Returns the element of a result other than a pass.
     fn element(self) -> Option<&'static str> {
         match self {
             Self::Passed => None,
@@ -27,7 +25,6 @@ impl JunitStatus {
     }
 }
 
-/// Test case.
 #[derive(Debug)]
 pub(crate) struct JunitCase {
     pub(crate) name: String,
@@ -37,7 +34,7 @@ pub(crate) struct JunitCase {
     pub(crate) output: String,
 }
 
-/// Test suite: cases, and properties as names with values.
+/// A test suite: cases, and properties as names with values.
 #[derive(Debug, Default)]
 pub(crate) struct JunitSuite {
     pub(crate) name: String,

@@ -1,8 +1,8 @@
-//! How it is told: pictures, tables, and the assessment with its renderings.
+//! Figures, tables, and the assessment with its renderings.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | [`draw`] | traces and curves as pictures |
+//! | [`draw`] | figures of traces and curves |
 //! | [`figures`] | figures of trainings |
 //! | [`export`] | traces as tables |
 //! | [`suite`] | runs of suites: the matrix, JUnit; crash maps |
@@ -17,5 +17,5 @@ mod markdown;
 pub mod suite;
 mod units;
 
-/// The style sheet of pages: words, tables, and the reader's colour scheme. Figures bring [`draw::STYLE`] besides.
+/// Style sheet of pages: text, tables, and the reader's colour scheme. Figures also need [`draw::STYLE`].
 pub const PAGE_STYLE: &str = include_str!("page.css");

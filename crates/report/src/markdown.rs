@@ -1,7 +1,6 @@
-//! Markdown being written: blocks with an empty line between them, and no way in for text that is not escaped.
+//! A writer of Markdown: blocks separated by an empty line, with all text escaped.
 //!
-//! What goes in is *prose*, as in the assessment's prose: what stands between backticks is code, and nothing else means
-//! anything, whoever wrote it.
+//! The input is prose: text between backticks is code, and no other character has a special meaning.
 
 use std::fmt::Display;
 
@@ -13,29 +12,26 @@ pub struct Markdown {
     text: String,
 }
 
-/// Words within a line of Markdown, escaped.
+/// Escaped text within a line of Markdown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Inline {
     text: String,
 }
 
 impl Inline {
-    /// Words, and code between backticks.
+    /// Creates text, with code between backticks.
     pub(crate) fn prose(text: &str) -> Self {
         Self::default().and_prose(text)
     }
 
-    /// Code, whatever it holds.
     pub(crate) fn code(text: impl Display) -> Self {
         Self::default().and_code(text)
     }
 
-    /// In bold.
     pub(crate) fn strong(text: &str) -> Self {
         Self { text: format!("**{}**", Self::prose(text.trim()).text) }
     }
 
-    /// With more words behind it.
     pub(crate) fn and_prose(mut self, text: &str) -> Self {
         for (index, piece) in text.split('`').enumerate() {
             match index % 2 == 1 && !piece.is_empty() {
@@ -46,9 +42,8 @@ impl Inline {
         self
     }
 
-    /// With code behind it.
     pub(crate) fn and_code(mut self, text: impl Display) -> Self {
-        // Two runs of backticks would be one.
+        // Two adjacent runs of backticks would be one.
         if self.text.ends_with('`') {
             self.text.push(' ');
         }
@@ -57,7 +52,7 @@ impl Inline {
     }
 
     fn push_escaped(&mut self, piece: &str) {
-        // Spaces between pieces stay; those that a block begins with mean something.
+        // Spaces between pieces stay; at the start of a block they would have a meaning.
         let spaces = piece.len() - piece.trim_start().len();
         if spaces > 0 && !self.text.is_empty() {
             self.text.push(' ');
@@ -65,7 +60,7 @@ impl Inline {
         self.text += &MarkdownText(piece).to_string();
     }
 
-    /// As a cell of a table, which ends at the next bar that is not escaped.
+    /// Escapes the text for a table cell, which ends at the next unescaped bar.
     pub(crate) fn to_table_cell(&self) -> String {
         let mut cell = String::new();
         let mut backslashes = 0;
@@ -93,13 +88,13 @@ impl From<String> for Inline {
 }
 
 impl Markdown {
-    /// A heading, from 1 for the largest.
+    /// Writes a heading of level `depth`, from 1.
     pub(crate) fn heading(&mut self, depth: usize, text: &str) {
         let Inline { text } = Inline::prose(text);
         self.push_block(&format!("{} {text}\n", "#".repeat(depth)));
     }
 
-    /// A paragraph; none if there are no words.
+    /// Writes a paragraph, unless the text is empty.
     pub(crate) fn paragraph(&mut self, words: impl Into<Inline>) {
         let Inline { text } = words.into();
         if !text.is_empty() {
@@ -107,7 +102,7 @@ impl Markdown {
         }
     }
 
-    /// A list, each entry so deep in it; none if there are no entries.
+    /// Writes a list whose entries have a depth, unless it is empty.
     pub(crate) fn outline<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = (usize, I)>) {
         let line = |(depth, entry): (usize, I)| format!("{}- {}\n", "  ".repeat(depth), entry.into().text);
         let lines: String = entries.into_iter().map(line).collect();
@@ -116,12 +111,11 @@ impl Markdown {
         }
     }
 
-    /// A flat list.
     pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
         self.outline(entries.into_iter().map(|entry| (0, entry)));
     }
 
-    /// A table: cells and how each column is set, in the words of Markdown.
+    /// Writes a table. `columns` has the Markdown alignment of each column.
     pub(crate) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
         let line = |cells: &[String]| {
             let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).to_table_cell()).collect();
@@ -131,7 +125,6 @@ impl Markdown {
         self.push_block(&format!("{}| {} |\n{rows}", line(header), columns.join(" | ")));
     }
 
-    /// All blocks of another text.
     pub(crate) fn append(&mut self, other: &Self) {
         if !other.text.is_empty() {
             self.push_block(&other.text);
@@ -145,7 +138,6 @@ impl Markdown {
         self.text += text;
     }
 
-    /// The text.
     pub(crate) fn into_string(self) -> String {
         self.text
     }
@@ -218,7 +210,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the names are, the document has the blocks it was written with, and nothing that somebody else wrote.
+        /// With any names, the document has exactly the blocks that it was written with.
         #[test]
         fn names_are_words_and_nothing_else(names in prop::collection::vec(hostile(), 1..4)) {
             let text = document(&names).into_string();

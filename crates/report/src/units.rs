@@ -1,15 +1,14 @@
-//! Units that stay on the line of their number.
+//! No-break spaces between numbers and units.
 
 /// Units that reports write after a number or in parentheses.
 const UNITS: [&str; 15] =
     ["m/s²", "m/s³", "m²/s³", "m/s", "km/h", "m", "km", "kg", "s", "ms", "h", "min", "%", "MB", "Hz"];
 
-/// Elements whose text has to stay as it is: commands are copied, and figures do not wrap.
+/// Elements whose text stays unchanged: commands are copied, and figures do not wrap.
 const VERBATIM_ELEMENTS: [&str; 4] = ["code", "script", "style", "svg"];
 
-/// Replaces the space before each unit in the text of an HTML page by a no-break space.
-///
-/// A unit counts if it follows a digit or stands in parentheses, as in the heading `peak brake (m/s²)`.
+/// Replaces the space before each unit in the text of an HTML page by a no-break space. A unit follows a digit or is in
+/// parentheses, as in the heading `peak brake (m/s²)`.
 pub(crate) fn insert_nbsp_before_units(page: &str) -> String {
     let (mut joined, mut rest) = (String::with_capacity(page.len()), page);
     while let Some((text, tag)) = rest.find('<').map(|start| rest.split_at(start)) {

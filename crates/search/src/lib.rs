@@ -1,9 +1,9 @@
-//! Searches for failures, and convex programs that decide whether any driver could have avoided them.
+//! Falsification, and convex programs that decide if any driver could have avoided a failure.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | [`worst_case`] | convex programs: could any driver have avoided it, how little braking does it take; certificates |
-//! | [`falsify`] | search methods that look for failures, campaigns, counterexamples, and the public benchmark they are measured on |
+//! | [`worst_case`] | convex programs: avoidability, least necessary braking, worst-case profiles; certificates |
+//! | [`falsify`] | search methods, campaigns, counterexamples, and a public benchmark of search methods |
 
 pub mod falsify;
 pub mod worst_case;

@@ -1,17 +1,17 @@
-//! In what the file of earlier work differs from the one expected.
+//! Description of the first difference between an existing file and the expected one.
 
 use std::path::Path;
 
 use serde_json::Value;
 
-/// Names the first place in which two TOML files of a `kind` of work differ.
+/// Describes the first difference between two TOML files of a `kind` of run.
 #[must_use]
 pub fn describe_toml(path: &Path, kind: &str, found: &str, expected: &str) -> String {
     let table = |text: &str| text.parse::<toml::Table>().ok().and_then(|table| serde_json::to_value(table).ok());
     describe(path, kind, table(found), table(expected))
 }
 
-/// The same of two JSON files.
+/// Describes the first difference between two JSON files of a `kind` of run.
 #[must_use]
 pub fn describe_json(path: &Path, kind: &str, found: &str, expected: &str) -> String {
     let value = |text: &str| serde_json::from_str(text).ok();
@@ -31,7 +31,7 @@ fn describe(path: &Path, kind: &str, found: Option<Value>, expected: Option<Valu
     }
 }
 
-/// The first place in which two values differ, deep inside tables and lists, and what is there.
+/// Returns the path of the first difference between two values, and both values there.
 fn first_difference(place: &str, old: Option<&Value>, new: Option<&Value>) -> Option<(String, String, String)> {
     use Value::{Array, Object};
     match (old, new) {
@@ -49,7 +49,7 @@ fn first_difference(place: &str, old: Option<&Value>, new: Option<&Value>) -> Op
     }
 }
 
-/// A value in a line. Whole tables, lists and files would fill the screen.
+/// Formats a value in one line. Tables, lists and long text are abbreviated.
 fn format_value(value: Option<&Value>) -> String {
     match value {
         None | Some(Value::Null) => "nothing".to_owned(),
@@ -62,7 +62,7 @@ fn format_value(value: Option<&Value>) -> String {
     }
 }
 
-/// The longest text that is shown.
+/// Maximum characters of a text that is shown.
 const MAX_SHOWN_CHARS: usize = 200;
 
 #[cfg(test)]

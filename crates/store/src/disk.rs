@@ -1,4 +1,4 @@
-//! Files that appear whole or not at all, through a loss of power too, and errors that name them.
+//! Atomic files: a reader finds the whole file or none, even after a loss of power. Errors name the file.
 
 mod unfinished;
 
@@ -13,31 +13,31 @@ pub(crate) use unfinished::is_unfinished;
 pub use unfinished::remove_unfinished;
 pub(crate) use unfinished::{numbered_name, parse_number, remove_all_unfinished};
 
-/// A file or folder that cannot be read or written.
+/// An error of reading or writing a file or folder.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
 pub struct DiskError {
-    /// The file or folder.
+    /// Path of the file or folder.
     pub path: PathBuf,
-    /// What the system says.
+    /// Error of the operating system.
     pub source: io::Error,
 }
 
 impl DiskError {
-    /// What the system says of a file or folder.
+    /// Returns a function that adds a path to an error of the operating system.
     pub fn at(path: &Path) -> impl Fn(io::Error) -> Self + Copy + '_ {
         |source| Self { path: path.to_owned(), source }
     }
 }
 
-/// Files to be written together. They are first written beside their places and then moved there, so that a failure
-/// leaves nothing half-written. Staging removes what earlier processes left unfinished in the same folder.
+/// Files that are written together. Each is written under a temporary name in its folder and then renamed, so that a
+/// failure leaves no partial file. Staging removes the unfinished files of ended processes from that folder.
 #[derive(Default)]
 pub struct StagedFiles {
     staged: Vec<StagedFile>,
 }
 
-/// A file beside its place.
+/// A file under its temporary name.
 struct StagedFile {
     file: fs::File,
     temp_path: TempPath,
@@ -48,7 +48,7 @@ impl StagedFiles {
     /// Stages a file.
     ///
     /// # Errors
-    /// [`DiskError`] if it cannot be written, or if another file is staged for its place: [`io::ErrorKind::AlreadyExists`].
+    /// [`DiskError`] if it cannot be written, or its path is staged already: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
         if self.staged.iter().any(|staged| staged.path == path) {
             let twice = "two results would go there: give scenarios names of their own";
@@ -56,11 +56,11 @@ impl StagedFiles {
         }
         let folder = parent_folder(path);
         if !self.staged.iter().any(|staged| parent_folder(&staged.path) == folder) {
-            // A folder that cannot be read may still be written.
+            // A folder that cannot be listed may still be writable.
             let _ = remove_unfinished(folder);
         }
         let stage = || {
-            // What cannot be replaced is known before anything is written.
+            // Fail before anything is written.
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
@@ -69,7 +69,7 @@ impl StagedFiles {
             Ok(file.into_parts())
         };
         let (file, unfinished) = stage().map_err(|error: io::Error| {
-            // The kind alone: the error itself would name a temporary file, of which the caller knows nothing.
+            // Only the kind: the error itself would name a temporary file that the caller does not know.
             DiskError::at(path)(match error.kind() {
                 io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
                 kind => kind.into(),
@@ -79,17 +79,17 @@ impl StagedFiles {
         Ok(())
     }
 
-    /// Moves every staged file to its place.
+    /// Moves every staged file to its path.
     ///
     /// # Errors
-    /// [`DiskError`] names the first file that cannot be moved; those before it are in their places.
+    /// [`DiskError`] names the first file that cannot be moved; earlier files are in place.
     pub fn commit(self) -> Result<(), DiskError> {
-        // Else a loss of power could leave new names with nothing behind them. All at once, for each waits for the disk.
+        // Otherwise a loss of power could leave names without contents. In parallel, because each call waits.
         self.staged.par_iter().try_for_each(|staged| staged.file.sync_all().map_err(DiskError::at(&staged.path)))?;
         let mut folders = BTreeSet::new();
         for StagedFile { temp_path: unfinished, path, .. } in self.staged {
             fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
-            // Nothing is left to be cleared away.
+            // The rename left no temporary file to delete.
             let _ = unfinished.keep();
             folders.insert(parent_folder(&path).to_owned());
         }
@@ -97,7 +97,7 @@ impl StagedFiles {
     }
 }
 
-/// Writes one file, whole or not at all.
+/// Writes one file atomically.
 ///
 /// # Errors
 /// [`DiskError`] if it cannot be written.
@@ -107,14 +107,14 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
     files.commit()
 }
 
-/// The bytes of a file of at most so many; none if there is no such file.
+/// Reads a file of at most `most` bytes; returns `None` if it does not exist.
 ///
 /// # Errors
-/// [`DiskError`] if there is one that cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
+/// [`DiskError`] if it cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
     match none_if_missing(fs::metadata(path)).map_err(DiskError::at(path))? {
         None => return Ok(None),
-        // A pipe would be waited for.
+        // Reading a pipe would block.
         Some(found) if !found.is_file() && !found.is_dir() => {
             let problem = io::Error::new(io::ErrorKind::InvalidData, "is no file");
             return Err(DiskError::at(path)(problem));
@@ -130,7 +130,7 @@ pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
     }
 }
 
-/// Removes files, as far as they are there.
+/// Removes those of the files that exist.
 ///
 /// # Errors
 /// [`DiskError`] names the first that cannot be removed.
@@ -144,10 +144,10 @@ pub fn remove(paths: &[impl AsRef<Path>]) -> Result<(), DiskError> {
     folders.iter().try_for_each(|folder| sync_folder(folder))
 }
 
-/// Makes a folder and those it lies in, as far as they are missing.
+/// Creates a folder and its missing parents.
 ///
 /// # Errors
-/// [`DiskError`] if it cannot be made.
+/// [`DiskError`] if it cannot be created.
 pub fn make_folder(path: &Path) -> Result<(), DiskError> {
     if path.as_os_str().is_empty() || path.is_dir() {
         return Ok(());
@@ -169,7 +169,7 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(parent_folder(path))
 }
 
-/// Makes the name of a file, and of those beside it, outlast a loss of power.
+/// Syncs the folder of a file, so that the file's name survives a loss of power.
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
@@ -177,12 +177,12 @@ pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(parent_folder(path))
 }
 
-/// The folder that a file lies in.
+/// Returns the folder of a file.
 fn parent_folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Makes the names in a folder outlast a loss of power. Where folders cannot be opened as files, nothing can be done.
+/// Syncs the names in a folder to disk. Has no effect on systems that cannot open folders as files.
 pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     #[cfg(unix)]
     fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(DiskError::at(folder))?;

@@ -1,13 +1,13 @@
-//! Run folders: files that are written atomically, a manifest of every file, a lock, and shards of divided work.
+//! Run folders: atomic files, a manifest of every file, a lock, and shards of divided runs.
 //!
 //! | module | content |
 //! |---|---|
 //! | [`difference`] | the field in which the configuration of an earlier run differs from the expected one |
 //! | [`disk`] | atomic files: a reader finds the whole file or none |
-//! | [`program`] | the identity of the running program, by which unfinished work is recognised |
-//! | [`work`] | run folders with a manifest: an error names a file that was changed after it was written |
-//! | [`shard`] | one of N parts of work that several machines share |
-//! | [`jobs`] | job files for engines that place shards on machines: HyperQueue, Ray, Slurm |
+//! | [`program`] | the identity of the running program, which unfinished runs record |
+//! | [`run_folder`] | run folders with a manifest: an error names a file that was changed after it was written |
+//! | [`shard`] | one of N parts of a run, for several machines |
+//! | [`jobs`] | job files for HyperQueue, Ray and Slurm, which run shards on several machines |
 
 pub mod difference;
 pub mod disk;

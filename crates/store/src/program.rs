@@ -1,8 +1,8 @@
-//! The program that is running, as one thing to compare.
+//! Identity of the running program.
 //!
-//! Another build may find other numbers, so what one build left half done is not gone on with by another: a campaign's
-//! journal, the progress of a count, a training's checkpoint and the state of a retraining hold [`identity`], and evidence of an
-//! assessment is kept under it. Results never hold it: they are compared byte for byte between builds.
+//! Another build may compute other numbers, so only the same build may resume unfinished work. Journals, checkpoints
+//! and progress files contain [`identity`], and the evidence cache of an assessment is keyed by it. Results never
+//! contain it, because tests compare them byte for byte between builds.
 
 use std::fs::File;
 use std::io;
@@ -13,20 +13,19 @@ use crumple_core::digest::Sha256;
 
 use crate::disk::DiskError;
 
-/// What an error says of half-done work of another build, behind the name of its file.
+/// Error message about unfinished work of another build, after the name of its file.
 pub const OTHER_BUILD_MESSAGE: &str = "made by another build of crumple, and work ends in the build that it began in: go on with that \
                                build, or begin anew without --resume in another --out";
 
-/// Where the program is, if it is not the executable.
+/// Path of the program, if it is not the executable.
 static LIBRARY: OnceLock<PathBuf> = OnceLock::new();
 
-/// Says that crumple was loaded into another program, such as an interpreter, from this file: [`identity`] is then that of the file.
-/// Only what is said first, and before an identity was asked for, counts.
+/// Uses this shared library instead of the executable for [`identity`]. The first call, before [`identity`], counts.
 pub fn set_library_path(library: PathBuf) {
     let _ = LIBRARY.set(library);
 }
 
-/// Returns the SHA-256 of the running executable, or of the library that [`set_library_path`] names, computed once per process.
+/// Returns the SHA-256 of the running executable, or of the library of [`set_library_path`]. Computed once per process.
 ///
 /// # Errors
 /// [`DiskError`] if the executable cannot be found or read.

@@ -1,4 +1,4 @@
-//! Which suites are valid.
+//! Validation of suites.
 
 use std::path::PathBuf;
 
@@ -9,124 +9,123 @@ use super::SUITE_VERSION;
 use super::parameter::{ImpactLimit, ParameterKind, ParameterUnit, TestParameter};
 use super::spec::{LeadManeuver, SuiteSpec, TestSpec, with_value};
 
-/// Most points of all grids of a suite.
 const MAX_POINTS: usize = 2000;
 
-/// Why a suite file cannot be used.
+/// Reason why a suite file cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SuiteError {
-    /// It cannot be read, or is not well formed.
+    /// The file cannot be read or parsed.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A field is out of range or contradicts another.
+    /// A field is out of range or contradicts another field.
     #[error("{}:{line}: {field}: {problem}", path.display())]
     Invalid {
-        /// The file.
+        /// File that was read.
         path: PathBuf,
         /// Line of the field, from 1.
         line: usize,
         /// Path of the field, such as `clauses[0].tests[1].lead`.
         field: String,
-        /// What is wrong.
+        /// Problem of the field.
         problem: Box<SuiteProblem>,
     },
 }
 
-/// A field of a suite that is not valid.
+/// An invalid field of a suite.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: {problem}")]
 pub struct InvalidSuite {
     /// Path of the field, such as `clauses[0].tests[1].lead`.
     pub field: String,
-    /// The problem.
+    /// Problem of the field.
     pub problem: SuiteProblem,
 }
 
-/// What can be wrong with a field of a suite.
+/// Problem of a field of a suite.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SuiteProblem {
     /// The file is of another format version.
     #[error("version {found} is not supported: this release reads version {SUITE_VERSION}")]
     Version {
-        /// What the file says.
+        /// Version in the file.
         found: u32,
     },
-    /// A name that cannot name files.
+    /// A name that is unsuitable for file names.
     #[error("must be 1 to 60 small letters, digits and hyphens")]
     Name,
-    /// A name that another test has.
+    /// The name of another test.
     #[error("another test has this name")]
     DuplicateName,
-    /// A text that is too long, empty or holds control characters.
+    /// A text that is empty, too long, or contains control characters.
     #[error("must have 1 to 2000 characters, none of them a control character")]
     Text,
     /// A list that is empty or too long.
     #[error("must have {min} to {max} entries, found {found}")]
     Length {
-        /// Fewest allowed.
+        /// Minimum number of entries.
         min: usize,
-        /// Most allowed.
+        /// Maximum number of entries.
         max: usize,
-        /// How many there are.
+        /// Number of entries in the file.
         found: usize,
     },
-    /// A test with a situation and a refusal, or neither.
+    /// A test with both a manoeuvre and a refusal, or with neither.
     #[error("a test has either `lead` or `refused`")]
     LeadOrRefusal,
-    /// A figure that the situation needs.
+    /// A missing parameter of the manoeuvre.
     #[error("is missing: where the lead is {lead} there must be one{}", describe_alternative(alternative.as_ref()))]
     Missing {
-        /// The situation.
+        /// Manoeuvre of the vehicle ahead.
         lead: &'static str,
-        /// What may be stated in its place.
+        /// Parameter that may be stated instead.
         alternative: Option<ParameterKind>,
     },
-    /// A figure that says what another one says already.
+    /// A parameter that repeats another one.
     #[error("is there beside `{}`, which says the same: there must be one of them", other.name())]
     AlreadyStated {
-        /// The other one.
+        /// The other parameter.
         other: ParameterKind,
     },
-    /// A contact that cannot be allowed.
+    /// An impact speed that cannot be allowed.
     #[error("must be more than 0 and at max {max} {unit}, found {}", format_compact(*found))]
     ImpactOutOfRange {
-        /// The most, in the unit.
+        /// Maximum, in `unit`.
         max: f64,
-        /// The unit.
+        /// Unit of the maximum.
         unit: ParameterUnit,
-        /// What the file says.
+        /// Value in the file.
         found: f64,
     },
     /// An impact speed in a unit of another quantity.
     #[error("an impact speed cannot be stated in {found}")]
     ImpactUnit {
-        /// The unit.
+        /// Unit in the file.
         found: ParameterUnit,
     },
-    /// A figure or direction that the situation has no place for.
+    /// A parameter or direction that the manoeuvre does not use.
     #[error("has no place where the lead is {lead}")]
     Misplaced {
-        /// The situation.
+        /// Manoeuvre of the vehicle ahead.
         lead: &'static str,
     },
     /// A unit of another quantity.
     #[error("{} cannot be stated in {found}", parameter.label())]
     Unit {
-        /// What is stated.
+        /// Parameter that is stated.
         parameter: ParameterKind,
-        /// The unit.
+        /// Unit in the file.
         found: ParameterUnit,
     },
     /// A value outside its range.
     #[error("must be from {} to {} {unit}, found {}", format_compact(range[0]), format_compact(range[1]), format_compact(*found))]
     OutOfRange {
-        /// The range, in the unit of the figure.
+        /// Allowed range, in `unit`.
         range: [f64; 2],
-        /// The unit.
+        /// Unit of the parameter.
         unit: ParameterUnit,
-        /// What the file says.
+        /// Value in the file.
         found: f64,
     },
     /// Values that do not increase.
@@ -137,47 +136,46 @@ pub enum SuiteProblem {
         /// The value that is not larger.
         found: f64,
     },
-    /// A direction that ends within the grid.
+    /// A direction that ends within the values of the grid.
     #[error("must lie beyond all values of {}", parameter.label())]
     NotBeyondGrid {
-        /// What is pushed.
+        /// Parameter that is varied.
         parameter: ParameterKind,
     },
-    /// A vehicle ahead that is not slower.
+    /// A leader that is not slower than the vehicle under test.
     #[error("the vehicle ahead must be slower than the vehicle under test at every point")]
     NotSlower,
-    /// A range of a figure without two values.
+    /// A parameter with a range but without two values.
     #[error("{} has no two values between which there is a range", parameter.label())]
     NoValueRange {
-        /// The figure.
+        /// Parameter of the range.
         parameter: ParameterKind,
     },
-    /// A tolerance that is none.
+    /// A tolerance that is negative or not a number.
     #[error("must be a number from 0 on, found {found}")]
     Tolerance {
-        /// What was found.
+        /// Value in the file.
         found: f64,
     },
     /// A range that is stated twice.
     #[error("is stated twice")]
     DuplicateRange,
-    /// More points than a suite may have.
+    /// More points than the maximum.
     #[error("makes {found} points, and a suite may have {MAX_POINTS}")]
     TooMany {
-        /// How many there are.
+        /// Number of points.
         found: usize,
     },
-    /// A point that is no scenario.
+    /// A point that makes no scenario.
     #[error("{point}: makes no scenario: {why}")]
     Scenario {
-        /// The point, in words.
+        /// Description of the point.
         point: String,
-        /// Why not.
+        /// Problem of the scenario.
         why: Box<InvalidField>,
     },
 }
 
-/// What may be stated in place of a figure, in words.
 fn describe_alternative(other: Option<&ParameterKind>) -> String {
     other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
 }
@@ -225,7 +223,7 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
     Ok(())
 }
 
-/// Checks a test after so many points of others; how many it has.
+/// Checks a test, given the number of points of the earlier tests, and returns its number of points.
 fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, InvalidSuite> {
     let lead = match (test.lead, &test.refusal_reason) {
         (Some(lead), None) => lead,
@@ -247,7 +245,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
             at("unit"),
             SuiteProblem::ImpactUnit { found },
         )?;
-        // To nine digits, so that it is 360 km/h.
+        // Rounded to nine digits, so that the maximum is exactly 360 km/h.
         let most = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
         ensure(
             *value > 0.0 && *value <= most,
@@ -294,7 +292,6 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     Ok(grid.len())
 }
 
-/// Checks that there is every figure that the situation needs, once, and no other.
 fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckResult {
     let field = |parameter: ParameterKind| format!("{place}.figures.{}", parameter.name());
     for (parameter, found) in test.parameters.iter() {
@@ -352,9 +349,8 @@ fn check_parameter(parameter: ParameterKind, figure: &TestParameter, field: &str
     if figure.note.is_empty() { Ok(()) } else { check_text(&figure.note, at("note")) }
 }
 
-/// A value that is a number in the range of what it is.
 fn check_value(parameter: ParameterKind, found: f64, unit: ParameterUnit, field: &str) -> CheckResult {
-    // To nine digits, so that 0.5 m/s is 1.8 km/h.
+    // Rounded to nine digits, so that 0.5 m/s is exactly 1.8 km/h.
     let range = parameter.range().map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
     ensure((range[0]..=range[1]).contains(&found), field, SuiteProblem::OutOfRange { range, unit, found })
 }

@@ -1,4 +1,4 @@
-//! Crash maps: a situation over two of its figures, driven by the reference drivers and by whoever is asked for.
+//! Crash maps: a situation over two parameters, simulated with the reference drivers and with given controllers.
 
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -9,30 +9,29 @@ use super::result::{DISCLAIMER, TestVerdict};
 use super::run::{ControllerSetup, Criterion, SuiteRunError};
 use super::situation::{Boundary, CrashMapAxis, CrashMapSituation};
 
-/// Most cells across, and most up.
 const MAX_CELLS: usize = 100;
 
-/// What a crash map is to show.
+/// Situation and resolution of a crash map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CrashMapSpec {
     situation: CrashMapSituation,
     cells: [usize; 2],
 }
 
-/// Why there is no such map.
+/// Problem of a crash map specification.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MapProblem {
-    /// What is held is out of range.
+    /// The fixed parameter is out of range.
     #[error("must be from {low} to {high} {unit}, found {found}")]
     OutOfRange {
-        /// The least value.
+        /// Smallest allowed value.
         low: f64,
-        /// The largest.
+        /// Largest allowed value.
         high: f64,
-        /// Their unit.
+        /// Unit of the values.
         unit: &'static str,
-        /// The value that was found.
+        /// Value that was given.
         found: f64,
     },
     /// Too few cells or too many.
@@ -43,63 +42,63 @@ pub enum MapProblem {
 /// A crash map.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CrashMap {
-    /// What it is and is not.
+    /// Scope of the result: [`DISCLAIMER`].
     pub statement: &'static str,
-    /// The situation, and what is held.
+    /// Situation with its fixed parameter.
     pub situation: CrashMapSituation,
-    /// The figure that grows from left to right.
+    /// Horizontal axis, from left to right.
     pub across: CrashMapAxis,
-    /// The figure that grows from bottom to top.
+    /// Vertical axis, from bottom to top.
     pub up: CrashMapAxis,
-    /// What the controllers looked through. Reference drivers see the truth.
+    /// Estimator of the controllers. Reference drivers observe the true state.
     pub estimator: EstimatorKind,
-    /// Lines of closed forms.
+    /// Boundaries of collisions by closed forms.
     pub boundaries: Vec<Boundary>,
-    /// Points that a document states, at and beyond which contact has to be avoided: across and up.
+    /// Points at and beyond which the document requires no collision: x and y.
     #[serde(rename = "stated")]
     pub stated_points: Vec<[f64; 2]>,
-    /// One entry a driver: the reference drivers first.
+    /// Results, one per driver, the reference drivers first.
     pub panels: Vec<MapPanel>,
 }
 
-/// What came of a driver.
+/// Results of one driver.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MapPanel {
-    /// Its name.
+    /// Name of the driver.
     pub driver: String,
-    /// Whether it is there as a reference.
+    /// True for a reference driver.
     pub is_reference: bool,
-    /// How many cells end in contact.
+    /// Number of cells that end in a collision.
     pub contacts: usize,
-    /// How many of them without having braked: of a reference driver, situations that it is no model of.
+    /// Number of these cells in which the driver never braked. For a reference driver, its model does not cover them.
     pub without_reaction: usize,
-    /// In how many cells its own closed form says otherwise; none where it has none.
+    /// Number of cells that contradict the driver's closed form; `None` without one.
     pub unlike_closed_form: Option<usize>,
-    /// Every cell, row by row from the bottom, each row from the left.
+    /// All cells, row by row from the bottom, each row from the left.
     pub cells: Vec<CrashCell>,
 }
 
-/// What came of a driver at a point.
+/// Result of one driver at one point.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CrashCell {
-    /// The figure across.
+    /// Value on the horizontal axis.
     pub across: f64,
-    /// The figure up.
+    /// Value on the vertical axis.
     pub up: f64,
-    /// What happened.
+    /// Verdict of the simulation.
     #[serde(flatten)]
     pub verdict: TestVerdict,
-    /// The smallest gap, in metres.
+    /// Smallest gap, in metres.
     pub min_gap_m: Option<f64>,
-    /// The hardest braking of the vehicle under test, in m/s², positive: 0 where it never reacted.
+    /// Maximum deceleration of the vehicle under test, in m/s², positive; 0 if it never braked.
     pub max_brake_mps2: f64,
 }
 
 impl CrashMapSpec {
-    /// A map of a situation with so many cells across and up.
+    /// Creates a specification with these numbers of cells per axis.
     ///
     /// # Errors
-    /// [`MapProblem`] for what is out of range.
+    /// [`MapProblem`] if a value is out of range.
     pub fn new(situation: CrashMapSituation, cells: [usize; 2]) -> Result<Self, MapProblem> {
         if !situation.is_in_range() {
             let ([low, high], unit, found) = match situation {
@@ -118,10 +117,10 @@ impl CrashMapSpec {
         }
     }
 
-    /// Drives every cell with every driver. The result does not depend on the number of threads.
+    /// Simulates every cell with every driver. The result does not depend on the number of threads.
     ///
     /// # Errors
-    /// [`SuiteRunError`] for a controller that is refused on the way, and if a cell makes no scenario.
+    /// [`SuiteRunError`] if a controller is refused during the run, or a cell makes no scenario.
     pub fn run(&self, controllers: &[NamedController], estimator: EstimatorKind) -> Result<CrashMap, SuiteRunError> {
         let situation = self.situation;
         let [across, up] = situation.axes(self.cells);
@@ -180,13 +179,12 @@ impl CrashMapSpec {
 }
 
 impl CrashCell {
-    /// Whether it ends in contact.
     #[must_use]
     pub(crate) fn is_contact(&self) -> bool {
         matches!(self.verdict, TestVerdict::Failed { .. })
     }
 
-    /// Whether it ends in contact without having braked.
+    /// True if the cell ends in a collision and the driver never braked.
     #[must_use]
     pub fn is_without_reaction(&self) -> bool {
         self.is_contact() && self.max_brake_mps2 == 0.0
@@ -204,8 +202,8 @@ mod tests {
         CrashMapSituation::CutInTime { own_speed_kmph: 100.0 },
     ];
 
-    /// Nobody stays clear where full braking at once touches; the simple driver touches where its closed form says, but next to
-    /// the line, where a step or its margin of a metre decides.
+    /// No driver avoids a collision that full braking at once cannot avoid. The simple driver agrees with its closed
+    /// form except next to the line, where a step or its margin of a metre decides.
     #[test]
     fn maps_agree_with_closed_forms() {
         for situation in SITUATIONS {

@@ -1,10 +1,10 @@
-//! Test suites after regulations and consumer tests: what a document asks for as data, run on scenarios, told as a matrix.
+//! Test suites that are modelled on regulations and consumer tests.
 //!
-//! A suite is a TOML file ([`SuiteSpec`]): a document and its edition, clauses, and tests with grids of figures, each of which says
-//! whether the document states it. [`TestSuite`] is a spec that was found valid. [`run`] makes every point of every grid a scenario,
-//! simulates it, and says how far each test can be pushed until it fails.
+//! A suite is a TOML file ([`SuiteSpec`]): a document and its edition, clauses, and tests with grids of parameters.
+//! Each parameter states its origin. [`TestSuite`] is a spec that passed validation. [`run`] simulates every point of
+//! every grid and finds the margin of each test: the largest change of a parameter that still passes.
 //!
-//! It is after a document, on point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
+//! The model has point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
 
 mod check;
 mod crash_map;
@@ -34,7 +34,6 @@ pub use situation::{Boundary, CrashMapAxis, CrashMapSituation};
 pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};
 pub use worst_in_tolerance::WorstInTolerance;
 
-/// The version of the suite file format this release reads.
 pub(crate) const SUITE_VERSION: u32 = 1;
 
 /// A valid suite.
@@ -44,7 +43,7 @@ pub struct TestSuite {
 }
 
 impl TestSuite {
-    /// Accepts a spec if it is valid: every point of every grid is a scenario then, and so is every end of a margin.
+    /// Checks a spec. Every point of every grid of a valid suite, and every end of a margin, makes a scenario.
     ///
     /// # Errors
     /// [`InvalidSuite`] names the first field that is not valid.
@@ -53,7 +52,7 @@ impl TestSuite {
         Ok(Self { spec })
     }
 
-    /// The suite in a file.
+    /// Reads a suite from a file.
     ///
     /// # Errors
     /// [`SuiteError`] names file, line and field.
@@ -62,7 +61,7 @@ impl TestSuite {
         Self::from_toml(&text, path)
     }
 
-    /// The suite in a text; `path` only names it in errors.
+    /// Parses a suite; `path` only names the text in errors.
     ///
     /// # Errors
     /// [`SuiteError`] names file, line and field.
@@ -75,21 +74,21 @@ impl TestSuite {
         })
     }
 
-    /// The suite that is shipped under a name.
+    /// Returns the shipped suite of this name; `None` for an unknown name.
     #[must_use]
     pub fn shipped(name: &str) -> Option<Result<Self, SuiteError>> {
         let (name, text) = SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name)?;
         Some(Self::from_toml(text, Path::new(name)))
     }
 
-    /// The data of the suite.
+    /// Returns the data of the suite.
     #[must_use]
     pub fn spec(&self) -> &SuiteSpec {
         &self.spec
     }
 }
 
-/// Name and text of every suite that is shipped.
+/// Names and texts of all shipped suites.
 pub const SHIPPED_SUITES: [(&str, &str); 6] = [
     ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
     ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
@@ -99,13 +98,13 @@ pub const SHIPPED_SUITES: [(&str, &str); 6] = [
     ("afgbv-cut-in", include_str!("shipped/afgbv-cut-in.toml")),
 ];
 
-/// Documents that were looked for and have no suite, and why not.
+/// Documents without a shipped suite, each with the reason.
 pub const UNSHIPPED_DOCUMENTS: [(&str, &str); 1] = [(
     "ISO 15622:2018",
     "its text could not be read: public copies end with the table of contents, and those who quote its figures contradict each other",
 )];
 
-/// The JSON Schema of suite files.
+/// Returns the JSON Schema of suite files.
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {

@@ -1,4 +1,4 @@
-//! How far a test can be pushed in a direction until it fails.
+//! Margins of a test: the largest change of a parameter that still passes.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,76 +7,74 @@ use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion};
 use super::spec::{TestSpec, with_value};
 
-/// Equal parts of a direction, at whose ends the test is run.
+/// Number of equal intervals of a sweep; the test is run at their ends.
 const SWEEP_PARTS: usize = 16;
 
-/// How often the part with the first failure is halved: to a 2048th of the direction.
+/// Number of bisections of the interval with the first failure: to 1/2048 of the sweep.
 const BISECTIONS: usize = 7;
 
-/// How far a test can be pushed in a direction, the other figures held.
+/// Margin of a test in one parameter, with the others fixed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
-    /// What is pushed.
+    /// Parameter that is varied.
     #[serde(rename = "push")]
     pub parameter: ParameterKind,
-    /// The unit of all values here.
+    /// Unit of all values of the margin.
     pub unit: ParameterUnit,
-    /// From where: the value of the grid that is next to `to`.
+    /// First value: the value of the grid that is nearest to `to`.
     pub from: f64,
-    /// How far at most.
+    /// Last value.
     pub to: f64,
-    /// The other figures, in words.
+    /// Description of the fixed parameters.
     #[serde(rename = "held")]
     pub fixed_parameters: String,
-    /// Where it ends.
+    /// End of the margin.
     pub end: MarginEnd,
 }
 
-/// Where a margin ends.
+/// End of a margin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MarginEnd {
-    /// The test does not pass from where it is pushed.
+    /// The test does not pass at the first value.
     None {
-        /// What it does there.
+        /// Outcome there.
         #[serde(rename = "beyond")]
         failure: SweepFailure,
     },
-    /// It passes at the ends of all parts: nothing between them was run.
+    /// The test passes at the ends of all intervals; values between them were not run.
     Holds {
-        /// How many parts.
+        /// Number of intervals.
         parts: usize,
     },
-    /// It passes on one side, and does not on the other; both were run.
+    /// The test passes at one value and does not at the next; both were run.
     Boundary {
-        /// The last value that passes.
+        /// Last value that passes.
         passes_at: f64,
-        /// The first that does not.
+        /// First value that does not pass.
         fails_at: f64,
-        /// What it does there.
+        /// Outcome there.
         #[serde(rename = "beyond")]
         failure: SweepFailure,
-        /// Whether it passes nowhere beyond on the grid of parts. If it does, this is the first failure that was found there.
+        /// True if no later end of an interval passes; otherwise this is only the first failure.
         is_monotone: bool,
-        /// How many parts the grid has.
+        /// Number of intervals.
         parts: usize,
     },
 }
 
-/// How a test does not pass.
+/// Outcome of a test that does not pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SweepFailure {
-    /// A contact, or no usable answer of the controller.
+    /// A collision, or no valid answer of the controller.
     Fails,
-    /// It cannot be run, as where a shield knows no way to keep off what it is shown.
+    /// The test cannot be run, for example because a shield knows no safe command.
     Refused,
 }
 
-/// What a test does at a value: it passes, or does not in some way.
 type SweepOutcome = Result<(), SweepFailure>;
 
-/// A direction from a base.
 struct Sweep<'t> {
     test: &'t TestSpec,
     base: Vec<f64>,
@@ -88,13 +86,12 @@ struct Sweep<'t> {
 }
 
 impl Sweep<'_> {
-    /// The end of a part.
     fn value(&self, part: usize) -> f64 {
         self.from + (self.to - self.from) * (part as f64 / SWEEP_PARTS as f64)
     }
 }
 
-/// The margins of a test: a line a direction and combination of the other figures.
+/// Finds the margins of a test: one per direction and combination of the other parameters.
 pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &ControllerSetup<'_>) -> Vec<Margin> {
     let lines = sweeps(test);
     let ends: Vec<(usize, f64)> = (0..lines.len())
@@ -131,7 +128,6 @@ fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
     lines
 }
 
-/// What the ends of the parts say.
 fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
     let first = found.iter().zip(0..).find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
     match first {
@@ -147,7 +143,6 @@ fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
     }
 }
 
-/// Halves every part with a boundary.
 fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criterion, driven: &ControllerSetup<'_>) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
         MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
@@ -166,7 +161,6 @@ fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criteri
     }
 }
 
-/// What the test does at values of lines.
 fn evaluate(
     lines: &[Sweep<'_>],
     values: &[(usize, f64)],

@@ -1,4 +1,4 @@
-//! Figures of a suite: the numbers that a clause asks for, in the document's units, and who says so.
+//! Parameters of a suite: the numbers of a clause in the document's units, with their origin.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crumple_world::control::STANDARD_GRAVITY_MPS2;
 
-/// What a figure is about.
+/// Quantity of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -16,26 +16,26 @@ pub enum ParameterKind {
     OwnSpeed,
     /// Speed of the vehicle ahead.
     LeadSpeed,
-    /// The gap at the start, or when a vehicle enters or leaves the lane, as the time that closing it takes.
+    /// Gap at the start, or when a vehicle enters or leaves the lane, divided by the closing speed.
     ClosingTime,
-    /// The gap at the start, bumper to bumper.
+    /// Gap at the start.
     Gap,
-    /// The gap at the start, as the time that driving it takes.
+    /// Gap at the start, divided by the speed of the vehicle under test.
     TimeGap,
-    /// Braking of the vehicle ahead, positive.
+    /// Deceleration of the vehicle ahead, positive.
     Deceleration,
-    /// Time within which it is reached.
+    /// Time to reach that deceleration.
     Ramp,
 }
 
-/// A unit that documents use.
+/// Unit that documents use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum ParameterUnit {
-    /// Kilometres an hour.
+    /// Kilometres per hour.
     #[serde(rename = "km/h")]
     Kmph,
-    /// Metres a second.
+    /// Metres per second.
     #[serde(rename = "m/s")]
     Mps,
     /// Seconds.
@@ -44,7 +44,7 @@ pub enum ParameterUnit {
     /// Metres.
     #[serde(rename = "m")]
     Metre,
-    /// Metres a second squared.
+    /// Metres per second squared.
     #[serde(rename = "m/s2", alias = "m/s²", alias = "m/s^2")]
     Mps2,
     /// Standard gravity, 9.80665 m/s².
@@ -52,62 +52,63 @@ pub enum ParameterUnit {
     Gravity,
 }
 
-/// Who says that a figure is so.
+/// Origin of a parameter or limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
     /// The document states every value.
     Document,
-    /// The document states the smallest and the largest value; those between are chosen here.
+    /// The document states the smallest and the largest value; crumple chose those between.
     Ends,
-    /// Chosen here: what the document says could not be read, or it says nothing.
+    /// crumple chose the values: the document states none, or could not be read.
     Chosen,
 }
 
-/// The values of a parameter, which together with those of others make a grid.
+/// Values of one parameter. The grid of a test combines those of all its parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a figure: a table of values, unit and origin")]
 pub struct TestParameter {
-    /// The values, increasing; 1 to 100 of them.
+    /// Values, increasing; 1 to 100 of them.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub values: Vec<f64>,
-    /// Their unit.
+    /// Unit of the values.
     pub unit: ParameterUnit,
-    /// Who says so.
+    /// Origin of the values.
     pub origin: Origin,
-    /// How far a test may be from a value, both ways, in the unit: it has to pass there too, and the worst is searched for.
+    /// Allowed deviation from a value, both ways, in `unit`. The test has to pass within it; the worst point is
+    /// searched for.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
-    /// Where the document says so, or why they were chosen.
+    /// Place in the document, or reason for the choice.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
 
-/// A value that a contact may have: the difference of the speeds up to which a test passes nevertheless.
+/// Largest impact speed that passes a test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "an impact speed: a table of value, unit and origin")]
 pub struct ImpactLimit {
-    /// The difference of the speeds at the contact.
+    /// Impact speed.
     pub value: f64,
-    /// Its unit: `km/h` or `m/s`.
+    /// Unit: `km/h` or `m/s`.
     pub unit: ParameterUnit,
-    /// Who says so.
+    /// Origin of the value.
     pub origin: Origin,
-    /// Where the document says so, or why it was chosen.
+    /// Place in the document, or reason for the choice.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
 
-/// Whether a tolerance is none.
+/// True for the default, which files omit.
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
 fn is_zero(tolerance: &f64) -> bool {
     *tolerance == 0.0
 }
 
-/// The figures of a test.
+/// Parameters of a test.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a table of figures")]
@@ -115,33 +116,33 @@ pub struct TestParameters {
     /// Speed of the vehicle under test at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_speed: Option<TestParameter>,
-    /// Speed of the vehicle ahead, of a slower one or one that cuts in.
+    /// Speed of the vehicle ahead, if it is slower or cuts in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead_speed: Option<TestParameter>,
-    /// The gap at the start as the time that closing it takes, behind a vehicle that stands or is slower; that to a vehicle that
-    /// cuts in when it enters; that of a vehicle that cuts out to the one that stands, when it leaves.
+    /// Gap divided by the closing speed: at the start behind a standing or slower vehicle, at the entry of a vehicle
+    /// that cuts in, or from a vehicle that cuts out to the standing one when it leaves.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub closing_time: Option<TestParameter>,
-    /// The gap at the start, behind a vehicle that brakes or cuts out. There is either this or `time_gap`.
+    /// Gap at the start, behind a vehicle that brakes or cuts out. A test has either this or `time_gap`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap: Option<TestParameter>,
-    /// The gap at the start, behind a vehicle that brakes or cuts out, as the time that driving it takes.
+    /// Gap at the start, behind a vehicle that brakes or cuts out, divided by the speed of the vehicle under test.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_gap: Option<TestParameter>,
-    /// Braking of the vehicle ahead, positive.
+    /// Deceleration of the vehicle ahead, positive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deceleration: Option<TestParameter>,
-    /// Time within which it is reached.
+    /// Time to reach that deceleration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ramp: Option<TestParameter>,
 }
 
 impl ParameterKind {
-    /// All of them, in the order in which points state their values.
+    /// All parameters, in the order of the values of a point.
     pub const ALL: [Self; 7] =
         [Self::OwnSpeed, Self::LeadSpeed, Self::ClosingTime, Self::Gap, Self::TimeGap, Self::Deceleration, Self::Ramp];
 
-    /// Its name in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -155,7 +156,7 @@ impl ParameterKind {
         }
     }
 
-    /// Its name in sentences.
+    /// Returns the name in sentences.
     #[must_use]
     pub fn label(self) -> &'static str {
         match self {
@@ -169,7 +170,6 @@ impl ParameterKind {
         }
     }
 
-    /// The units that it may be stated in.
     #[must_use]
     pub(crate) fn allowed_units(self) -> &'static [ParameterUnit] {
         match self {
@@ -180,7 +180,7 @@ impl ParameterKind {
         }
     }
 
-    /// The least and the largest value, in SI units.
+    /// Returns the smallest and the largest allowed value, in SI units.
     #[must_use]
     pub(crate) fn range(self) -> [f64; 2] {
         match self {
@@ -194,7 +194,7 @@ impl ParameterKind {
 }
 
 impl ParameterUnit {
-    /// What one of it is in SI units.
+    /// Returns the factor that converts to SI units.
     #[must_use]
     pub fn si_factor(self) -> f64 {
         match self {
@@ -219,7 +219,7 @@ impl fmt::Display for ParameterUnit {
 }
 
 impl Origin {
-    /// In words.
+    /// Returns the description for readers.
     #[must_use]
     pub fn label(self) -> &'static str {
         match self {
@@ -231,14 +231,13 @@ impl Origin {
 }
 
 impl TestParameter {
-    /// One value that was chosen here.
     pub(super) fn from_chosen(value: f64, unit: ParameterUnit) -> Self {
         Self { values: vec![value], unit, origin: Origin::Chosen, tolerance: 0.0, note: String::new() }
     }
 }
 
 impl TestParameters {
-    /// The figure of a parameter.
+    /// Returns a parameter.
     #[must_use]
     pub fn get(&self, parameter: ParameterKind) -> Option<&TestParameter> {
         match parameter {
@@ -252,7 +251,7 @@ impl TestParameters {
         }
     }
 
-    /// Those that are stated, in the order of [`ParameterKind::ALL`].
+    /// Iterates over the stated parameters, in the order of [`ParameterKind::ALL`].
     pub fn iter(&self) -> impl Iterator<Item = (ParameterKind, &TestParameter)> {
         ParameterKind::ALL.into_iter().filter_map(|parameter| Some((parameter, self.get(parameter)?)))
     }

@@ -1,4 +1,4 @@
-//! Who could have prevented a contact: reference drivers, as regulations ask, and anybody who knows the future.
+//! Preventability of a collision: by reference drivers, as regulations ask, and with knowledge of the future.
 
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -11,38 +11,37 @@ use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion, PreventabilityCache};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityAnalysis};
 
-/// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
+/// Number of failed points of a test, the first ones, whose avoidability is analysed.
 const MAX_AVOIDABILITY_CHECKS: usize = 3;
 
-/// What a reference driver does where a controller failed.
+/// Behaviour of a reference driver at a point where a controller failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prevention {
-    /// The test passes with it.
+    /// The test passes with the driver.
     Prevents,
-    /// It brakes, and touches.
+    /// The driver brakes and collides.
     Collides,
-    /// It touches without having braked: the situation is none of those that it is a model of.
+    /// The driver collides and never brakes: its model does not cover the situation.
     DoesNotReact,
 }
 
-/// A reference driver and what it does.
+/// A reference driver and its behaviour.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReferenceRun {
-    /// Its name among the controllers.
+    /// Name of the driver among the controllers.
     pub driver: String,
-    /// What it does.
+    /// Behaviour of the driver.
     pub prevention: Prevention,
 }
 
-/// What is known of a point where a controller failed.
 #[derive(Debug, Clone)]
 pub(super) struct Preventability {
     pub(super) references: Vec<ReferenceRun>,
     pub(super) classification: AvoidabilityAnalysis,
 }
 
-/// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
+/// Assesses the preventability of these scenarios of a test, and adds new assessments to `known`.
 pub(super) fn assess_preventability(
     criterion: Criterion,
     scenarios: &[&Scenario],
@@ -67,7 +66,8 @@ pub(super) fn assess_preventability(
             known.classification = answer;
         }
     }
-    // Who was asked for another controller's sake is not told of, so that a result does not depend on the others.
+    // Drop answers that were computed for another controller: a result must not depend on which controllers run
+    // together.
     let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
         let mut prevented = known.get(&name(scenario))?.clone();
         if index >= MAX_AVOIDABILITY_CHECKS {
@@ -78,7 +78,6 @@ pub(super) fn assess_preventability(
     told.collect()
 }
 
-/// What each reference driver does in each scenario.
 fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
     let drivers = ControllerSpec::all().into_iter().filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {

@@ -1,4 +1,4 @@
-//! What a run of a suite found: clause, test, verdict, margin.
+//! Results of a suite: clauses, tests, verdicts and margins.
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
@@ -11,85 +11,85 @@ use super::prevention::ReferenceRun;
 use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 
-/// What goes with every result.
+/// Statement that goes with every result.
 pub const DISCLAIMER: &str = "After the document, on a point-mass model in one lane. This is no certification.";
 
-/// What a run of a suite found.
+/// Result of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SuiteResult {
-    /// What it is and is not: [`DISCLAIMER`].
+    /// Scope of the result: [`DISCLAIMER`].
     pub statement: &'static str,
     /// Name of the suite.
     pub suite: String,
-    /// The document that it is after.
+    /// Document that the suite is modelled on.
     pub document: String,
-    /// Its edition.
+    /// Edition of the document.
     pub edition: String,
-    /// What the figures were read from.
+    /// Source of the parameters.
     #[serde(rename = "figures_from")]
     pub parameter_source: String,
-    /// What the document asks for and the model does not have.
+    /// Requirements of the document that the model cannot represent.
     #[serde(rename = "outside")]
     pub not_modelled: Vec<String>,
-    /// Figures that were left out, and why.
+    /// Omitted parameters, each with the reason.
     #[serde(rename = "left_out")]
     pub omitted_parameters: Vec<String>,
-    /// What the controllers looked through. Reference drivers see the truth.
+    /// Estimator of the controllers. Reference drivers observe the true state.
     pub estimator: EstimatorKind,
-    /// The clauses.
+    /// Results of the clauses.
     pub clauses: Vec<ClauseResult>,
 }
 
-/// What was found of a clause.
+/// Result of a clause.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ClauseResult {
-    /// Its number in the document.
+    /// Number of the clause in the document.
     pub clause: String,
-    /// What it says, in short.
+    /// Summary of the clause.
     #[serde(rename = "says")]
     pub summary: String,
-    /// Its tests.
+    /// Results of the tests.
     pub tests: Vec<TestResult>,
 }
 
-/// What was found of a test.
+/// Result of a test.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TestResult {
-    /// Its name.
+    /// Name of the test.
     pub name: String,
-    /// Whether the document states its figures; else some were chosen here.
+    /// True if the document states all parameters; otherwise crumple chose some.
     pub is_as_stated: bool,
-    /// Its figures, each with who says so.
+    /// Parameters, each with its origin.
     #[serde(rename = "figures")]
     pub parameters: TestParameters,
-    /// The fastest contact at which it passes; none if no contact does.
+    /// Largest impact speed that passes; `None` if no collision passes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
-    /// An entry a controller.
+    /// Results, one per controller.
     pub controllers: Vec<ControllerResult>,
 }
 
-/// What was found of a test and a controller.
+/// Result of a test with a controller.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ControllerResult {
-    /// The controller's name.
+    /// Name of the controller.
     pub controller: String,
-    /// The worst of all points.
+    /// Worst verdict of all points.
     pub verdict: TestVerdict,
-    /// How many points there are.
+    /// Number of points.
     pub points: usize,
-    /// How many of them passed.
+    /// Number of points that passed.
     #[serde(rename = "passed")]
     pub passed_points: usize,
-    /// The smallest gap at any point, in metres.
+    /// Smallest gap at any point, in metres.
     pub min_gap_m: Option<f64>,
-    /// How far the test can be pushed until it fails.
+    /// Margins of the test.
     pub margins: Vec<Margin>,
-    /// The worst point found within the ranges that the clause allows; none where it states none.
+    /// Worst point found within the ranges and tolerances of the clause; `None` if it states none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "within")]
     pub worst_in_tolerance: Option<WorstInTolerance>,
-    /// The points of the grid that failed.
+    /// Points of the grid that failed.
     #[serde(rename = "failed")]
     pub failed_points: Vec<FailedPoint>,
 }
@@ -97,54 +97,54 @@ pub struct ControllerResult {
 /// A point that failed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FailedPoint {
-    /// The point in words.
+    /// Description of the point.
     pub point: String,
-    /// What happened.
+    /// Verdict of the point.
     pub verdict: TestVerdict,
-    /// What the reference drivers do there, seeing the truth.
+    /// Behaviour of the reference drivers at the point, with the true state.
     pub references: Vec<ReferenceRun>,
-    /// Whether anybody could have avoided the contact who knows the future.
+    /// Avoidability of the collision with knowledge of the future.
     #[serde(flatten)]
     pub avoidability: Avoidability,
-    /// How it could have been avoided, where it is avoidable: a script in place of the vehicle under test, and nobody touches.
+    /// Scenario in which a script in place of the vehicle under test avoids the collision, if it is avoidable.
     #[serde(skip)]
     pub escape: Option<Scenario>,
-    /// Name of the scenario's file, without its ending.
+    /// File name of the scenario, without extension.
     pub scenario_name: String,
-    /// The scenario.
+    /// Scenario of the point.
     #[serde(skip)]
     pub scenario: Scenario,
 }
 
-/// How a test ended.
+/// Verdict of a test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum TestVerdict {
-    /// No contact before the test ended, or none faster than the test allows.
+    /// No collision before the test ended, or none faster than the test allows.
     Passed,
-    /// A contact, faster than the test allows.
+    /// A collision that is faster than the test allows.
     Failed {
-        /// When, in seconds.
+        /// Time of the collision, in seconds.
         time_s: f64,
-        /// Difference of the speeds, in m/s.
+        /// Impact speed, in m/s.
         impact_speed_mps: f64,
     },
-    /// The controller gave no usable answer.
+    /// The controller gave no valid answer.
     ControllerFailed {
-        /// When, in seconds.
+        /// Time of the failure, in seconds.
         time_s: f64,
-        /// Why.
+        /// Reason of the failure.
         reason: String,
     },
     /// The test could not be run.
     Refused {
-        /// Why not.
+        /// Reason of the refusal.
         reason: String,
     },
 }
 
 impl ControllerResult {
-    /// Points of its grid in which the controller gave no answer: they are among those that failed.
+    /// Returns the points of the grid at which the controller gave no answer; they also count as failed.
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let mut all = None;
@@ -152,14 +152,14 @@ impl ControllerResult {
         all
     }
 
-    /// Every failure: of the grid, and the worst within the ranges.
+    /// Iterates over all failures: those of the grid, and the worst within the ranges.
     pub fn failures(&self) -> impl Iterator<Item = &FailedPoint> {
         self.failed_points
             .iter()
             .chain(self.worst_in_tolerance.as_ref().and_then(|within| within.failed_point.as_ref()))
     }
 
-    /// Whether it passed on the grid, and nothing was found to fail within the ranges.
+    /// True if all points of the grid passed and no failure was found within the ranges.
     #[must_use]
     pub fn is_passed(&self) -> bool {
         self.verdict.is_passed() && self.worst_in_tolerance.as_ref().is_none_or(|within| !within.verdict.is_failure())
@@ -167,32 +167,32 @@ impl ControllerResult {
 }
 
 impl TestVerdict {
-    /// Whether the test passed.
+    /// True if the test passed.
     #[must_use]
     pub fn is_passed(&self) -> bool {
         *self == Self::Passed
     }
 
-    /// Whether the test was run and did not pass.
+    /// True if the test was run and did not pass.
     #[must_use]
     pub fn is_failure(&self) -> bool {
         matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
     }
 
-    /// That its controller gave no answer, and why; nothing where it did.
+    /// Returns the missing answer of the controller and its reason; `None` if it answered.
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let Self::ControllerFailed { time_s, reason } = self else { return None };
         Some(FailedControllerRuns { runs: 1, because: format!("at {time_s:.2} s, {reason}") })
     }
 
-    /// Whether the test could not be run.
+    /// True if the test could not be run.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
         matches!(self, Self::Refused { .. })
     }
 
-    /// How bad it is: contacts by their speed, then failures of controllers, then refusals.
+    /// Returns a sort key: collisions by impact speed, then controller failures, then refusals.
     fn severity_key(&self) -> (u8, f64) {
         match self {
             Self::Passed => (0, 0.0),
@@ -202,7 +202,7 @@ impl TestVerdict {
         }
     }
 
-    /// The worst of some, the first of equals; none of none.
+    /// Returns the worst verdict, the first of equals; `None` without verdicts.
     pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
         let worse = |worst: &'v Self, next: &'v Self| {
             let ((class, speed), (next_class, next_speed)) = (worst.severity_key(), next.severity_key());
@@ -213,7 +213,7 @@ impl TestVerdict {
 }
 
 impl SuiteResult {
-    /// Every clause with every test of it.
+    /// Iterates over all tests, each with its clause.
     pub fn tests(&self) -> impl Iterator<Item = (&ClauseResult, &TestResult)> {
         self.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)))
     }

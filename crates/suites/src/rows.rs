@@ -1,4 +1,4 @@
-//! What was found of a test and a controller, as a shard's file holds it: the scenarios of failures too.
+//! Serialised form of the result of a test with a controller, including the scenarios of failures.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
 use crumple_world::sim::FailedControllerRuns;
 
-/// [`Tested`].
+/// Serialised [`ControllerResult`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerResultRow {
@@ -29,7 +29,6 @@ pub struct ControllerResultRow {
     failed_points: Vec<FailedPointRow>,
 }
 
-/// [`Within`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WorstInToleranceRow {
@@ -45,7 +44,6 @@ struct WorstInToleranceRow {
     failed_point: Option<FailedPointRow>,
 }
 
-/// [`Failed`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FailedPointRow {
@@ -82,7 +80,7 @@ impl ControllerResultRow {
         })
     }
 
-    /// What it was, unless it cannot be that.
+    /// Decodes the row; an error describes an impossible value.
     pub(super) fn decode(self) -> Result<ControllerResult, String> {
         let Self {
             controller,

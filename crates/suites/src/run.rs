@@ -1,4 +1,4 @@
-//! Running a suite: every point of every grid with every controller.
+//! Simulation of every point of every grid of a suite with every controller.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -18,29 +18,26 @@ use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
 use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
 
-/// Why a suite or a map of one is not run to its end.
+/// Reason why a suite or a crash map did not run to its end.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SuiteRunError {
-    /// None for a valid suite.
+    /// A point makes no scenario; impossible for a valid suite.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
-    /// A controller contradicted itself, or cannot be started any more: what was seen of it says nothing.
+    /// A controller contradicted itself, or can no longer be started, so that its results are invalid.
     #[error(transparent)]
     Refused(#[from] RefusedController),
 }
 
-/// When a test is over, and what passes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Criterion {
-    /// What the vehicle ahead does.
     pub(super) lead: LeadManeuver,
-    /// The fastest contact that passes, in m/s; none if no contact does.
+    /// Largest impact speed that passes, in m/s; `None` if no collision passes.
     pub(super) impact_at_most_mps: Option<f64>,
 }
 
 impl Criterion {
-    /// Where no contact passes.
     pub(super) fn no_contact(lead: LeadManeuver) -> Self {
         Self { lead, impact_at_most_mps: None }
     }
@@ -50,18 +47,15 @@ impl Criterion {
     }
 }
 
-/// What drives, and what it looks through.
 pub(super) struct ControllerSetup<'c> {
     pub(super) controller: &'c ControllerKind,
     pub(super) estimator: EstimatorKind,
 }
 
-/// What a run showed of a point.
 #[derive(Debug, Clone)]
 pub(super) struct RunResult {
     pub(super) verdict: TestVerdict,
     pub(super) min_gap_m: Option<f64>,
-    /// Hardest braking of the vehicle under test, in m/s², positive.
     pub(super) max_brake_mps2: f64,
 }
 
@@ -71,12 +65,11 @@ impl RunResult {
     }
 }
 
-/// Runs a suite with some controllers.
-///
-/// The result depends neither on the number of threads nor on which other controllers there are.
+/// Runs a suite with some controllers. The result depends neither on the number of threads nor on the other
+/// controllers.
 ///
 /// # Errors
-/// [`SuiteRunError::Refused`] for a controller that is refused on the way; of a valid suite nothing else.
+/// [`SuiteRunError::Refused`] for a controller that is refused during the run. A valid suite causes no other error.
 pub fn run(
     suite: &TestSuite,
     controllers: &[NamedController],
@@ -90,12 +83,12 @@ pub fn run(
     Ok(assemble(suite.spec(), estimator, controllers.len(), tested))
 }
 
-/// How many pieces there are that can be run by themselves: a test and a controller each, in the order of the suite.
+/// Returns the number of pairs of a test and a controller, in the order of the suite.
 pub(super) fn pair_count(suite: &SuiteSpec, controllers: usize) -> u64 {
     suite.clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
 }
 
-/// Runs some of the pieces, in order, and says of each what was found; of a controller that was refused on the way nothing is said.
+/// Runs some pairs, in order, and passes on each result. Omits results of a controller that was refused during the run.
 pub(super) fn run_pairs<E: From<SuiteRunError>>(
     suite: &TestSuite,
     controllers: &[NamedController],
@@ -123,7 +116,6 @@ pub(super) fn run_pairs<E: From<SuiteRunError>>(
     Ok(())
 }
 
-/// The result of a suite from that of all its pieces, which come in order.
 pub(super) fn assemble(
     spec: &SuiteSpec,
     estimator: EstimatorKind,
@@ -156,12 +148,10 @@ pub(super) fn assemble(
     }
 }
 
-/// What is known of points whatever controller failed there, by the names of their scenarios.
+/// Preventability of points by scenario name, shared by all controllers.
 pub(super) type PreventabilityCache = BTreeMap<String, Preventability>;
 
-/// A test with the scenarios of its grid.
 struct TestGrid<'t> {
-    /// What begins the names of its scenarios.
     name: String,
     about: String,
     test: &'t TestSpec,
@@ -237,7 +227,7 @@ impl<'t> TestGrid<'t> {
     ) -> Vec<FailedPoint> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
-        // Where a controller gave no answer there may be nothing to prevent.
+        // Without an answer of the controller there may be no collision to prevent.
         let is_silent = |seen: &RunResult| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
         let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
@@ -263,7 +253,6 @@ impl<'t> TestGrid<'t> {
 }
 
 impl ControllerSetup<'_> {
-    /// What each scenario shows.
     pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<RunResult> {
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
         let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
@@ -303,7 +292,7 @@ fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
     }
 }
 
-/// When the test is over: what comes afterwards is no part of it.
+/// Returns the time at which the test ends; later collisions do not count.
 fn test_end_s(lead: LeadManeuver, trace: &Trace) -> Option<f64> {
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
         LeadManeuver::Slower | LeadManeuver::CutIn => own_mps <= ahead_mps,

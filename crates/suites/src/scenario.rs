@@ -1,4 +1,4 @@
-//! A point of a test as a scenario.
+//! Conversion of a point of a test to a scenario.
 
 use crumple_world::scenario::{
     Brake, Driver, Environment, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION, Scenario,
@@ -8,34 +8,34 @@ use crumple_world::scenario::{
 use super::parameter::ParameterKind;
 use super::spec::{LeadManeuver, TestSpec};
 
-/// When the vehicle ahead begins to brake and when vehicles cut in, in seconds: at once. A controller that drove before would come to
-/// another speed and gap than the clause states.
+/// Time at which the vehicle ahead brakes or a vehicle cuts in, in seconds. Any driving before would change the speed
+/// and gap that the clause states.
 const ONSET_S: f64 = 0.0;
 
-/// When vehicles cut out, in seconds: after one step, so that a controller has seen the vehicle that it follows.
+/// Time at which vehicles cut out, in seconds: after one step, so that a controller has observed its leader.
 const CUT_OUT_S: f64 = STEP_S;
 
-/// How long a scenario goes on after the vehicles would have met, or the one ahead stands, in seconds.
+/// Time that a scenario continues after the vehicles would have met or the leader stands, in seconds.
 const TAIL_S: f64 = 20.0;
 
 const STEP_S: f64 = 0.01;
 
-/// How far ahead of one that cuts in the next vehicle drives, in metres: out of mind, and there for controllers that need one.
+/// Distance of a dummy leader that some controllers require, in metres; far enough to have no influence.
 const DUMMY_LEAD_GAP_M: f64 = 300.0;
 
 const VEHICLE_CLASS: VehicleClass = VehicleClass::Light;
 
 impl TestSpec {
-    /// The value of a parameter at a point, in SI units; 0 if it is not stated.
+    /// Returns the value of a parameter at a point, in SI units; 0 if it is not stated.
     pub(super) fn si_value(&self, point: &[f64], parameter: ParameterKind) -> f64 {
         let value = |(place, figure): (usize, &super::TestParameter)| Some(point.get(place)? * figure.unit.si_factor());
         self.find_parameter(parameter).and_then(value).unwrap_or(0.0)
     }
 
-    /// The scenario of a point: the vehicles ahead, and the one under test behind them.
+    /// Returns the scenario of a point.
     ///
     /// # Errors
-    /// [`InvalidField`] for a point that makes none; never for one of a valid suite's grid.
+    /// [`InvalidField`] if the point makes no scenario; never for the grid of a valid suite.
     pub fn scenario(&self, name: &str, about: &str, point: &[f64]) -> Result<Scenario, InvalidField> {
         let own_mps = self.si_value(point, ParameterKind::OwnSpeed);
         let (mut vehicles, meets_s) = self.vehicles_ahead(point, own_mps);
@@ -53,7 +53,6 @@ impl TestSpec {
         })
     }
 
-    /// The gap at the start of a point that states it, as a length or as the time that driving it takes, in metres.
     fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
         match self.find_parameter(ParameterKind::TimeGap) {
             Some(_) => self.si_value(point, ParameterKind::TimeGap) * own_mps,
@@ -61,7 +60,7 @@ impl TestSpec {
         }
     }
 
-    /// The vehicles ahead, and when they would have been met or stand, in seconds.
+    /// Returns the vehicles ahead, and the time at which they would be met or stand, in seconds.
     fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
         let si = |parameter| self.si_value(point, parameter);
         let steady = |gap_m: f64, speed_mps: f64| scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed);
@@ -97,7 +96,6 @@ impl TestSpec {
     }
 }
 
-/// A scripted vehicle so far ahead of the vehicle under test.
 fn scripted_vehicle(gap_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
     VehicleSpec::new(VEHICLE_CLASS, gap_m + VEHICLE_CLASS.length_m(), speed_mps, Driver::Profile(profile))
 }

@@ -1,6 +1,5 @@
-//! Shards of a suite: some of its pieces, each a test and a controller, and how they are put together.
-//!
-//! A folder holds `shard.json`, the suite itself, the controllers and the estimator, and `results.json`, what was found of its pieces.
+//! Shards of a suite, and their merge. A shard runs some pairs of a test and a controller. The folder of a shard holds
+//! `shard.json` (suite, controllers and estimator) and `results.json` (results of its pairs).
 
 use std::ops::{Deref, DerefMut, Range};
 use std::path::Path;
@@ -16,23 +15,23 @@ use crumple_store::shard::{MergeError, Mergeable, MergedShards, ShardId, Sharded
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, UnknownController};
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of the run folder in its `work.json`.
 pub const SUITE_SHARD_KIND: &str = "shard of a suite";
 
-/// Why a shard of a suite is not made.
+/// Reason why a shard of a suite is not completed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SuiteShardError {
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// There are more shards than tests and controllers.
+    /// More shards than pairs of a test and a controller.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
-    /// The controller cannot be told from others.
+    /// The controller has no identity.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
     NoIdentity(String),
-    /// A controller was refused on the way.
+    /// A controller was refused during the run.
     #[error(transparent)]
     Run(#[from] SuiteRunError),
     /// The observer stopped the shard.
@@ -43,33 +42,33 @@ pub enum SuiteShardError {
     Encoding(String),
 }
 
-/// Reason why a controller that shards record cannot drive here.
+/// Reason why a recorded controller is not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UnavailableController {
-    /// Its name stands for no controller here, or for a program that may not be started.
+    /// The name is unknown here, or names a program that may not be started.
     #[error("the recorded controller `{name}` is not available: {source}")]
     NotFound {
-        /// Its name.
+        /// Name of the controller.
         name: String,
-        /// The reason.
+        /// Reason of the lookup.
         source: Box<UnknownController>,
     },
-    /// Its name stands for another controller here.
+    /// The name has another identity here.
     #[error(
         "the recorded controller `{name}` is not available: its identity is {recorded}, and here `{name}` has {found}"
     )]
     OtherIdentity {
-        /// Its name.
+        /// Name of the controller.
         name: String,
-        /// The identity in the shards: SHA-256, in hexadecimal.
+        /// Identity in the shards: SHA-256, in hexadecimal.
         recorded: String,
-        /// The identity found, or `none`.
+        /// Identity found here, or `none`.
         found: String,
     },
 }
 
-/// Everything that decides a suite that is divided.
+/// Configuration of a run of a suite that is divided into shards.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardedSuite {
     run: SuiteRun,
@@ -123,18 +122,16 @@ impl Mergeable for ShardedSuite {
     }
 }
 
-/// Everything that decides a run of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SuiteRun {
     crumple: String,
     suite: SuiteSpec,
-    /// Names, and identities.
     controllers: Vec<(String, String)>,
     estimator: EstimatorKind,
 }
 
-/// The file `results.json`.
+/// Content of the file `results.json`.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteShardResults {
@@ -142,11 +139,11 @@ pub struct SuiteShardResults {
     rows: Vec<ControllerResultRow>,
 }
 
-/// Runs a shard of a suite in `folder`, or continues it with `resume`. Returns the number of its pieces: tests times controllers.
+/// Runs a shard of a suite in `folder`, or continues it with `resume`. Returns the number of its pairs.
 ///
 /// # Errors
-/// [`SuiteShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, or `observer`
-/// stops the shard.
+/// [`SuiteShardError`] if there are fewer pairs than shards, a controller has no identity, the folder cannot be used,
+/// or `observer` stops the shard.
 pub fn run_shard(
     suite: &TestSuite,
     controllers: &[NamedController],
@@ -197,7 +194,7 @@ fn read_results(work: &RunFolder) -> Result<SuiteShardResults, RunFolderError> {
         .map_err(|error| RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), error.to_string()))
 }
 
-/// Shards of one run of a suite.
+/// Shards of one run of a suite, for merging.
 #[derive(Debug)]
 pub struct MergedSuite(MergedShards<ShardedSuite>);
 
@@ -216,15 +213,15 @@ impl DerefMut for MergedSuite {
 }
 
 impl MergedSuite {
-    /// Begins with a shard.
+    /// Starts with the first shard.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read.
+    /// [`MergeError`] if the shard cannot be read.
     pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         MergedShards::new(folder, found).map(Self)
     }
 
-    /// Tests that no shard has run, each with its controller, in words.
+    /// Lists the tests that no shard has run, each with its controller.
     #[must_use]
     pub fn missing_tests(&self) -> Vec<String> {
         let tests = self.work().run.suite.clauses.iter().flat_map(|clause| &clause.tests);
@@ -235,8 +232,8 @@ impl MergedSuite {
         named.map(|(_, (test, controller))| format!("{test} ({controller})")).collect()
     }
 
-    /// Looks the recorded controllers up by their names, whose relative paths start at `folder`. Only a controller with the
-    /// recorded identity is available.
+    /// Finds the recorded controllers by name; relative paths start at `folder`. A controller with another identity is
+    /// an error.
     pub fn controllers(&self, folder: &Path) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
         self.work().run.controllers.iter().map(move |(name, recorded)| {
             let found = NamedController::find(name, folder)
@@ -252,11 +249,11 @@ impl MergedSuite {
         })
     }
 
-    /// What the suite found, the same as by one machine; none while tests are missing.
+    /// Returns the result of the suite, identical to that of an undivided run; `None` while tests are missing.
     #[must_use]
     pub fn result(&self) -> Option<SuiteResult> {
         let rows = self.results().flatten().cloned();
-        // All of them were read once already.
+        // Rows were decoded once in `check`, so none is dropped here.
         let tested: Vec<ControllerResult> = rows.filter_map(|row| row.decode().ok()).collect();
         let (run, is_complete) = (&self.work().run, tested.len() as u64 == self.work().part_count());
         is_complete.then(|| assemble(&run.suite, run.estimator, run.controllers.len(), tested))

@@ -1,4 +1,4 @@
-//! What a crash map is over: a situation and two of its figures.
+//! Situations of a crash map, and its two parameters.
 
 use crumple_world::control::R157SimpleSettings;
 use crumple_world::scenario::{InvalidField, Scenario, VehicleClass};
@@ -9,47 +9,47 @@ use super::parameter::{Origin, ParameterUnit, TestParameter, TestParameters};
 use super::result::DISCLAIMER;
 use super::spec::{LeadManeuver, TestSpec};
 
-/// Kilometres an hour in a metre a second.
 const KMPH_PER_MPS: f64 = 3.6;
 
-/// A situation, what is held, and the two figures that a map is over.
+/// Situation of a crash map: the fixed parameter, and implicitly the two parameters of the axes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum CrashMapSituation {
-    /// The vehicle ahead, as fast as the vehicle under test, brakes at once and to standstill. Across its braking, up the speed.
+    /// The vehicle ahead, at the speed of the vehicle under test, brakes to standstill. Axes: its deceleration and the
+    /// speed.
     CarFollowing {
-        /// The gap at the start as the time that driving it takes, in seconds.
+        /// Gap at the start divided by the speed, in seconds.
         time_gap_s: f64,
     },
-    /// A slower vehicle cuts in. Across how much slower it is, up the gap when it enters.
+    /// A slower vehicle cuts in. Axes: speed difference and gap at its entry.
     CutInGap {
         /// Speed of the vehicle under test, in km/h.
         own_speed_kmph: f64,
     },
-    /// A slower vehicle cuts in. Across how much slower it is, up the time to collision when it enters.
+    /// A slower vehicle cuts in. Axes: speed difference and TTC at its entry.
     CutInTime {
         /// Speed of the vehicle under test, in km/h.
         own_speed_kmph: f64,
     },
 }
 
-/// One of the two figures of a map.
+/// Axis of a crash map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CrashMapAxis {
-    /// What it is, for readers.
+    /// Title for readers.
     pub title: &'static str,
-    /// Its unit.
+    /// Unit of the values.
     pub unit: &'static str,
-    /// Where the first cell begins.
+    /// Lower end of the first cell.
     pub low: f64,
-    /// Where the last cell ends.
+    /// Upper end of the last cell.
     pub high: f64,
-    /// How many cells there are.
+    /// Number of cells.
     pub cells: usize,
 }
 
 impl CrashMapAxis {
-    /// The middle of a cell, from 0, to a thousandth: what is run is what is shown.
+    /// Returns the middle of a cell, from 0, rounded to a thousandth, so that the shown value is the simulated one.
     #[must_use]
     pub(crate) fn cell_middle(&self, cell: usize) -> f64 {
         let middle = self.low + (self.high - self.low) * ((cell as f64 + 0.5) / self.cells as f64);
@@ -57,29 +57,27 @@ impl CrashMapAxis {
     }
 }
 
-/// A line that a closed form draws: beyond it there is contact.
+/// Boundary of collisions by a closed form: beyond it the model predicts a collision.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Boundary {
-    /// Whose it is, and its formula, for readers.
+    /// Name and formula, for readers.
     #[serde(rename = "words")]
     pub label: String,
-    /// The driver whose line it is; none for the line that nobody drives beyond.
+    /// Reference driver that the boundary models; `None` for the boundary of immediate full braking.
     pub driver: Option<&'static str>,
-    /// Time before it brakes, in seconds.
+    /// Reaction time, in seconds.
     pub reaction_s: f64,
-    /// Braking, in m/s², positive.
+    /// Deceleration, in m/s², positive.
     pub brake_mps2: f64,
-    /// The line: across and up.
+    /// Points of the line: x and y.
     pub points: Vec<[f64; 2]>,
 }
 
 impl CrashMapSituation {
-    /// The time gaps that a map may have, in seconds.
     pub(crate) const TIME_GAP_RANGE_S: [f64; 2] = [0.2, 10.0];
-    /// The speeds of the vehicle under test that a map may have, in km/h.
     pub(crate) const OWN_SPEED_RANGE_KMPH: [f64; 2] = [30.0, 250.0];
 
-    /// Its name.
+    /// Returns the name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -89,7 +87,7 @@ impl CrashMapSituation {
         }
     }
 
-    /// What it is, with what is held.
+    /// Describes the situation and its fixed parameter.
     #[must_use]
     pub fn description(self) -> String {
         match self {
@@ -102,7 +100,6 @@ impl CrashMapSituation {
         }
     }
 
-    /// Whether what is held lies in its range.
     pub(super) fn is_in_range(self) -> bool {
         let ([low, high], value) = match self {
             Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_RANGE_S, time_gap_s),
@@ -113,7 +110,7 @@ impl CrashMapSituation {
         (low..=high).contains(&value)
     }
 
-    /// The figure across and the one up, with so many cells.
+    /// Returns the horizontal and the vertical axis, with these numbers of cells.
     pub(super) fn axes(self, [across, up]: [usize; 2]) -> [CrashMapAxis; 2] {
         let axis = |title, unit, low, high, cells| CrashMapAxis { title, unit, low, high, cells };
         let slower =
@@ -139,7 +136,6 @@ impl CrashMapSituation {
         }
     }
 
-    /// The scenario of a cell.
     pub(super) fn scenario(self, across: f64, up: f64) -> Result<Scenario, InvalidField> {
         let figure = |value, unit| Some(TestParameter::from_chosen(value, unit));
         let figures = match self {
@@ -174,7 +170,7 @@ impl CrashMapSituation {
         matches!(self, Self::CutInTime { .. })
     }
 
-    /// The lines of closed forms that cross the map: of whoever brakes as hard as the vehicle can at once, and of the simple driver of UN R157.
+    /// Returns the boundaries of immediate full braking and of the simple driver of UN R157.
     pub(super) fn boundaries(self, [across, up]: [&CrashMapAxis; 2]) -> Vec<Boundary> {
         let simple = R157SimpleSettings::default();
         let hardest_mps2 = VehicleClass::Light.max_brake_mps2();
@@ -192,11 +188,10 @@ impl CrashMapSituation {
         lines.into_iter().map(line).filter(is_on_map).collect()
     }
 
-    /// Where full braking from a reaction time on just touches; none where it touches at no speed.
-    ///
-    /// Following at a time gap T, the vehicle ahead braking harder than oneself: both stand at the nearest, and
-    /// T v + v²/(2 d) = τ v + v²/(2 b). Braking softer than oneself takes no more than T v as long as T is at least τ. Behind
-    /// one that cuts in Δv slower it takes Δv τ + Δv²/(2 b).
+    /// Returns the vertical coordinate at which full braking after the reaction time just avoids the collision; `None`
+    /// if no speed collides. Following at time gap T, with the leader braking harder: both stand at the smallest gap,
+    /// so T v + v²/(2 d) = τ v + v²/(2 b). A leader that brakes softer needs no more than T v if T >= τ. A cut-in that
+    /// is Δv slower needs Δv τ + Δv²/(2 b).
     fn contact_limit(self, across: f64, reaction_s: f64, brake_mps2: f64) -> Option<f64> {
         let slower_mps = across / KMPH_PER_MPS;
         let needed_s = reaction_s + slower_mps / (2.0 * brake_mps2);
@@ -211,12 +206,12 @@ impl CrashMapSituation {
         }
     }
 
-    /// Whether the closed form says that a cell ends in contact; none where it says nothing.
+    /// Returns the prediction of the closed form for a cell; `None` outside its validity.
     pub(super) fn predicts_contact(self, line: &Boundary, [across, up]: [f64; 2]) -> Option<bool> {
         let limit = self.contact_limit(across, line.reaction_s, line.brake_mps2);
         match self {
             Self::CarFollowing { time_gap_s } if time_gap_s < line.reaction_s => None,
-            // What is not noticed at once is another story.
+            // The simple driver does not notice such weak braking.
             Self::CarFollowing { .. }
                 if line.driver.is_some() && across <= R157SimpleSettings::default().seen_brake_mps2 =>
             {
@@ -227,7 +222,7 @@ impl CrashMapSituation {
         }
     }
 
-    /// Points that a document states, beyond which contact has to be avoided: rows of the AFGBV's table.
+    /// Returns the points at and beyond which the document requires no collision: rows of the table of the AFGBV.
     pub(super) fn stated_points(self) -> Vec<[f64; 2]> {
         let suite = match self {
             Self::CarFollowing { .. } => None,

@@ -1,11 +1,11 @@
-//! A suite as a file states it.
+//! Data types of a suite file.
 
 use serde::{Deserialize, Serialize};
 
 use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
 use super::run::Criterion;
 
-/// A suite as a file states it: plain data that may hold nonsense.
+/// A suite as its file states it, before validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a suite: a table of fields")]
@@ -15,24 +15,24 @@ pub struct SuiteSpec {
     pub version: u32,
     /// Short name: small letters, digits and hyphens.
     pub name: String,
-    /// What it tests, in a sentence.
+    /// Purpose of the suite, in a sentence.
     pub about: String,
-    /// The document that it is after.
+    /// Document that the suite is modelled on.
     pub document: String,
-    /// Its edition.
+    /// Edition of the document.
     pub edition: String,
-    /// What the figures were read from.
+    /// Source of the parameters.
     #[serde(rename = "figures_from")]
     pub parameter_source: String,
-    /// What the document asks for and the model does not have.
+    /// Requirements of the document that the model cannot represent.
     #[serde(default)]
     #[serde(rename = "outside")]
     pub not_modelled: Vec<String>,
-    /// Figures that were left out, and why.
+    /// Omitted parameters, each with the reason.
     #[serde(default)]
     #[serde(rename = "left_out")]
     pub omitted_parameters: Vec<String>,
-    /// Its clauses; 1 to 100.
+    /// Clauses; 1 to 100.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub clauses: Vec<ClauseSpec>,
 }
@@ -42,82 +42,84 @@ pub struct SuiteSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a clause: a table of fields")]
 pub struct ClauseSpec {
-    /// Its number in the document.
+    /// Number of the clause in the document.
     pub clause: String,
-    /// What it says, in short.
+    /// Summary of the clause.
     #[serde(rename = "says")]
     pub summary: String,
-    /// Its tests; 1 to 100. A test passes if there is no contact before it ends, or none faster than it allows.
+    /// Tests; 1 to 100. A test passes if it ends without a collision, or with one at most as fast as `impact_at_most`.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub tests: Vec<TestSpec>,
 }
 
-/// A test of a clause: a situation and its figures, or the reason why there is none.
+/// A test of a clause: a manoeuvre and its parameters, or the reason why the test cannot be run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a test: a table of fields")]
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.
     pub name: String,
-    /// What the vehicle ahead does. Either this or `refused`.
+    /// Manoeuvre of the vehicle ahead. A test has either this or `refused`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead: Option<LeadManeuver>,
-    /// Why the test cannot be run.
+    /// Reason why the test cannot be run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "refused")]
     pub refusal_reason: Option<String>,
-    /// Its figures. The test is run at every combination of their values.
+    /// Parameters. The test is run at every combination of their values.
     #[serde(default)]
     #[serde(rename = "figures")]
     pub parameters: TestParameters,
-    /// The fastest contact at which it passes nevertheless; without it no contact passes.
+    /// Largest impact speed that passes; without it no collision passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
-    /// Figures of which the document allows every value from the smallest to the largest: the worst point is searched for there.
+    /// Parameters for which the document allows every value from the smallest to the largest. The worst point between
+    /// them is searched for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(length(max = 7)))]
     pub ranges: Vec<ParameterKind>,
-    /// How it is pushed until it fails.
+    /// Directions in which the test is made harder until it fails.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(length(max = 10)))]
     pub margins: Vec<MarginSweep>,
 }
 
-/// What the vehicle ahead does.
+/// Manoeuvre of the vehicle ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum LeadManeuver {
-    /// It stands. The test ends when the vehicle under test stands.
+    /// The vehicle ahead stands. The test ends when the vehicle under test stands.
     Stopped,
-    /// It drives slower, at a constant speed. The test ends when the vehicle under test no longer closes in.
+    /// The vehicle ahead is slower, at constant speed. The test ends when the vehicle under test no longer closes in.
     Slower,
-    /// It drives as fast as the vehicle under test and brakes to standstill from the start on. The test ends when the vehicle under
-    /// test stands.
+    /// The vehicle ahead has the speed of the vehicle under test and brakes to standstill from the start. The test ends
+    /// when the vehicle under test stands.
     Decelerating,
-    /// It cuts in: slower, it enters the lane at the start, as far ahead as the closing time says. 300 m ahead of it drives a vehicle
-    /// that is as fast as the vehicle under test. The test ends when the vehicle under test no longer closes in.
+    /// A slower vehicle enters the lane at the start, at the gap that the closing time determines. 300 m ahead of it
+    /// drives a vehicle at the speed of the vehicle under test. The test ends when the vehicle under test no longer
+    /// closes in.
     CutIn,
-    /// It cuts out: as fast as the vehicle under test, it leaves the lane at the start, the closing time before a vehicle that stands.
-    /// The test ends when the vehicle under test stands.
+    /// The vehicle ahead has the speed of the vehicle under test and leaves the lane at the start, the closing time
+    /// before a standing vehicle. The test ends when the vehicle under test stands.
     CutOut,
 }
 
-/// A direction in which a test is made harder.
+/// Direction in which a test is made harder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
 pub struct MarginSweep {
-    /// What is pushed, from the value of the grid that is next to `to`.
+    /// Parameter that is varied, from the value of the grid that is nearest to `to`.
     #[serde(rename = "push")]
     pub parameter: ParameterKind,
-    /// How far, in the unit of the figure; beyond all its values.
+    /// Last value, in the unit of the parameter; beyond all its values.
     pub to: f64,
 }
 
 impl LeadManeuver {
-    /// The figures that it needs: one of each entry.
+    /// Returns the parameters that the manoeuvre needs: one of each entry.
     #[must_use]
     pub(crate) fn parameters(self) -> &'static [&'static [ParameterKind]] {
         use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
@@ -129,7 +131,6 @@ impl LeadManeuver {
         }
     }
 
-    /// The place of the vehicle under test in the line, from the front.
     #[must_use]
     pub(crate) fn under_test_index(self) -> usize {
         match self {
@@ -138,12 +139,11 @@ impl LeadManeuver {
         }
     }
 
-    /// Whether the vehicle under test has to be faster than the one ahead.
     pub(super) fn requires_slower_lead(self) -> bool {
         matches!(self, Self::Slower | Self::CutIn)
     }
 
-    /// Its name in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -157,20 +157,18 @@ impl LeadManeuver {
 }
 
 impl TestSpec {
-    /// Whether all that the document asks for is as it states it; else some figure was chosen.
     #[must_use]
     pub(crate) fn is_as_stated(&self) -> bool {
         let figures = self.parameters.iter().map(|(_, figure)| figure.origin);
         figures.chain(self.impact_at_most.iter().map(|limit| limit.origin)).all(|origin| origin != Origin::Chosen)
     }
 
-    /// When it is over and what passes; none if it cannot be run.
     pub(super) fn criterion(&self) -> Option<Criterion> {
         let impact_at_most_mps = self.impact_at_most.as_ref().map(|limit| limit.value * limit.unit.si_factor());
         Some(Criterion { lead: self.lead?, impact_at_most_mps })
     }
 
-    /// Every combination of the figures' values, in the units of the figures; the last figure varies fastest.
+    /// Returns all combinations of the values, in the units of the parameters; the last parameter varies fastest.
     #[must_use]
     pub fn grid(&self) -> Vec<Vec<f64>> {
         self.parameters.iter().fold(vec![Vec::new()], |points, (_, figure)| {
@@ -182,24 +180,21 @@ impl TestSpec {
         })
     }
 
-    /// How many combinations there are.
     pub(super) fn point_count(&self) -> usize {
         self.parameters.iter().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
     }
 
-    /// Where a parameter stands in a point.
     pub(super) fn find_parameter(&self, parameter: ParameterKind) -> Option<(usize, &TestParameter)> {
         let mut stated = self.parameters.iter().enumerate();
         stated.find(|(_, (found, _))| *found == parameter).map(|(place, (_, figure))| (place, figure))
     }
 
-    /// A point in words, as in `own speed 50 km/h, gap 12 m`.
+    /// Describes a point, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
     pub(crate) fn describe_point(&self, point: &[f64]) -> String {
         self.describe_point_without(point, None)
     }
 
-    /// A point in words, without the value at a place.
     pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
         let each = self.parameters.iter().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
         let words =
@@ -208,7 +203,6 @@ impl TestSpec {
     }
 }
 
-/// A point with another value at a place.
 pub(super) fn with_value(point: &[f64], place: usize, value: f64) -> Vec<f64> {
     point.iter().enumerate().map(|(at, &old)| if at == place { value } else { old }).collect()
 }

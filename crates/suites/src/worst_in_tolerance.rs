@@ -1,4 +1,4 @@
-//! The worst point of the ranges and tolerances that a clause allows, between the values of its grid too.
+//! Search for the worst point within the ranges and tolerances that a clause allows, also between grid values.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,34 +13,34 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 
-/// Points that are drawn evenly, at least one for each of the grid, then how often and how many near the worst so far.
+/// Number of uniform samples, at least one per point of the grid; then number and size of the refinements near the
+/// worst point.
 const SAMPLES: usize = 256;
 const REFINEMENTS: i32 = 5;
 const SAMPLES_PER_REFINEMENT: usize = 48;
 
-/// The worst point that was found within the ranges of a test.
+/// Worst point found within the ranges of a test.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct WorstInTolerance {
-    /// The point in words.
+    /// Description of the point.
     pub point: String,
-    /// What happened there.
+    /// Verdict at the point.
     pub verdict: TestVerdict,
-    /// The smallest gap there, in metres.
+    /// Smallest gap at the point, in metres.
     pub min_gap_m: Option<f64>,
-    /// How many points were run: that none of them failed proves nothing of the others.
+    /// Number of points that were run. A search without failures proves nothing about other points.
     #[serde(rename = "tried")]
     pub points_run: usize,
-    /// How many of them failed.
+    /// Number of points that failed.
     pub failures: usize,
-    /// In how many of those the controller gave no answer, and why in the first of them.
+    /// Number of failed points without an answer of the controller, and the reason of the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// What is known of it, if it failed.
+    /// Details of the point, if it failed.
     #[serde(rename = "failed")]
     pub failed_point: Option<FailedPoint>,
 }
 
-/// A point, its scenario and what a run showed.
 pub(super) struct WorstPoint {
     pub(super) point: Vec<f64>,
     pub(super) scenario: Scenario,
@@ -50,16 +50,14 @@ pub(super) struct WorstPoint {
     pub(super) unanswered: Option<FailedControllerRuns>,
 }
 
-/// A figure that is searched over.
 struct SearchRange<'t> {
     position: usize,
     figure: &'t TestParameter,
-    /// Whether the clause allows all values between those of the grid, not only their tolerances.
+    /// True if the clause allows all values between those of the grid, not only their tolerances.
     spans_grid: bool,
 }
 
 impl SearchRange<'_> {
-    /// Between what its value may lie at a point of the grid.
     fn ends(&self, point: &[f64]) -> Option<[f64; 2]> {
         let TestParameter { values, tolerance, .. } = self.figure;
         let [first, last] = match self.spans_grid {
@@ -70,7 +68,6 @@ impl SearchRange<'_> {
     }
 }
 
-/// What is searched over: the ranges that the clause states, and tolerances.
 fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
     let stated = test.parameters.iter().enumerate();
     let range = |(place, (parameter, figure)): (usize, (_, _))| SearchRange {
@@ -81,8 +78,8 @@ fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
     stated.map(range).filter(|range| range.spans_grid || range.figure.tolerance > 0.0).collect()
 }
 
-/// The worst point found within the ranges and tolerances of a test; none of a test without them. What is drawn depends on the
-/// test alone.
+/// Finds the worst point within the ranges and tolerances of a test; `None` without them. The samples depend on the
+/// test only.
 pub(super) fn find_worst(
     name: &str,
     about: &str,
@@ -131,17 +128,15 @@ pub(super) fn find_worst(
     worst.map(|(_, worst)| WorstPoint { points_run: tried, failures, unanswered, ..worst })
 }
 
-/// A point, after the point of the grid that it belongs to.
+/// A point of the grid, and a point near it.
 type GridNeighbor<'t> = (&'t [f64], Vec<f64>);
 
-/// A search for the worst point.
 struct WorstPointSearch<'t> {
     name: &'t str,
     about: &'t str,
     test: &'t TestSpec,
     criterion: Criterion,
     driven: &'t ControllerSetup<'t>,
-    /// The worst so far, with the point of the grid that it belongs to.
     worst: Option<(&'t [f64], WorstPoint)>,
     points_run: usize,
     failures: usize,
@@ -149,7 +144,6 @@ struct WorstPointSearch<'t> {
 }
 
 impl<'t> WorstPointSearch<'t> {
-    /// Runs points, each with the point of the grid that it belongs to.
     fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
         let made = points.into_iter().filter_map(|(home, point)| {
             let name = format!("{}-within-{}", self.name, sha256(self.test.describe_point(&point)).get(..8)?);
@@ -172,7 +166,7 @@ impl<'t> WorstPointSearch<'t> {
     }
 }
 
-/// A point with each value that is searched over moved by `draw`, of its ends and its value, to within its ends.
+/// Moves each searched value between its bounds and `from`, by `draw`, and limits it to its bounds.
 fn perturb(
     home: &[f64],
     from: &[f64],
@@ -188,12 +182,11 @@ fn perturb(
     point
 }
 
-/// A value as somebody would state it.
 fn round_to_thousandth(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
 }
 
-/// How bad a point is: contacts by their speed, then failures of controllers, then small gaps; what was refused is not looked for.
+/// Returns a sort key: collisions by speed, then controller failures, then small gaps. Refused points rank last.
 fn severity_key(seen: &RunResult) -> (u8, f64) {
     match &seen.verdict {
         TestVerdict::Refused { .. } => (0, 0.0),

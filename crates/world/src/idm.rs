@@ -3,11 +3,12 @@
 use crate::observation::Observation;
 use crate::settings::settings;
 
-/// A gap below this counts as this, in metres: the model divides by the gap, and an estimated one can be negative.
+/// Minimum gap that the model divides by, in metres; an estimated gap can be negative.
 const MIN_GAP_M: f64 = 0.01;
 
 settings! {
-    /// Settings of the Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), eq. 3 and 4).
+    /// Settings of the Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), eq. 3,
+    /// 4).
     IdmSettings {
         /// Speed on a free road, in m/s. Default: 120 km/h, the paper's table I.
         desired_speed_mps: 120.0 / 3.6, 0.1..=100.0, 5.0..=45.0;
@@ -34,19 +35,18 @@ pub struct Idm {
 }
 
 impl Idm {
-    /// What the model consists of, for those who drive many at once and keep each number in an array.
+    /// Returns the parameters as an array, for code that stores many models as one array per parameter.
     pub(crate) fn to_array(&self) -> [f64; 5] {
         [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
     }
 
-    /// The model with given [`numbers`](Self::numbers).
     #[inline(always)]
     pub(crate) fn from_array(numbers: [f64; 5]) -> Self {
         let [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2] = numbers;
         Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
     }
 
-    /// The acceleration wanted at `speed_mps`, with the gap to and the speed of the vehicle ahead.
+    /// Returns the desired acceleration at `speed_mps`, given gap and speed of the leader.
     #[inline(always)]
     pub(crate) fn acceleration_mps2(&self, speed_mps: f64, ahead: Option<[f64; 2]>) -> f64 {
         let squared = |value: f64| value * value;
@@ -55,7 +55,7 @@ impl Idm {
         self.accel_mps2 * (free - interaction)
     }
 
-    /// (s*/s)²: what the vehicle ahead takes away, as a share of the largest acceleration.
+    /// Returns (s*/s)²: the reduction by the leader, as a share of the maximum acceleration.
     #[inline(always)]
     fn interaction(&self, speed_mps: f64, [gap_m, ahead_mps]: [f64; 2]) -> f64 {
         let closing_mps = speed_mps - ahead_mps;
@@ -64,15 +64,13 @@ impl Idm {
         share * share
     }
 
-    /// Deceleration for the vehicle ahead alone, in m/s², never negative: a (s*/s)², whatever speed would be wanted on a
-    /// free road.
+    /// Returns the deceleration a (s*/s)² because of the leader alone, in m/s², never negative.
     pub(crate) fn interaction_brake_mps2(&self, speed_mps: f64, ahead: [f64; 2]) -> f64 {
         self.accel_mps2 * self.interaction(speed_mps, ahead)
     }
 }
 
 impl Idm {
-    /// The acceleration wanted, in m/s².
     #[inline]
     pub(crate) fn desired_acceleration_mps2(&self, seen: &Observation) -> f64 {
         self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))

@@ -1,22 +1,22 @@
-//! What happens: scenarios, the vehicles' drivers, two engines with one meaning, and measures of what they did.
+//! Simulation of longitudinal traffic: scenarios, controllers, two engines with identical results, and measures.
 //!
-//! One way through, each module using only those above it:
+//! Each module uses only modules above it:
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | [`random`] | seeded streams: one seed decides everything |
-//! | [`observation`] | what a controller may see |
-//! | `settings` | settings of controllers: numbers with a default, a range and a usual range |
-//! | `idm` | the Intelligent Driver Model, which drives, is departed from and is compared with |
-//! | [`policy`] | the actor network and its file: acting, one state or many |
-//! | [`network`] | networks from outside: ONNX, Stable-Baselines3 |
-//! | [`process`] | programs that are asked line by line, and how they fail |
-//! | [`control`] | who decides: one trait, one table, one file for each controller |
-//! | [`scenario`] | what may happen: vehicles, drivers, lead profiles, the file format, the paper's scenarios |
-//! | [`estimate`] | what the ego knows: sensors and the Kalman filter |
-//! | [`sim`] | how it happens: exact steps, contact times, two engines with one meaning, the trace |
-//! | [`measure`] | how it was: surrogate safety measures; formulas of signal temporal logic and their monitor |
-//! | `recording` | recorded traffic turned into scenarios (a feature) |
+//! | [`random`] | seeded random streams |
+//! | [`observation`] | observations of controllers |
+//! | `settings` | settings of controllers: numbers with a default, a range and a typical range |
+//! | `idm` | the Intelligent Driver Model: a controller, a base controller and a reference |
+//! | [`policy`] | actor networks, their file and their evaluation |
+//! | [`network`] | imported networks: ONNX, Stable-Baselines3 |
+//! | [`process`] | the line protocol of controller processes, and their failures |
+//! | [`control`] | controllers: one trait, one table, one file each |
+//! | [`scenario`] | scenarios: vehicles, lead profiles, the file format, the paper's scenarios |
+//! | [`estimate`] | sensors and the Kalman filter |
+//! | [`sim`] | exact steps, collision times, two engines with identical results, the trace |
+//! | [`measure`] | surrogate safety measures; signal temporal logic and its monitor |
+//! | `recording` | conversion of recorded traffic to scenarios (a feature) |
 
 pub mod control;
 pub mod estimate;

@@ -1,8 +1,8 @@
-//! What a controller may see, and what it sees it through.
+//! Observations and estimators.
 
 use serde::{Deserialize, Serialize};
 
-/// Which estimator the vehicles under test look through.
+/// Estimator of the vehicles under test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -15,10 +15,10 @@ pub enum EstimatorKind {
 }
 
 impl EstimatorKind {
-    /// All of them.
+    /// All estimators.
     pub const ALL: [Self; 2] = [Self::Kalman, Self::Truth];
 
-    /// The name used on the command line and in reports.
+    /// Returns the name on the command line and in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -28,28 +28,28 @@ impl EstimatorKind {
     }
 }
 
-/// What is known about a neighbouring vehicle.
+/// Observed state of a neighbouring vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neighbour {
-    /// Bumper gap to it, in metres.
+    /// Gap between the bumpers, in metres.
     pub gap_m: f64,
-    /// Its speed, in m/s.
+    /// Speed, in m/s.
     pub speed_mps: f64,
-    /// Its acceleration over the last step, in m/s².
+    /// Acceleration over the last step, in m/s².
     pub acceleration_mps2: f64,
 }
 
-/// Everything a controller may see: the paper's eight numbers, where there is a vehicle ahead and one behind.
+/// An observation: the paper's eight numbers if the vehicle has a leader and a follower.
 ///
-/// In the paper's order: `d_fm` = `ahead.gap_m`, `d_mr` = `behind.gap_m`, `v_f`, `v_m`, `v_r`, `a_f`, `a_m`, `a_r`.
+/// Order of the paper: `d_fm` = `ahead.gap_m`, `d_mr` = `behind.gap_m`, `v_f`, `v_m`, `v_r`, `a_f`, `a_m`, `a_r`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Own speed, in m/s.
     pub speed_mps: f64,
     /// Own acceleration over the last step, in m/s².
     pub acceleration_mps2: f64,
-    /// The vehicle ahead; none for the first of the line.
+    /// The leader; `None` for the first vehicle of the lane.
     pub ahead: Option<Neighbour>,
-    /// The vehicle behind; none for the last of the line.
+    /// The follower; `None` for the last vehicle of the lane.
     pub behind: Option<Neighbour>,
 }

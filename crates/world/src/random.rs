@@ -1,8 +1,7 @@
-//! Seeded random streams: one seed decides everything.
+//! Seeded random streams: one seed determines all results.
 //!
-//! Every source of chance (the noise on one vehicle's acceleration, one sensor of one vehicle, one draw of a scenario
-//! distribution) has a stream of its own, addressed by what it is for. No two consumers share a stream, so neither the
-//! order of evaluation nor the number of threads can change a result.
+//! Every consumer of random numbers has its own stream (acceleration noise of a vehicle, one of its sensors, one sample
+//! of a scenario space). Neither the order of evaluation nor the number of threads therefore changes a result.
 
 use std::convert::Infallible;
 use std::sync::LazyLock;
@@ -11,70 +10,69 @@ use rand::{Rng, SeedableRng, TryRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// The generator behind every stream: small state, fast, and with values fixed across releases and platforms.
+/// Generator of every stream: small, fast, with values that are fixed across releases and platforms.
 pub type Stream = Xoshiro256PlusPlus;
 
-/// What a stream of random numbers is for.
+/// Purpose of a random stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u64)]
 pub enum Purpose {
-    /// Noise on a vehicle's acceleration, one normal number a step.
+    /// Noise on a vehicle's acceleration, one normal number per step.
     AccelerationNoise = 1,
     /// Noise and dropout of a vehicle's own position sensor.
     PositionSensor = 2,
-    /// Noise and dropout of the sensor that looks ahead.
+    /// Noise and dropout of the sensor of the gap ahead.
     GapAheadSensor = 3,
-    /// Noise and dropout of the sensor that looks behind.
+    /// Noise and dropout of the sensor of the gap behind.
     GapBehindSensor = 4,
-    /// Error of a filter's first estimate.
+    /// Error of the initial estimate of a filter.
     InitialEstimate = 5,
-    /// One draw from a distribution of scenarios.
+    /// One sample of a scenario space.
     ScenarioSampling = 6,
-    /// First weights of a network, one consumer a network.
+    /// Initial weights of a network, one consumer per network.
     InitialWeights = 7,
-    /// Actions tried out in training, one consumer an episode.
+    /// Exploration actions in training, one consumer per episode.
     Exploration = 8,
-    /// Draws from replay memory, one consumer an episode.
+    /// Samples of the replay buffer, one consumer per episode.
     ReplaySampling = 9,
-    /// Noise on target actions, one consumer an episode.
+    /// Noise on target actions, one consumer per episode.
     TargetNoise = 10,
-    /// Proposals of a search method; the index tells methods of one search apart.
+    /// Proposals of a search method; the index distinguishes methods of one search.
     Search = 11,
-    /// Digit permutations of a quasi-random sequence, one coordinate each.
+    /// Digit permutations of a quasi-random sequence, one consumer per coordinate.
     QuasiRandom = 12,
-    /// Actions of a controller that acts at random, one consumer a vehicle.
+    /// Actions of a random controller, one consumer per vehicle.
     RandomActions = 13,
-    /// Populations that climb towards a rare event, one consumer a repetition.
+    /// Populations of a splitting estimator, one consumer per repetition.
     RareEvents = 14,
-    /// Resamples of what was observed, one consumer a resample.
+    /// Bootstrap resamples, one consumer per resample.
     Resampling = 15,
-    /// Which later runs of a process are asked twice, one consumer a run.
+    /// Choice of the later runs of a process that are checked for determinism, one consumer per run.
     DeterminismCheck = 16,
 }
 
-/// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.
+/// Returns the stream for `purpose` and its `index`-th consumer (a vehicle, a sample), under `seed`.
 #[must_use]
 pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Stream {
     let key = scramble(scramble(scramble(seed).wrapping_add(purpose as u64)).wrapping_add(index));
     Stream::seed_from_u64(key)
 }
 
-/// A seed derived from another, for the `index`-th of many runs.
+/// Derives the seed of the `index`-th of many runs.
 #[must_use]
 pub fn derived_seed(seed: u64, index: u64) -> u64 {
-    // TOML integers are signed, and a scenario file must be able to hold its seed.
+    // A TOML integer is signed, and a scenario file must be able to hold the seed.
     scramble(scramble(seed).wrapping_add(index)) >> 1
 }
 
-/// Normal numbers for inner loops: those of [`StandardNormal`], to the last bit.
+/// Sampler of normal numbers for inner loops; bit-identical to [`StandardNormal`].
 ///
-/// `rand_distr` draws by the ziggurat method (Marsaglia and Tsang, 2000; Doornik, 2005): 256 layers under the curve, of which
-/// the number drawn chooses one and a place in it. Nearly always that place is under the curve for certain, and this is all
-/// that is done here; the rest is left to the library, which starts again from where the stream was. That way the
-/// stream's state stays in registers, since nothing takes its address.
+/// `rand_distr` uses the ziggurat method (Marsaglia and Tsang, 2000; Doornik, 2005) with 256 layers. A random number
+/// chooses a layer and a place in it. This sampler handles places that are certainly under the curve, nearly all; for
+/// others it calls the library. The stream stays in registers, because nothing takes its address.
 #[derive(Debug, Clone, Copy)]
 pub struct NormalSampler {
-    /// The half width of each layer, widest first, and 0.
+    /// Half width of each layer, widest first, and 0.
     half_widths: &'static [f64; 257],
 }
 
@@ -85,11 +83,10 @@ impl Default for NormalSampler {
 }
 
 impl NormalSampler {
-    /// The table is made once a process.
+    /// Creates a sampler; the table is computed once per process.
     #[must_use]
     pub fn new() -> Self {
-        /// The library keeps its table to itself, but half of a half width is under the curve for certain: who draws the
-        /// middle of layer `i` is told it.
+        /// The library's table is private. Sampling the middle of layer `i` returns half of its half width.
         static HALF_WIDTHS: LazyLock<[f64; 257]> = LazyLock::new(|| {
             std::array::from_fn(|layer| {
                 let middle: f64 = StandardNormal.sample(&mut ScriptedRng { number: layer as u64 | 3 << 62 });
@@ -99,7 +96,7 @@ impl NormalSampler {
         Self { half_widths: &HALF_WIDTHS }
     }
 
-    /// The next number of `stream`.
+    /// Returns the next normal number of `stream`.
     #[inline(always)]
     pub fn sample(self, stream: &mut Stream) -> f64 {
         let mut after = stream.clone();
@@ -118,15 +115,14 @@ impl NormalSampler {
     }
 }
 
-/// A normal number, and the stream after it. Out of the way of the loops that draw most of theirs without it, so that those
-/// keep what they work with in registers.
+/// Returns a normal number and the stream after it. Not inlined, so that calling loops keep values in registers.
 #[cold]
 #[inline(never)]
 fn sample_from_library(mut stream: Stream) -> (f64, Stream) {
     (StandardNormal.sample(&mut stream), stream)
 }
 
-/// A generator that says the same number first, and then the largest there is.
+/// A generator that returns `number` first and `u64::MAX` afterwards.
 struct ScriptedRng {
     number: u64,
 }
@@ -148,8 +144,7 @@ impl TryRng for ScriptedRng {
     }
 }
 
-/// The finaliser of SplitMix64 (Steele, Lea and Flood, 2014): a bijection in which every input bit reaches every
-/// output bit, so that neighbouring seeds give unrelated streams.
+/// Finaliser of SplitMix64 (Steele, Lea and Flood, 2014); neighbouring seeds give unrelated streams.
 fn scramble(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

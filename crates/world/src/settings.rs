@@ -1,4 +1,4 @@
-//! Settings of controllers: numbers with a default, the range they must be in, and the range they usually are in.
+//! Settings of controllers: numbers with a default, an allowed range and a typical range.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -6,16 +6,16 @@ use serde::de::DeserializeOwned;
 /// One number of a controller's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SettingField {
-    /// Its name, with its unit.
+    /// Name, with its unit.
     pub name: &'static str,
-    /// The least and the largest value there may be.
+    /// Allowed minimum and maximum.
     pub range: [f64; 2],
-    /// The values that make sense on a road, for searches and fuzzers.
+    /// Realistic minimum and maximum, for searches and fuzzers.
     pub typical_range: [f64; 2],
 }
 
 impl SettingField {
-    /// Its unit, as its name ends.
+    /// Returns the unit that the name ends with.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         const ENDINGS: [(&str, &str); 6] =
@@ -24,19 +24,19 @@ impl SettingField {
     }
 }
 
-/// The numbers that decide how a controller drives.
+/// The numbers that parametrise a controller.
 pub trait ControllerSettings: Clone + PartialEq + Default + Serialize + DeserializeOwned {
-    /// Its numbers, in the order in which files state them.
+    /// Descriptions of the numbers, in the order of the files.
     const FIELDS: &'static [SettingField];
 
-    /// The value of the `index`-th of [`Self::FIELDS`].
+    /// Returns the value of the `index`-th of [`Self::FIELDS`].
     fn get(&self, index: usize) -> Option<f64>;
 
-    /// The place of the value of the `index`-th of [`Self::FIELDS`].
+    /// Returns a reference to the value of the `index`-th of [`Self::FIELDS`].
     fn get_mut(&mut self, index: usize) -> Option<&mut f64>;
 }
 
-/// Declares settings: `name: default, range, usual range;` a number, its documentation before it.
+/// Declares settings: one `name: default, range, typical range;` per number, after its documentation.
 macro_rules! settings {
     ($(#[$about:meta])* $name:ident {
         $($(#[$doc:meta])* $field:ident: $default:expr, $low:literal..=$high:literal, $from:literal..=$to:literal;)*

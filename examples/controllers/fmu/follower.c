@@ -1,5 +1,5 @@
-/* A controller as an FMU (FMI 2.0, co-simulation): keeps 4 m and a time gap to the vehicle ahead, and otherwise its set speed.
- * The standard library alone; in `modelDescription.xml` beside it stands what each variable is called. On Linux:
+/* A controller as an FMU (FMI 2.0, co-simulation): keeps 4 m and a time gap to the vehicle ahead, and otherwise its set
+ * speed. Needs the standard library only; `modelDescription.xml` names the variables. On Linux:
  *
  *     mkdir -p binaries/linux64 && cc -O2 -shared -fPIC -o binaries/linux64/follower.so follower.c -lm
  *     python3 -m zipfile -c follower.fmu modelDescription.xml binaries
@@ -90,7 +90,7 @@ int fmi2DoStep(void *component, double time_s, double step_s, int no_set_state) 
     return OK;
 }
 
-/* The standard wants these to be there, whatever an FMU can do. */
+/* FMI requires these symbols, even if unsupported. */
 #define UNSUPPORTED(name) int name(void) { return ERROR; }
 UNSUPPORTED(fmi2CancelStep) UNSUPPORTED(fmi2EnterContinuousTimeMode) UNSUPPORTED(fmi2FreeFMUstate)
 UNSUPPORTED(fmi2GetBoolean) UNSUPPORTED(fmi2GetBooleanStatus) UNSUPPORTED(fmi2GetDerivatives)

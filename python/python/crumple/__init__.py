@@ -1,4 +1,4 @@
-"""crumple crash-tests longitudinal driving controllers before the road does."""
+"""Simulation, falsification, verification and training of longitudinal driving controllers."""
 
 from crumple._campaign import Campaign, Failure, falsify
 from crumple._controller import OBSERVATION, Controller

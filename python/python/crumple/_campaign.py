@@ -1,4 +1,4 @@
-"""Searches for failures."""
+"""Falsification campaigns."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from crumple._simulate import space as find_space
 
 @dataclass(frozen=True)
 class Failure:
-    """A distinct failure: shrunk, replayed, and as a scenario of its own."""
+    """Distinct failure: a shrunk and replayed scenario."""
 
     scenario: Scenario
     kind: str
     facts: dict[str, Any] = field(repr=False)
-    """What the campaign's summary says of it."""
+    """Entry of the failure in the campaign's summary."""
     _controller: ControllerLike = field(repr=False)
     _estimator: Literal["kalman", "truth"] = field(repr=False)
     _after_contact: Literal["stop", "continue"] = field(repr=False)
 
     def replay(self) -> Simulation:
-        """Simulate it again, with a trace; a failure of a formula beyond contacts, as it was judged."""
+        """Simulates the failure again, with a trace; beyond a collision if the specification is a formula."""
         return simulate(self.scenario, self._controller, self._estimator, after_contact=self._after_contact)
 
     def plot(self, layout: Literal["wide", "stacked", "column"] = "wide") -> Figure:
-        """Position, speed and spacing over time, of the failure simulated again."""
+        """Simulates the failure again and draws position, speed and gap over time."""
         return self.replay().plot(layout)
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a search found."""
+    """Result of a falsification campaign."""
 
     failures: list[Failure]
     """Distinct failures, the severest first."""
     summary: dict[str, Any] = field(repr=False)
-    """What ``summary.json`` of the campaign's folder says."""
+    """Content of ``summary.json`` in the campaign's folder."""
     text: str = field(repr=False)
-    """The same for a reader."""
+    """Summary as text."""
 
     @property
     def falsified(self) -> bool:
-        """Whether any evaluation failed."""
+        """True if any evaluation failed."""
         return bool(self.summary["falsified"])
 
     def __str__(self) -> str:
@@ -72,17 +72,18 @@ def falsify(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Search a space for scenarios in which a controller fails, as ``crumple falsify`` does.
+    """Searches a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
-    With ``against``, another controller, only what that one passes counts as a failure; with ``metamorphic``
-    (``"larger-gap=2"``, ``"more-friction=0.1"``) only what the controller passes with less of it.
+    With ``against``, another controller, a failure counts only if that controller passes the same scenario. With
+    ``metamorphic`` (``"larger-gap=2"``, ``"more-friction=0.1"``) it counts only if the controller passes the scenario
+    with less of that quantity.
 
-    With a ``folder`` everything is kept there, as the command line keeps it, and ``resume`` goes on with it; a controller
-    in Python needs an identity for that. ``progress`` is called with how many evaluations are done, of how many, and how
-    many of them failed; an exception in it, and Ctrl-C, end the search.
+    ``folder`` is the run folder, as on the command line, and ``resume`` continues it; a controller in Python then needs
+    an identity. ``progress`` is called with the numbers of completed evaluations, of all evaluations, and of failures.
+    An exception in it, and Ctrl-C, end the search.
     """
     if folder is None:
-        with tempfile.TemporaryDirectory(prefix="crumple-") as own:
+        with tempfile.TemporaryDirectory(prefix="crumple-") as temporary:
             return falsify(
                 controller,
                 space,
@@ -94,15 +95,15 @@ def falsify(
                 budget=budget,
                 seed=seed,
                 estimator=estimator,
-                folder=Path(own) / "campaign",
+                folder=Path(temporary) / "campaign",
                 resume=resume,
                 progress=progress,
             )
-    given = as_controller(controller)
-    other = None if against is None else as_controller(against)
-    beside = (other, metamorphic)
+    resolved = as_controller(controller)
+    reference = None if against is None else as_controller(against)
+    contrast = (reference, metamorphic)
     summary, text = _falsify(
-        given, find_space(space), spec, beside, method, aim, budget, seed, estimator, Path(folder), resume, progress
+        resolved, find_space(space), spec, contrast, method, aim, budget, seed, estimator, Path(folder), resume, progress
     )
     after_contact: Literal["stop", "continue"] = "stop" if summary["specification"] == "no contact" else "continue"
     failures = [

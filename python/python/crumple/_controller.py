@@ -18,23 +18,23 @@ OBSERVATION = (
     "acceleration_mps2",
     "acceleration_behind_mps2",
 )
-"""The columns of a batch, in order; a number of a vehicle that is not there is NaN."""
+"""Columns of a batch, in order; values of an absent vehicle are NaN."""
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A callable as a controller. A plain callable stands for ``Controller(callable)``.
+    """Controller from a callable. A plain callable is equivalent to ``Controller(callable)``.
 
-    ``decide`` gets an :class:`crumple.Observation` and returns the acceleration that it wants, in m/s²; it is shared by
-    all vehicles and runs, and its answers must depend on what it sees alone. With ``batch`` it gets an array of shape
-    (n, 8), its columns as :data:`OBSERVATION` says, and returns n accelerations; runs that step together share a call.
-    With ``each_run`` it is called with a vehicle's index and the scenario's seed before each run, and returns the
-    callable that drives this vehicle in this run, which may have a memory.
+    ``decide`` takes an :class:`crumple.Observation` and returns the commanded acceleration, in m/s². All vehicles and
+    runs share it, so its result must depend on the observation only. With ``batch`` it takes an array of shape (n, 8)
+    with the columns of :data:`OBSERVATION`, and returns n accelerations; runs that step together share a call. With
+    ``each_run`` it is called with a vehicle's index and the scenario's seed before each run, and returns the callable
+    that drives this vehicle in this run, which may have state.
 
-    ``interval_s`` is the time between decisions (every step if None). ``identity`` is a word for everything that decides
-    how it drives: without one, a campaign cannot be resumed.
+    ``interval_s`` is the time between decisions (every step if None). ``identity`` names everything that determines
+    its commands, such as a version; without it a campaign cannot be resumed.
 
-    An exception inside is a failure of the controller: the run ends there, and its result carries the traceback.
+    An exception is a failure of the controller: it ends the run, whose result contains the traceback.
     """
 
     decide: Callable[..., Any]
@@ -46,7 +46,7 @@ class Controller:
 
 
 def as_controller(controller: str | Controller | Callable[..., Any]) -> str | Controller:
-    """A name as on the command line, or a controller."""
+    """Converts a callable to a controller; keeps a name or a controller."""
     if isinstance(controller, str | Controller):
         return controller
     if callable(controller):

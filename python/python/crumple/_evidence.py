@@ -1,4 +1,4 @@
-"""Counting failures, worst cases, and assessments."""
+"""Failure rates, worst cases, and assessments."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from crumple.errors import AssessmentError
 
 @dataclass(frozen=True)
 class Rate:
-    """What was counted, and what it shows."""
+    """Failure rate, or comparison of two controllers."""
 
     tally: dict[str, Any] = field(repr=False)
-    """What ``progress.json`` of the count's folder says."""
+    """Content of ``progress.json`` in the run folder."""
     certificate: dict[str, Any] | None = field(repr=False)
-    """What ``certificate.json`` says, for ``crumple check``; None if the counts show nothing."""
+    """Content of ``certificate.json``, for ``crumple check``; None if the counts show nothing."""
     words: str
-    """What the checker accepts it as, or why the counts show nothing."""
+    """Conclusion of the checker, or the reason why the counts show nothing."""
 
     @property
     def runs(self) -> int:
-        """Runs that were made."""
+        """Number of runs."""
         return int(self.tally["runs"])
 
     @property
     def failures(self) -> int:
-        """Runs that failed; of two controllers, with both."""
+        """Number of runs that failed; in a comparison, with both controllers."""
         return int(self.tally["failures"])
 
     @property
     def rate_at_most(self) -> float | None:
-        """The bound that is certified; None of a comparison, and where nothing is shown."""
+        """Certified upper bound of the failure rate; None for a comparison, and if nothing is shown."""
         if self.certificate is None:
             return None
         bound = self.certificate["statement"].get("rate", {}).get("rate_at_most")
@@ -64,14 +64,14 @@ def rate(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Rate:
-    """Count failures on draws of a space and certify a bound of their rate, as ``crumple verify rate`` does.
+    """Counts failures in random scenarios and certifies a bound of their rate, as ``crumple verify rate`` does.
 
-    With ``against`` both drive the same draws, and what is to be shown is that the first fails less often. A controller in
-    Python needs an identity: nothing is claimed of what cannot be told from something else. With a ``folder`` registration,
-    progress and certificate are kept there, and ``resume`` goes on with them.
+    With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often. A
+    controller in Python needs an identity, to which the certificate refers. ``folder`` is the run folder with
+    registration, progress and certificate, and ``resume`` continues it.
     """
     if folder is None:
-        with tempfile.TemporaryDirectory(prefix="crumple-") as own:
+        with tempfile.TemporaryDirectory(prefix="crumple-") as temporary:
             return rate(
                 controller,
                 space,
@@ -80,30 +80,30 @@ def rate(
                 against=against,
                 seed=seed,
                 estimator=estimator,
-                folder=Path(own) / "rate",
+                folder=Path(temporary) / "rate",
                 resume=resume,
                 progress=progress,
             )
-    other = None if against is None else as_controller(against)
-    given, drawn = as_controller(controller), find_space(space)
-    done = _rate(given, other, drawn, runs, confidence, seed, estimator, Path(folder), resume, progress)
-    return Rate(*done)
+    reference = None if against is None else as_controller(against)
+    resolved, resolved_space = as_controller(controller), find_space(space)
+    result = _rate(resolved, reference, resolved_space, runs, confidence, seed, estimator, Path(folder), resume, progress)
+    return Rate(*result)
 
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The mildest braking of the leader that makes a controller collide, or the severest impact; or that none was found."""
+    """Mildest braking of the leader that causes a collision, or the severest impact, if any was found."""
 
     scenario: Scenario | None
-    """The scenario with the profile as the leader's script; None if no collision was found."""
+    """Scenario with the profile as the leader's script; None if no collision was found."""
     facts: dict[str, Any] = field(repr=False)
-    """What ``crumple worst-case --format json`` says."""
+    """Output of ``crumple worst-case --format json``."""
     _controller: ControllerLike = field(repr=False)
     _estimator: Literal["kalman", "truth"] = field(repr=False)
 
     @property
     def found(self) -> bool:
-        """Whether some profile makes the controller collide."""
+        """True if a profile with a collision was found."""
         return self.scenario is not None
 
     @property
@@ -113,13 +113,13 @@ class WorstCase:
         return None if peak is None else float(peak)
 
     def replay(self) -> Simulation:
-        """Simulate what was found again, with a trace."""
+        """Simulates the scenario again, with a trace."""
         if self.scenario is None:
             raise ValueError("no collision was found, so there is nothing to replay")
         return simulate(self.scenario, self._controller, self._estimator)
 
     def plot(self, layout: Literal["wide", "stacked", "column"] = "wide") -> Figure:
-        """Position, speed and spacing over time."""
+        """Draws position, speed and gap over time."""
         return self.replay().plot(layout)
 
 
@@ -134,13 +134,15 @@ def worst_case(
     budget: int = 3000,
     progress: Progress | None = None,
 ) -> WorstCase:
-    """Look for a braking profile of the leader that makes a controller collide, as ``crumple worst-case`` does.
+    """Searches for a braking profile of the leader that causes a collision, as ``crumple worst-case`` does.
 
-    ``max_brake_mps2`` is the leader's hardest braking (all it has on this road if None), ``jerk_mps3`` the fastest change of
-    its acceleration, ``budget`` the number of simulations, roughly.
+    ``max_brake_mps2`` is the leader's hardest braking (its maximum on this road if None), ``jerk_mps3`` its largest
+    jerk, ``budget`` the approximate number of simulations.
     """
-    start, given = find_scenario(scenario), as_controller(controller)
-    found, facts = _worst_case(start, given, aim, estimator, max_brake_mps2, jerk_mps3, budget, progress)
+    resolved_scenario, resolved_controller = find_scenario(scenario), as_controller(controller)
+    found, facts = _worst_case(
+        resolved_scenario, resolved_controller, aim, estimator, max_brake_mps2, jerk_mps3, budget, progress
+    )
     return WorstCase(found, facts, controller, estimator)
 
 
@@ -153,12 +155,12 @@ def assess(
     fresh: bool = False,
     progress: Progress | None = None,
 ) -> Assessment:
-    """Gather the evidence that an assessment asks for, as ``crumple assess`` does.
+    """Gathers the evidence of an assessment, as ``crumple assess`` does.
 
-    ``config`` is a path, a text of TOML (of two lines at least) or a dictionary; without it the built-in assessment is made.
-    ``controllers`` are assessed beside those that it names, and the argument is about the first of them unless it says
-    otherwise. In the folder ``evidence`` what was gathered is kept for another time, unless a controller states no identity;
-    ``fresh`` gathers all of it again. ``against`` is the ``assessment.json`` of an earlier assessment.
+    ``config`` is a path, a text of TOML (of two lines at least) or a dictionary; without it the built-in assessment is
+    made. ``controllers`` are assessed in addition to those of the configuration; unless it states a subject, that is
+    the first of them. The folder ``evidence`` caches evidence for later assessments, except of controllers without an
+    identity; ``fresh`` ignores the cache. ``against`` is the ``assessment.json`` of an earlier assessment.
     """
     path, toml, text = None, None, None
     if isinstance(config, Mapping):
@@ -170,14 +172,14 @@ def assess(
         toml = config
     elif config is not None:
         path = Path(config)
-    own = [as_controller(one) for one in controllers]
-    earlier = None if against is None else Path(against)
-    kept = None if evidence is None else Path(evidence)
-    return _assess(path, toml, text, own, earlier, kept, fresh, progress)
+    resolved = [as_controller(one) for one in controllers]
+    baseline = None if against is None else Path(against)
+    cache_folder = None if evidence is None else Path(evidence)
+    return _assess(path, toml, text, resolved, baseline, cache_folder, fresh, progress)
 
 
 def write_report(assessment: Assessment, folder: str | os.PathLike[str]) -> Path:
-    """Write every file of a report into a folder that is new or empty; the path of its page."""
+    """Writes every file of a report into a new or empty folder; returns the path of its page."""
     root = Path(folder)
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise AssessmentError(f"{root}: a report is written into a folder that is new or empty", str(root))

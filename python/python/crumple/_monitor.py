@@ -19,14 +19,15 @@ def monitor(
     step_s: float = 1.0,
     over_time: bool = False,
 ) -> Any:
-    """How robustly signals satisfy a formula: above 0 where they do, below 0 where they do not.
+    """Returns the robustness of a formula on signals: positive if they satisfy it, negative if they violate it.
 
-    ``signals`` are arrays by name, all sampled every ``step_s`` seconds from 0 on: of shape (samples,) for one trace, or
-    (traces, samples) for many at once; one of a single trace stands for all of them. The formula is one of signal temporal
-    logic as on the command line (``always[0,10] (gap_m > 2 and speed_mps < 30)``), its windows in seconds; a window is cut
-    at the end of the trace.
+    ``signals`` are arrays by name, sampled every ``step_s`` seconds from 0 on: of shape (samples,) for one trace, or
+    (traces, samples) for several; a signal of one trace is shared by all. The formula is in signal temporal logic as on
+    the command line (``always[0,10] (gap_m > 2 and speed_mps < 30)``), with windows in seconds that are clipped at the
+    end of the trace.
 
-    The answer is a number for one trace and an array of shape (traces,) for many, or, ``over_time``, one for every sample.
+    The result is a number for one trace and an array of shape (traces,) for several. With ``over_time`` it has one
+    value for every sample.
     """
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, values in signals.items():
@@ -37,10 +38,10 @@ def monitor(
         if array.ndim not in (1, 2):
             raise FormulaError(f"signal `{name}` has {array.ndim} dimensions: 1 or 2 are wanted")
         arrays[name] = array
-    several = [len(array) for array in arrays.values() if array.ndim == 2]
-    traces = max(several, default=1)
-    given = [np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()]
-    found = _monitor(formula, list(arrays), given, step_s, traces, over_time)
+    batch_sizes = [len(array) for array in arrays.values() if array.ndim == 2]
+    traces = max(batch_sizes, default=1)
+    rows = [np.ascontiguousarray(np.atleast_2d(array)) for array in arrays.values()]
+    robustness = _monitor(formula, list(arrays), rows, step_s, traces, over_time)
     if over_time:
-        return found if several else found[0]
-    return found[:, 0] if several else float(found[0, 0])
+        return robustness if batch_sizes else robustness[0]
+    return robustness[:, 0] if batch_sizes else float(robustness[0, 0])

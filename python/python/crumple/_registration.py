@@ -1,10 +1,10 @@
-"""What Gymnasium knows of crumple."""
+"""Registration of the environments with Gymnasium."""
 
 from importlib.util import find_spec
 
 
 def register_environments() -> None:
-    """Register the environments, where Gymnasium is installed."""
+    """Registers the environments if Gymnasium is installed."""
     if find_spec("gymnasium") is None:
         return
     from gymnasium.envs.registration import register, registry

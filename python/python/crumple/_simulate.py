@@ -19,7 +19,7 @@ Progress = Callable[[int, int, int], object]
 
 
 def scenario(what: ScenarioLike) -> Scenario:
-    """The scenario of a built-in name, a path, a text of TOML (of two lines at least) or a dictionary."""
+    """Returns the scenario of a built-in name, a path, a text of TOML (of two lines at least) or a dictionary."""
     if isinstance(what, Scenario):
         return what
     if isinstance(what, str):
@@ -34,7 +34,7 @@ def scenario(what: ScenarioLike) -> Scenario:
 
 
 def space(what: SpaceLike) -> Space:
-    """The space of a built-in name, a path, or a text of TOML (of two lines at least)."""
+    """Returns the space of a built-in name, a path, or a text of TOML (of two lines at least)."""
     if isinstance(what, Space):
         return what
     if isinstance(what, str) and "\n" in what:
@@ -78,16 +78,16 @@ def simulate(
     trace: bool = True,
     progress: Progress | None = None,
 ) -> Simulation | list[Simulation]:
-    """Simulate a scenario, or several of them side by side.
+    """Simulates a scenario, or several in a batch.
 
     ``controller`` drives the vehicles under test: a name as on the command line, a callable or a
-    :class:`crumple.Controller`. Without ``trace`` only outcomes are kept. ``progress`` is called with how many runs are
-    done, of how many, and how many of them were not safe; an exception in it, and Ctrl-C, end the work.
+    :class:`crumple.Controller`. Without ``trace`` results have outcomes only. ``progress`` is called with the numbers
+    of completed runs, of all runs, and of unsafe runs. An exception in it, and Ctrl-C, end the work.
 
-    Results are the same to the last bit as those of ``crumple simulate``, alone or side by side.
+    Results equal those of ``crumple simulate`` to the last bit, in a batch or not.
     """
-    alone = isinstance(scenarios, Scenario | str | os.PathLike | Mapping)
-    given = [scenarios] if alone else scenarios
-    every = [scenario(one) for one in given]  # type: ignore[union-attr, arg-type]
-    done = _simulate(every, as_controller(controller), estimator, dt_s, after_contact, trace, progress)
-    return done[0] if alone else done
+    is_single = isinstance(scenarios, Scenario | str | os.PathLike | Mapping)
+    items = [scenarios] if is_single else scenarios
+    resolved = [scenario(one) for one in items]  # type: ignore[union-attr, arg-type]
+    results = _simulate(resolved, as_controller(controller), estimator, dt_s, after_contact, trace, progress)
+    return results[0] if is_single else results

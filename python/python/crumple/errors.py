@@ -1,12 +1,12 @@
-"""What is raised where something given to crumple cannot be used."""
+"""Exceptions of crumple."""
 
 from __future__ import annotations
 
 
 class CrumpleError(Exception):
-    """Something that was given cannot be used.
+    """Input that crumple cannot use.
 
-    ``file``, ``line`` (from 1) and ``field`` say where, as far as they are known; a text is called ``<toml>``, a
+    ``file``, ``line`` (from 1) and ``field`` are its location, if known; the file of a text is ``<toml>``, that of a
     dictionary ``<dict>``.
     """
 
@@ -21,11 +21,11 @@ class CrumpleError(Exception):
 
 
 class ScenarioError(CrumpleError):
-    """A scenario does not exist or is not valid."""
+    """A scenario does not exist or is invalid."""
 
 
 class SpaceError(CrumpleError):
-    """A space does not exist or is not valid."""
+    """A space does not exist or is invalid."""
 
 
 class ControllerError(CrumpleError):
@@ -33,11 +33,11 @@ class ControllerError(CrumpleError):
 
 
 class RunError(CrumpleError):
-    """A scenario cannot be run as asked."""
+    """A scenario cannot be run with these options."""
 
 
 class CampaignError(CrumpleError):
-    """A search cannot be made as asked."""
+    """A campaign cannot be run with these options."""
 
 
 class FormulaError(CrumpleError):
@@ -45,12 +45,12 @@ class FormulaError(CrumpleError):
 
 
 class RateError(CrumpleError):
-    """A rate cannot be counted as asked."""
+    """A failure rate cannot be counted with these options."""
 
 
 class AssessmentError(CrumpleError):
-    """An assessment cannot be made as asked."""
+    """An assessment cannot be made with these options."""
 
 
 class TrainingError(CrumpleError):
-    """A training task cannot be used, or an environment was not used as it must be."""
+    """A training task is invalid, or an environment was used incorrectly."""

@@ -1,4 +1,4 @@
-//! A plan as it is written down: `plan.json`, the files for engines, and what a reader is told.
+//! Files of a plan: `plan.json`, the job files for engines, and the summary.
 
 use std::fs;
 
@@ -26,7 +26,7 @@ pub(super) struct PlanSummary {
     pub(super) minutes_of_a_shard: f64,
     pub(super) bytes_of_shards: u64,
     pub(super) files_of_shards: u64,
-    /// What makes the work on one machine.
+    /// Command that does the work on one machine.
     pub(super) command: Vec<String>,
 }
 
@@ -38,14 +38,14 @@ impl PlanCommand {
         }
     }
 
-    /// The folder as commands name it: never one that looks like an option.
+    /// Returns the folder for use in commands, in a form that cannot be taken for an option.
     fn folder_argument(&self) -> Result<String, CliError> {
         let name = || format!("--out: {} is not text, and job files are", self.out.display());
         let folder = self.out.to_str().ok_or_else(|| CliError::Input(name()))?;
         Ok(if folder.starts_with('-') { format!("./{folder}") } else { folder.to_owned() })
     }
 
-    /// Whether nothing is there that would be written over, or mixed with.
+    /// Checks that the folder is empty, or `--force` is given.
     pub(super) fn check_out_folder(&self) -> Result<(), CliError> {
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
@@ -57,13 +57,12 @@ impl PlanCommand {
         }
     }
 
-    /// Writes it.
     pub(super) fn write(&self, planned: &PlanSummary, words: Vec<String>) -> Result<(), CliError> {
         let jobs = Jobs {
             arguments: words,
             shards: planned.shards,
             cores: self.cores,
-            // Machines differ, and what was interrupted should not be so again.
+            // Machines differ in speed, and a job must not hit its time limit twice.
             max_minutes: (planned.minutes_of_a_shard * 3.0).ceil() as u64 + 10,
             folder: self.folder_argument()?,
         };
@@ -79,7 +78,6 @@ impl PlanCommand {
         Ok(files.commit()?)
     }
 
-    /// What a reader is told.
     pub(super) fn summary(&self, planned: &PlanSummary) -> Result<String, CliError> {
         let PlanSummary { shards, cores_of_a_shard, .. } = planned;
         let folder = self.folder_argument()?;

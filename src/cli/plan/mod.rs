@@ -1,5 +1,4 @@
-//! `crumple plan`: from what is wanted of a rate, or from the budget of a search, to runs, shards, hours and bytes, and files for engines
-//! that place work on machines.
+//! `crumple plan`: derives runs, shards, hours, bytes and job files from a failure rate to show or a search budget.
 
 mod files;
 mod work;
@@ -40,46 +39,47 @@ Examples:
   crumple plan --controller policy --runs 10000000 --shards 64 --engine slurm --out campaign
   crumple plan --controller policy --space high-risk --budget 1000000 --out search")]
 pub(super) struct PlanCommand {
-    /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
+    /// Controller of the vehicles under test (see `crumple list controllers`), or its file
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// Space that runs are drawn from (see `crumple list spaces`), or a space file
+    /// Scenario space of the runs (see `crumple list spaces`), or its file
     #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
-    /// What is to be shown: that it fails at a rate of at most this, above 0 and below 1
+    /// Failure rate to stay below, above 0 and below 1
     #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
     rate_below: Option<f64>,
-    /// Failures among the runs with which that is still shown: 0 to 1 000 000
+    /// Failures among the runs that the claim tolerates: 0 to 1 000 000
     #[arg(long, value_name = "K", default_value_t = 0, conflicts_with = "runs", value_parser = clap::value_parser!(u64).range(0..=1_000_000))]
     failures: u64,
-    /// A budget of runs instead: 1 to 1 000 000 000
+    /// Number of runs instead of a rate: 1 to 1 000 000 000
     #[arg(long, value_name = "N", conflicts_with = "rate_below")]
     runs: Option<u64>,
-    /// Of a search instead: evaluations of the method, and of each reference search, 1 to 1 000 000 000
+    /// Budget of a search instead of a rate: evaluations of the method, and of each reference search, 1 to 1 000 000
+    /// 000
     #[arg(long, value_name = "N", conflicts_with_all = ["rate_below", "runs", "failures"], value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     budget: Option<u64>,
     /// Method of the search (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto", conflicts_with_all = ["rate_below", "runs"])]
     method: Method,
-    /// Which failures the search is after: severest, likeliest or nearest
+    /// Failures that the search prefers: severest, likeliest or nearest
     #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
     aim: SearchObjective,
-    /// What must hold in the search: `no contact`, or a formula of signal temporal logic
+    /// Specification of the search: `no contact`, or a formula of signal temporal logic
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, conflicts_with_all = ["rate_below", "runs"])]
     spec: String,
-    /// Confidence of the claim: above 0.5 and below 1
+    /// Confidence level of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999, conflicts_with = "budget")]
     confidence: f64,
-    /// Seed of all draws
+    /// Seed of all random scenarios
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// What the vehicles under test look through
+    /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
-    /// Number of shards, 1 to 10 000 and at most that of blocks of runs [default: of --minutes each]
+    /// Number of shards, 1 to 10 000 and at most the number of blocks of runs [default: of --minutes each]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     shards: Option<u32>,
-    /// Minutes that a shard should take: 1 to 10 000
+    /// Target duration of a shard in minutes: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = 10, conflicts_with = "shards", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     minutes: u32,
     /// Cores for each shard: 1 to 1024
@@ -88,13 +88,14 @@ pub(super) struct PlanCommand {
     /// Engine to write a job file for; may be repeated [default: all]
     #[arg(long, value_enum, value_name = "E")]
     engine: Vec<EngineName>,
-    /// Where job files go, and shards will; new or empty
+    /// Folder for job files and shards; new or empty
     #[arg(long, value_name = "DIR", default_value = "crumple-plan")]
     out: PathBuf,
-    /// Write into a folder that is not empty, over an earlier plan; shards of other work that are there stay, and are refused when theirs are made
+    /// Write into a folder that is not empty and replace an earlier plan; existing shards of other work stay, and are
+    /// rejected when the new ones are made
     #[arg(long)]
     force: bool,
-    /// How to print what is planned; json is what `plan.json` holds
+    /// Output format of the plan; json is the content of `plan.json`
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }
@@ -129,7 +130,7 @@ impl PlanCommand {
         let seconds = measure.runs as f64 / measure.runs_per_second;
         let each = seconds / f64::from(self.cores) / (60.0 * f64::from(self.minutes));
         let shards = match self.shards {
-            // As many as minutes make; the quotient is clamped before it is a number of shards.
+            // Clamp before the conversion to a number of shards.
             None => each.ceil().clamp(1.0, f64::from(measure.max_shards)) as u32,
             Some(shards) => shards,
         };

@@ -1,4 +1,4 @@
-//! What is planned: what it takes in runs and seconds, and the words that make it.
+//! Planned work: its runs, its duration and its command.
 
 use std::time::Duration;
 
@@ -12,7 +12,6 @@ use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::ShardId;
 use crumple_world::control::is_external_allowed;
 
-/// What is planned, as it stands in `plan.json`.
 #[derive(Serialize)]
 #[serde(untagged)]
 pub(super) enum PlannedWork {
@@ -20,36 +19,33 @@ pub(super) enum PlannedWork {
         registration_sha256: String,
         runs: u64,
         confidence: f64,
-        /// What is shown if `failures` runs fail.
+        /// Rate that the count shows if `failures` runs fail.
         rate_at_most: f64,
         failures: u64,
     },
     Search {
         method: Method,
-        /// Of the method, and of each reference search.
+        /// Evaluations of the method, and of each reference search.
         budget: u64,
-        /// Of all together.
+        /// Evaluations of all methods together.
         evaluations: u64,
     },
 }
 
-/// What work takes, whatever it is.
 pub(super) struct WorkEstimate {
     pub(super) runs: u64,
-    /// Of them in a second on one core.
+    /// Runs per second on one core.
     pub(super) runs_per_second: f64,
     pub(super) max_shards: u32,
-    /// That so many shards leave behind.
+    /// Size on disk of this many shards.
     pub(super) bytes_of_shards: Box<dyn Fn(u32) -> u64>,
 }
 
-/// How long the pace is measured.
 const PACE_DURATION: Duration = Duration::from_secs(2);
-/// What keeps draws of the measurement apart from those that are counted.
+/// Separates the seeds of the measurement from those of the counted runs.
 const PACE_SEED_MASK: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl PlanCommand {
-    /// A count.
     pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
@@ -78,7 +74,7 @@ impl PlanCommand {
             failures: self.failures,
         };
         let most_shards = plan.max_shards();
-        // Those in resamples are not counted, and take as long.
+        // Runs of resamples are not counted, but take as long.
         let (resamples, runs_each) = plan.resampling().unwrap_or_default();
         let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
         let measure = WorkEstimate {
@@ -90,7 +86,6 @@ impl PlanCommand {
         Ok((wanted, self.rate_args(runs), measure))
     }
 
-    /// A search.
     pub(super) fn plan_search(
         &self,
         budget: u64,
@@ -150,7 +145,6 @@ impl PlanCommand {
         .map_err(CliError::input)
     }
 
-    /// The words that every command has.
     fn common_args(&self, command: &[&str]) -> Vec<String> {
         let mut words: Vec<String> = command.iter().map(|word| (*word).to_owned()).collect();
         if is_external_allowed() {
@@ -165,7 +159,6 @@ impl PlanCommand {
         words
     }
 
-    /// The words that make the whole of a count.
     fn rate_args(&self, runs: u64) -> Vec<String> {
         let mut words = self.common_args(&["verify", "rate"]);
         words.extend([format!("--runs={runs}"), format!("--confidence={}", self.confidence)]);

@@ -1,4 +1,4 @@
-//! What a user can get wrong: each has one error that names the place, an exit code, and nothing half-written.
+//! Invalid user input: one error that names the position, an exit code, and no partial output.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::Stdio;
 
 use super::{assert_refused, command, exit_code, file_names_in, run_crumple, stderr, stdout, temp_folder};
 
-/// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
+/// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one passage of it.
 const VALID_SCENARIO: &str = r#"version = 1
 name = "two cars"
 duration_s = 5.0
@@ -25,7 +25,7 @@ speed_mps = 20.0
 driver = "under-test"
 "#;
 
-/// The first line of standard error, once a command has failed with `expected` and printed no result.
+/// Returns the first line of standard error of a command that must fail with `expected` and print no result.
 fn first_error_line(folder: &Path, arguments: &[&str], expected: i32) -> String {
     let output = run_crumple(folder, arguments);
     let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
@@ -160,7 +160,7 @@ fn arguments_that_make_no_sense_are_named() {
     assert_eq!(file_names_in(folder.path()), [""; 0], "nothing written");
 }
 
-/// What is wrong with a preset is told before anything is written, by both commands that take one: `rl::tests::presets` tries every field.
+/// Checked before anything is written, by both commands that take a preset; `rl::tests::presets` tries every field.
 #[test]
 fn presets_that_cannot_be_used_are_named() {
     let folder = temp_folder();
@@ -206,7 +206,7 @@ fn presets_that_cannot_be_used_are_named() {
     }
 }
 
-/// Output that cannot be written: exit code 3, and neither part of it nor a temporary file is left.
+/// Exit code 3, and neither a partial nor a temporary file.
 #[test]
 fn output_that_cannot_be_written_leaves_nothing_behind() {
     let folder = temp_folder();
@@ -238,7 +238,7 @@ fn a_file_that_grows_beyond_what_is_allowed_is_an_error() {
     assert_eq!(file_names_in(folder.path()), [""; 0]);
 }
 
-/// What a command says by its exit code it says whoever reads its output.
+/// A closed reader does not change the exit code.
 #[test]
 #[cfg(unix)]
 fn nobody_who_reads_makes_a_failing_gate_pass() {

@@ -1,4 +1,4 @@
-//! `crumple check` and what a forger meets there.
+//! `crumple check` against forged certificates.
 
 use crumple_core::digest::sha256;
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
@@ -18,7 +18,7 @@ fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
     std::fs::write(folder.join(name), certificate.to_canonical_json()).unwrap();
 }
 
-/// 300 runs of idm that nobody fails in, in `DIR/certificate.json`.
+/// Counts 300 runs of idm without failures, in `DIR/certificate.json`.
 fn write_idm_count(folder: &Path, out: &str, more: &[&str]) {
     let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
     run_ok(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
@@ -37,7 +37,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again here"), "{}", stdout(&said));
     assert!(!stdout(&said).contains("maker's word"));
 
-    // What never fails is said to be the baseline, which nearly always does: whole as a file, and false.
+    // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
     let mut forged = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     let identity = ControllerSpec::from_name("baseline").unwrap().identity();
@@ -53,7 +53,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
         assert!(stdout(&said).contains("counted again, and refuted: blocks["), "{}", stdout(&said));
         assert!(stdout(&said).contains("failed when they were made again, not 0"), "{}", stdout(&said));
     }
-    // Counts that are right with hashes of other runs.
+    // Correct counts with hashes of other runs.
     let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
     rate.blocks[1].1 = sha256("another run");
@@ -64,7 +64,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
 }
 
-/// The forgery as it was made: whole as a file, of as many runs as the bound takes, with hashes of runs that nobody made.
+/// An intact forged file with enough runs for the bound and invented hashes.
 #[test]
 fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundredth_of_its_runs() {
     let folder = temp_folder();
@@ -82,7 +82,7 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
     let said = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
     assert!(exit_code(&said) == 1 && stdout(&said).contains("counted again, and refuted: "), "{}", stdout(&said));
-    // As version 0.1.0 wrote it: nothing in it can be counted again, so that its counts stay the maker's word.
+    // A certificate of version 0.1.0 has no blocks to count again.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
     rate.registration_sha256 = rate.registration.digest();
@@ -97,7 +97,7 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     assert!(exit_code(&said) == 2 && !stdout(&said).contains("confirmed"), "{} {}", stdout(&said), stderr(&said));
 }
 
-/// The box of `corpora/boxes/paper-1.toml`, with nothing said of anybody behind.
+/// The box of `corpora/boxes/paper-1.toml`, without a follower.
 const AHEAD_ONLY: &str = "version = 1
 scenario = \"paper-1\"
 observation_error = [1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9]
@@ -107,7 +107,7 @@ leader_brake_mps2 = { low = 2.8, high = 3.2 }
 onset_s = { low = 1.0, high = 1.5 }
 ";
 
-/// What is true of 4 s, or of a tenth of one with nobody behind, reads like it.
+/// The output states a duration of 4 s, and the absence of a follower.
 #[test]
 fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     let folder = temp_folder();
@@ -133,7 +133,7 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     claim.ranges.follower_brake_mps2 = Interval::ZERO;
     (claim.partition, claim.verified_share_at_least) = (vec![PartitionCell::Verified], 1.0);
     reach.assumptions = reach.statement.assumptions();
-    // Bound to a scenario in which it is so, and bound to none.
+    // First bound to a scenario without a follower, then to none.
     let text = file::to_toml(&short(0.1)).unwrap();
     reach.provenance.box_text = Some(AHEAD_ONLY.to_owned());
     (reach.provenance.scenario_sha256, reach.provenance.scenario_text) = (sha256(&text), Some(text));
@@ -169,7 +169,7 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     let rerun = &report["rerun"];
     let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"].map(|field| rerun[field].as_u64().unwrap());
     assert_eq!(numbers, [200, 300, 2, 3, 7]);
-    // One forged run is in one of three blocks, two of which were made again.
+    // One of three blocks has a forged run, and two blocks were counted again.
     assert!((rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{report}");
     let text = sampled(&[]);
     for words in [
@@ -229,14 +229,14 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
         let said = run_crumple(folder.path(), &["check", "forged.json"]);
         assert_eq!(exit_code(&said), 1, "{name}: {}", stdout(&said));
     }
-    // Of version 1, genuine: read, checked, and said to be old.
+    // A genuine certificate of version 1 is accepted, with a note about its age.
     let mut old = one;
     old.version = 1;
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     write_certificate(folder.path(), "old.json", &old);
     let said = run_crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
     assert!(exit_code(&said) == 0 && stdout(&said).contains("version 1, an old one"), "{}", stdout(&said));
-    // What goes by the name of a built-in scenario and is another is said to be.
+    // The output warns of another scenario under a built-in name.
     let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
     std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
     assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
@@ -261,7 +261,7 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     }
     let other = run_crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
     assert!(exit_code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
-    // Shorter, without anybody behind, or from elsewhere: no longer what its box says.
+    // A shorter claim, one without a follower, or one of another box no longer matches the box text.
     let genuine = read_certificate(Path::new(""), file);
     let with = |change: &dyn Fn(&mut crumple_verify::ReachClaim)| {
         let mut forged = genuine.clone();
@@ -283,7 +283,7 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     }
 }
 
-/// A leader that brakes as it likes: what is claimed is printed, bound to the box file, and about the scripts within the limit alone.
+/// The claim of a braking limit is printed, bound to the box file, and about scripts within the limit only.
 #[test]
 fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let folder = temp_folder();
@@ -307,11 +307,10 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
     }
     assert!(!stdout(&checked).contains("the leader moves as scripted"), "{}", stdout(&checked));
-    // The script of paper-1 brakes at 3 m/s².
     let about = run_crumple(folder.path(), &["check", "led.json", "--scenario", "paper-1"]);
     assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
 
-    // Another limit, or none, than that of the box: smaller ones follow, and are yet not what the box says.
+    // A smaller limit would follow, but does not match the box text.
     let genuine = read_certificate(folder.path(), "led.json");
     for limit in [None, Some(0.0), Some(0.02), Some(0.031)] {
         let mut forged = genuine.clone();
@@ -333,14 +332,14 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let said = run_crumple(folder.path(), &["check", "forged.json"]);
     assert!(exit_code(&said) == 1 && stdout(&said).contains("`assumptions` must be"), "{}", stdout(&said));
 
-    // A leader that brakes as hard as it can: false, with a start and a braking that show it; and about paper-1, whose script is within it.
+    // Falsified for a leader that brakes as hard as possible, with an initial state and a profile; also about paper-1.
     let refuted = made("7.5", "refuted.json", "1");
     assert_eq!(exit_code(&refuted), 1, "{}", stdout(&refuted));
     assert!(stdout(&refuted).contains("falsified"), "{}", stdout(&refuted));
     let about = run_crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
     assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
 
-    // Every script that brakes within the limit is one that it speaks of, and of each other one it says why not.
+    // The claim covers every script within the limit; for any other script the output states the reason.
     made("3.0", "three.json", "1");
     let with_leader = |driver: Driver| {
         let paper = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
@@ -368,7 +367,6 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         assert!(code == 1 && said.contains("is NOT about scripted.toml: ") && said.contains(why), "{said}");
     }
 
-    // What is wrong is one line with file, line and field.
     for (field, ranges, line, problem) in [
         (
             "leader_brakes_at_most_mps2 = -0.1",
@@ -400,7 +398,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     }
 }
 
-/// A follower that drives by a law: what is claimed is printed, bound to the box file, and about scenarios in which it drives.
+/// The claim of a follower's controller is printed, bound to the box file, and about scenarios with that follower.
 #[test]
 fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     let folder = temp_folder();
@@ -424,10 +422,10 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
     }
     assert!(!stdout(&checked).contains("latched"), "{}", stdout(&checked));
-    // Behind paper-1's own follower another one drives.
+    // paper-1 has another follower.
     let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "paper-1"]);
     assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
-    // It is about a scenario in which that follower drives.
+    // The edited scenario has that follower.
     let followed = built_in_scenario("paper-1").unwrap().edited(|spec| {
         spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
     });
@@ -436,7 +434,6 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
     assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
 
-    // Another law than that of the box.
     let genuine = read_certificate(folder.path(), "idm.json");
     for headway_s in [1.5, 1.7] {
         let mut forged = genuine.clone();
@@ -450,7 +447,6 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         assert!(exit_code(&said) == 1 && differs, "{}", stdout(&said));
     }
 
-    // What is wrong is one line with file, line and field.
     for (field, problem) in [
         ("follower_drives = \"rss\"", "follower_drives: must drive with baseline, idm or acc-aeb, found rss"),
         ("follower_drives = \"nobody\"", "nobody"),
@@ -463,7 +459,6 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     }
 }
 
-/// Whatever is wrong with one, of the others it is said what they prove.
 #[test]
 fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
     let folder = temp_folder();
@@ -479,7 +474,7 @@ fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
     assert_eq!((exit_code(&said), told.len()), (2, 2));
     assert_eq!((&told[0]["accepted"], &told[1]["accepted"]), (&json!(true), &json!(false)));
     assert!(told[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", told[1]);
-    // A verdict comes before what has none.
+    // Verdicts come before errors.
     let said = run_crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
     assert_eq!(exit_code(&said), 1);
     assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&said));
@@ -526,7 +521,7 @@ fn a_key_that_occurs_twice_is_no_certificate() {
         assert_eq!(exit_code(&said), 2, "{name}");
         assert!(stderr(&said).contains("twice.json: is not a certificate: "), "{}", stderr(&said));
     }
-    // The digest of a registration with a key that stands twice would be that of another.
+    // Duplicate keys in a registration would let two contents share a digest.
     let registration = std::fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
     let twice = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
     assert!(serde_json::from_str::<Registration>(&twice).unwrap_err().to_string().contains("duplicate key"));

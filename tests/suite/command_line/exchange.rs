@@ -1,4 +1,4 @@
-//! `crumple export` and `crumple import --map` as a user meets them.
+//! `crumple export` and `crumple import --map` on the command line.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,6 @@ use crumple_world::recording::map::{RecordingMap, json_schema};
 use super::{assert_refused, exit_code, file_names_in, run_crumple, run_ok, stderr, stdout, temp_folder};
 use crate::schema::{assert_committed, validate};
 
-/// The examples are maps, the schema says what they are, and it is committed.
 #[test]
 fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
     let schema = json_schema();
@@ -23,7 +22,6 @@ fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
     }
 }
 
-/// A pair of which the leader brakes as hard as is said, by the map of a logged pair.
 fn logged_pair_csv(brake_mps2: f64) -> String {
     let mut text = "t;v_ego;range;closing\n".to_owned();
     for k in 0..150 {
@@ -126,7 +124,7 @@ fn exports_are_two_files_a_scenario() {
     assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
 }
 
-/// A counterexample is exported as it was found, and its header names what drove.
+/// The header of the export names the recorded controller.
 #[test]
 fn exports_of_counterexamples_have_the_recorded_controller() {
     let folder = temp_folder();
@@ -160,7 +158,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     let said = format!("note: {file} is recorded with `match-leader`, and is simulated with `baseline`");
     assert!(stderr(&simulated).contains(&said), "{simulated:?}");
 
-    // Away from its record nothing says what drove, and a record may name several controllers.
+    // A copy has no record, and a record may name several controllers.
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
     assert_refused(&export("alone.toml", &[]), "alone.toml: no record says which controller it is about: name one");
     let record = file_names_in(&folder.path().join("found/counterexamples"))

@@ -1,4 +1,4 @@
-//! `crumple falsify`: what it finds, what it leaves behind, and what becomes of it when it is killed.
+//! `crumple falsify`: results, output files, and resumption after a kill.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,7 +16,6 @@ use super::{
 };
 use crumple_search::falsify::counterexample::ExpectedFile;
 
-/// Every file below a folder, by its path from there.
 fn read_tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -41,7 +40,6 @@ pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
     }
 }
 
-/// Some figures of a summary are of the method, some of all: in what is printed for programs each is also where it says which.
 #[test]
 fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
     let folder = temp_folder();
@@ -60,7 +58,7 @@ fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
     assert_eq!(of_all["distinct_failures"], found["counterexamples"].as_array().unwrap().len());
 }
 
-/// A search is a gate where it is asked to be; one that found nothing says how hard it looked.
+/// The message of a failed gate states the number of evaluations.
 #[test]
 fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     let folder = temp_folder();
@@ -78,7 +76,7 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         assert_eq!(crate::command_line::exit_code(&output), exit_code, "{}", stderr(&output));
         assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
     }
-    // Where nothing was compared, nothing holds.
+    // Without a partner run, `--expect nothing` fails.
     let search =
         ["falsify", "--controller", "baseline", "--budget", "5", "--out", "alone", "--metamorphic", "larger-gap=1e6"];
     let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
@@ -130,7 +128,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
             other => panic!("{other}"),
         };
         assert_eq!((&found["avoidable"], found["best_min_gap_m"].is_f64()), (&avoidable, avoidable == true));
-        // The file needs nothing else, and a finer step changes nothing.
+        // The file is self-contained, and a smaller step gives the same result.
         let file = format!("found/{}", found["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
             let replayed = run_ok(
@@ -154,7 +152,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
             assert!((replayed - found).abs() < 1e-3);
         }
     }
-    // What is printed is what is kept, and which figures are of which methods.
+    // Printed and stored summaries agree, except for the fields that distinguish the methods.
     let mut kept: Value = fs::read_to_string(folder.path().join("found/summary.json")).unwrap().parse().unwrap();
     for told in ["of_method_asked_for", "of_all_methods"] {
         kept[told] = summary[told].clone();
@@ -223,7 +221,7 @@ fn a_formula_is_falsified_without_a_contact() {
     let summary = json_objects(&output).remove(0);
     assert_eq!(summary["specification"], "always (v1.time_gap_s > 0.3)");
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
-    // The violation is what is said and ranked, and what a user replays.
+    // Counterexamples are ranked by the violation, which replays.
     let found = summary["counterexamples"].as_array().unwrap();
     let robustness: Vec<f64> = found.iter().map(|one| one["robustness"].as_f64().unwrap()).collect();
     assert!(!found.is_empty() && robustness.is_sorted() && robustness.iter().all(|r| *r < 0.0), "{robustness:?}");
@@ -244,7 +242,7 @@ fn a_formula_is_falsified_without_a_contact() {
     }
 }
 
-/// The recorded verdicts beside them are no scenario; version 0.1.0 called that file `expected.toml`.
+/// Recorded verdicts are no scenario; version 0.1.0 called that file `expected.toml`.
 #[test]
 fn every_toml_file_beside_counterexamples_is_a_scenario() {
     let folder = temp_folder();
@@ -345,7 +343,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
         assert_eq!(exit_code(&looked), 1, "{looked:?}");
         assert!(stdout(&looked).contains(&format!("evaluations.journal: {said}")), "{looked:?}");
     }
-    // What lies where a result will be is named before anything is done, and costs the work nothing.
+    // An existing file in the place of a result is an error before any work.
     fs::write(&journal, &whole).unwrap();
     fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
     assert_refused(&run_crumple(folder.path(), &arguments), "busy/summary.json: work.json knows no such file");
@@ -424,7 +422,6 @@ fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
     assert_refused(&again, "--out: cars is not empty");
 }
 
-/// A part of a formula that no temporal operator governs is judged at the first instant only, and the user is warned.
 #[test]
 fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
     let folder = temp_folder();

@@ -1,4 +1,4 @@
-//! `crumple fit`, and rates in what it fits.
+//! `crumple fit`, and failure rates in fitted spaces.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use super::*;
 use crumple_world::scenario::space::{DistributionSpec, ScenarioSpace, UniformSpec, file};
 
-/// Events of ten seconds, in each of which the leader brakes once: how hard, from which speed and with which gap behind follows no family.
+/// Returns events of 10 s in which the leader brakes once; the parameters follow no known family of distributions.
 fn events_csv(count: u32) -> String {
     let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     for event in 0..count {
@@ -35,7 +35,6 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
     let text = std::fs::read_to_string(here.join("space.toml")).unwrap();
 
-    // Another picture is not drawn over the one that is there.
     let drawn_over = |more: &[&str]| {
         let fit =
             ["fit", "events.csv", "--out", "other.toml", "--name", "other", "--plot", "fit.svg", "--samples", "19"];
@@ -45,7 +44,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert!(!here.join("other.toml").exists());
     assert_eq!(exit_code(&drawn_over(&["--force"])), 0);
 
-    // The same again is left alone; an edited one too, but for --force.
+    // Equal output is accepted; an edited file needs --force.
     let again = ["fit", "events.csv", "--out", "space.toml", "--samples", "19", "--format", "json"];
     let json = &json_objects(&run_crumple(here, &again))[0];
     assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
@@ -67,7 +66,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         assert_eq!(on_the_road(&again), on_the_road(&one));
     }
 
-    // A space that was changed since it was fitted has rates, and no uncertainty of data that are another space's.
+    // A space edited after the fit has rates, but no uncertainty of the data.
     let mut changed = file::from_toml(&text, Path::new("space.toml")).unwrap().spec().clone();
     changed.parameters[0].distribution = DistributionSpec::Uniform(UniformSpec { low: 10.0, high: 26.0 });
     let changed = file::to_toml(&ScenarioSpace::new(changed, Path::new("")).unwrap()).unwrap();
@@ -80,7 +79,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         "{counted:?}"
     );
 
-    // Shards make the new runs in their share of the resamples; put together it is what one machine says.
+    // Shards simulate their share of the resamples; merged, they equal the result of one machine.
     for index in ["1", "2", "3"] {
         let which = format!("{index}/3");
         let shard = rate("2", &["--shard", &which, "--out", index]);
@@ -140,7 +139,6 @@ fn what_cannot_be_fitted_is_refused() {
     assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
     assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: is given twice");
     assert_refused(&run_crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
-    // One episode, again and again: nothing varies.
     let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
     let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));
     let header = events_csv(0);
@@ -151,7 +149,7 @@ fn what_cannot_be_fitted_is_refused() {
         &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
         "must be 0 or from 79 to 2000, found 5",
     );
-    // What nobody has fitted to episodes has none to resample.
+    // A space without episodes cannot be resampled.
     for (option, value) in [("--resamples", "100"), ("--resample-runs", "60")] {
         assert_refused(
             &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", option, value]),

@@ -1,4 +1,4 @@
-//! The command line as a user meets it: what it prints where, what it writes, and how it ends.
+//! The command line: printed text, written files and exit codes.
 
 mod bad_input;
 mod certificates;
@@ -25,12 +25,10 @@ use crumple_world::control::ControllerSpec;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
-/// Runs `crumple` in a folder.
 pub(crate) fn run_crumple(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().expect("starts")
 }
 
-/// Runs `crumple` in a folder, and asserts that it succeeds.
 fn run_ok(folder: &Path, arguments: &[&str]) -> Output {
     let output = run_crumple(folder, arguments);
     assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
@@ -55,13 +53,11 @@ fn stderr(output: &Output) -> &str {
     std::str::from_utf8(&output.stderr).expect("text")
 }
 
-/// Unusable input, with these words on standard error.
 fn assert_refused(output: &Output, said: &str) {
     assert_eq!(exit_code(output), 2, "{}", stderr(output));
     assert!(stderr(output).contains(said), "{}", stderr(output));
 }
 
-/// The objects `--format json` prints.
 fn json_objects(output: &Output) -> Vec<Value> {
     stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
 }
@@ -77,14 +73,13 @@ fn file_names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Writes a text of which each of some passages stands changed.
 fn write_with_replacements(path: &Path, text: &str, changes: &[(&str, &str)]) {
     std::fs::write(path, crate::tiny::replace_passages(text, changes)).expect("writable");
 }
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
-/// One object a scenario and line, with the fields other programs rely on, and nothing else on either stream.
+/// One object per scenario and line, with the fields that other programs use, and no other output.
 #[test]
 fn simulate_prints_one_json_object_a_line() {
     let folder = temp_folder();
@@ -127,7 +122,7 @@ fn options_reach_the_simulation() {
     assert_eq!(run(&[])["estimator"], "kalman", "the default");
     assert_eq!(run(&["--dt", "0.001"])["dt_s"], 0.001);
     assert_eq!(run(&["--seed", "7"])["seed"], 7);
-    // The baseline hardly notices noise; this controller copies what it believes to see.
+    // The baseline hardly reacts to noise; this controller copies its observation.
     let noisy = |seed| run(&["--controller", "match-leader", "--seed", seed])["vehicles"].clone();
     assert_ne!(noisy("7"), noisy("8"), "noise is another");
     assert_eq!(noisy("7"), noisy("7"), "one seed decides everything");
@@ -152,7 +147,7 @@ fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
     assert_eq!((exit_code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
 }
 
-/// Who stops a scenario by braking for nothing is safe in it, and no use.
+/// A controller that stops a scenario by unnecessary braking is safe, but not useful.
 #[test]
 fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     let folder = temp_folder();
@@ -185,7 +180,7 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     assert_eq!(exit_code(&contact), 1, "a contact is no use either");
 }
 
-/// Tables have one row for each sample and vehicle: every step up to the contact, and the contact itself.
+/// One row for each sample and vehicle: every step up to the collision, and the collision itself.
 #[test]
 fn traces_have_one_row_a_sample_and_vehicle() {
     let folder = temp_folder();
@@ -216,7 +211,6 @@ fn traces_have_one_row_a_sample_and_vehicle() {
     assert_eq!(file_names_in(folder.path()), TRACES, "nothing else is left behind");
 }
 
-/// Formats of traces that this build writes.
 const TRACES: &[&str] = if cfg!(feature = "parquet") { &["trace.csv", "trace.parquet"] } else { &["trace.csv"] };
 
 #[test]
@@ -229,7 +223,7 @@ fn plots_are_what_their_names_say() {
     }
 }
 
-/// A format that the build lacks is refused before anything runs, with the command that enables it; `doctor` lists the same command.
+/// Refused before any run, with the command that enables the feature, as in `doctor`.
 #[test]
 fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     let folder = temp_folder();
@@ -294,7 +288,7 @@ fn help_documents_the_exit_codes() {
     }
 }
 
-/// Nobody reads on: no panic, no complaint, success; but a gate that did not hold still did not.
+/// No panic and no message; a failed gate still fails.
 #[test]
 fn a_closed_pipe_is_no_error() {
     let folder = temp_folder();
@@ -311,7 +305,6 @@ fn a_closed_pipe_is_no_error() {
     }
 }
 
-/// A standard output that takes nothing is the environment's failure.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_under_standard_output_is_reported() {
@@ -321,8 +314,8 @@ fn a_full_disk_under_standard_output_is_reported() {
     assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
 }
 
-/// Starts a command once for each range and kills it after so many milliseconds, at random but the same each time; how many were
-/// still running then.
+/// Starts a command once for each range and kills it after a random but reproducible number of milliseconds. Returns
+/// the number of commands that were still running then.
 pub(crate) fn kill_at_random_times(
     folder: &Path,
     arguments: &[&str],
@@ -337,7 +330,7 @@ pub(crate) fn kill_at_random_times(
             .spawn()
             .unwrap();
         sleep(Duration::from_millis(moments.random_range(range)));
-        // SIGKILL: nothing can be tidied up.
+        // SIGKILL: no cleanup.
         child.kill().unwrap();
         child.wait().unwrap().code().is_none()
     };

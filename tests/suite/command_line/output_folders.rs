@@ -1,4 +1,4 @@
-//! Folders in which crumple chooses the names of files: it replaces there what it wrote, and nothing else.
+//! Folders in which crumple chooses file names: it replaces only files that it wrote.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ const RECORDING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings
 const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = 0\nrates.runs = 0\n\
                           distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
 
-/// Edited files, files of others and links stay, and then nothing is written; what crumple wrote is replaced.
+/// No file is written while an edited file, a file of another program or a link is in the way.
 #[cfg(unix)]
 #[test]
 fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
@@ -59,7 +59,7 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
     }
 }
 
-/// A process that ended while it moved files to their places leaves both listings.
+/// A process that ended while it moved files into place leaves both listings.
 #[test]
 fn an_interrupted_change_is_known_to_the_next_run() {
     let folder = temp_folder();
@@ -73,7 +73,7 @@ fn an_interrupted_change_is_known_to_the_next_run() {
     assert_eq!(export("policy"), 0);
     let (next, after) = (fs::read(at("exported.sha256")).unwrap(), fs::read(at("paper-1.xosc")).unwrap());
     assert_ne!(before, after);
-    // The second export moved its file and not its listing.
+    // The second export moved its file, but not its listing.
     fs::write(at(".exported.sha256.next"), [&listing[..], &next].concat()).unwrap();
     fs::write(at("exported.sha256"), listing).unwrap();
     assert_eq!(export("idm"), 0);
@@ -81,7 +81,7 @@ fn an_interrupted_change_is_known_to_the_next_run() {
     assert_eq!(file_names_in(&folder.path().join("out")), ["exported.sha256", "paper-1.xodr", "paper-1.xosc"]);
 }
 
-/// A killed process leaves its unfinished files unlocked; those of a living process are locked.
+/// Unfinished files of a killed process are unlocked; those of a living process are locked.
 #[test]
 fn merge_removes_what_a_killed_process_left_and_nothing_of_a_living_one() {
     let folder = temp_folder();
@@ -111,7 +111,7 @@ fn merge_removes_what_a_killed_process_left_and_nothing_of_a_living_one() {
     }
 }
 
-/// The folder of a suite's failures holds those of the last run, and what nobody's run wrote.
+/// The folder contains the failures of the last run, and files that no run wrote.
 #[test]
 fn failures_of_an_earlier_suite_run_do_not_stay() {
     let folder = temp_folder();
@@ -125,7 +125,7 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
     assert!(listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()), "{listed:?}");
     assert_eq!(exit_code(&run("full-throttle")), 0);
     assert_eq!(file_names_in(&failures), listed);
-    // One that was edited and one that is somebody's own stay, and are named.
+    // An edited file and a file of the user stay, and are listed.
     let edited = listed.iter().find(|name| name.ends_with(".toml")).unwrap();
     let text = fs::read_to_string(failures.join(edited)).unwrap();
     fs::write(failures.join(edited), text + "# mine\n").unwrap();
@@ -157,7 +157,7 @@ fn an_edited_scenario_is_not_imported_over() {
     assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
 }
 
-/// A listing names files of its folder only, whatever it says and wherever folders lead.
+/// Names and links in a listing cannot lead outside the folder.
 #[cfg(unix)]
 #[test]
 fn a_report_removes_nothing_that_is_elsewhere() {
@@ -178,7 +178,6 @@ fn a_report_removes_nothing_that_is_elsewhere() {
         fs::write(at("report/report.sha256"), lines).unwrap();
     };
     let assess = || run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
-    // However deep: a report would write there, too.
     assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
     fs::remove_file(at("report/counterexamples/deep")).unwrap();
     for outside in ["scenarios/../../mine/a.toml", at("mine/a.toml").to_str().unwrap(), "../mine/b.toml"] {

@@ -1,11 +1,11 @@
-//! Where results go, and what commands refuse to take on.
+//! Destinations of results, and work that commands refuse.
 
 use std::fs;
 use std::path::Path;
 
 use super::{assert_refused, exit_code, file_names_in, run_crumple, stderr, temp_folder};
 
-/// A link stays, and what it leads to is written; what is no file is left alone.
+/// A link stays and its target is written; anything but a plain file is refused.
 #[cfg(unix)]
 #[test]
 fn single_results_go_through_links_and_into_files_only() {
@@ -30,7 +30,6 @@ fn single_results_go_through_links_and_into_files_only() {
     assert!(at("escape.toml").is_symlink() && fs::read_to_string(at("elsewhere/escape.toml")).unwrap() != "old");
 }
 
-/// A line of vehicles under test behind a leader that brakes.
 fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
     let vehicle = |index: usize, driver: &str| {
         let position_m = 30.0 * (vehicles - index) as f64;
@@ -41,7 +40,7 @@ fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
     format!("version = 1\nname = \"line\"\nduration_s = {duration_s:?}\n{leader}{others}")
 }
 
-/// More than can be done is refused at once, with the limit.
+/// Refused immediately, with the limit.
 #[test]
 fn what_would_take_hours_is_refused_before_it_begins() {
     let folder = temp_folder();
@@ -94,7 +93,6 @@ fn what_would_take_hours_is_refused_before_it_begins() {
     assert_refused(&run_crumple(folder.path(), &["simulate", "paper-1", "--spec", &nots]), "more than 64");
 }
 
-/// Ctrl-C says where what is gathered is kept, and the same command goes on from there.
 #[cfg(unix)]
 #[test]
 fn an_interrupted_assessment_says_how_to_go_on() {
@@ -103,7 +101,7 @@ fn an_interrupted_assessment_says_how_to_go_on() {
     let mut command = super::command(folder.path(), &arguments);
     let child = command.stderr(std::process::Stdio::piped()).stdout(std::process::Stdio::null()).spawn().unwrap();
     let kept = folder.path().join("report/evidence");
-    // The handler is set once the folder is there.
+    // The handler is set once the folder exists.
     while !kept.exists() {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }

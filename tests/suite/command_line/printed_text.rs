@@ -1,4 +1,4 @@
-//! Text that the program prints, as a reviewer last accepted it.
+//! Snapshots of printed text.
 
 use super::{run_ok, stdout, temp_folder};
 

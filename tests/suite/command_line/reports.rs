@@ -1,4 +1,4 @@
-//! `crumple assess` and `crumple import` as a user meets them.
+//! `crumple assess` and `crumple import` on the command line.
 
 use crate::report::without_build_info;
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::{command, exit_code, file_names_in, run_crumple, stderr, stdout, temp_folder};
 
-/// A small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
+/// Returns a small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
 fn platoon_csv() -> String {
     let mut text = "Date,1,1,2026\nVehicle_order,A,B,\nNumber_of_vehicles,2\nACC,1\nDistance_setting,S\n".to_owned();
     text += "Time,Speed1,E1,N1,Lon1,Lat1,Alt1,Speed2,E2,N2,Lon2,Lat2,Alt2,IVS1\n";
@@ -61,7 +61,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     assert!(markdown.contains("openacc-platoon-01"), "recorded traffic is in the report");
 }
 
-/// Gates decide the exit code, evidence is used again, and whatever is killed goes on to the same bytes.
+/// Gates decide the exit code, evidence is reused, and a killed assessment resumes to the same bytes.
 #[test]
 fn gates_decide_and_evidence_is_kept() {
     let folder = temp_folder();
@@ -96,7 +96,7 @@ fn gates_decide_and_evidence_is_kept() {
     };
     assert_eq!(read("one"), read("two"));
 
-    // Evidence is of its work, and whoever is damaged or none is named beside those who are neither.
+    // `fsck` names a folder that is damaged or no run folder, and also reports the intact ones.
     fs::create_dir(folder.path().join("none")).unwrap();
     let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
     assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");

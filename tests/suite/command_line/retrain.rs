@@ -1,4 +1,4 @@
-//! `crumple retrain`: what it leaves behind, and what becomes of it when it is killed.
+//! `crumple retrain`: output files, and resumption after a kill.
 
 use std::fs;
 use std::path::Path;
@@ -44,7 +44,6 @@ fn file_sha256(path: &Path) -> String {
     crumple_core::digest::sha256(fs::read(path).unwrap())
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 
@@ -52,7 +51,7 @@ mod tier_2 {
     #[ignore = "tier 2: eight retrainings"]
     fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
         let folder = temp_folder();
-        // Nothing is drawn from a preset's own spaces, and nothing says that it was.
+        // The preset's scenario spaces are not used, and the report does not mention them.
         let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
         fs::write(folder.path().join("tiny.toml"), format!("{}\n{traffic}", tiny::retraining())).unwrap();
         let through = command(folder.path(), &retrain_args("through", &["--format", "json"]))
@@ -98,7 +97,7 @@ mod tier_2 {
     }
 }
 
-/// Hashes are those of the files, every round was searched and ruled on, and the exit code says whether one was accepted.
+/// Checks hashes, that every round was searched and decided, and that the exit code states whether one was accepted.
 fn check_report(folder: &Path, report: &Value) {
     assert_eq!(*report, fs::read_to_string(folder.join("report.json")).unwrap().parse::<Value>().unwrap());
     let files = report["files"].as_array().unwrap();
@@ -119,7 +118,7 @@ fn check_report(folder: &Path, report: &Value) {
         assert_eq!(round["found"]["evaluations"], 36, "the method and both reference searches");
         assert!(!round["found"]["draws_avoidable"]["indices"].as_array().unwrap().is_empty());
         if round["acceptance"] == "accepted" {
-            // What the rule promises, from the lists themselves.
+            // The acceptance rule, checked on the lists.
             let list = |of: &Value, field: &str| of[field].as_array().unwrap().clone();
             for field in ["paper", "nominal"] {
                 let before = list(standing, field);
@@ -162,10 +161,9 @@ fn mistakes_are_said_before_anything_is_written() {
     fs::remove_file(folder.path().join("own.toml")).unwrap();
     assert!(retrain(&["--space", ""]).contains("no space is named"));
     assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
-    // A network that was trained to see otherwise scaled numbers would drive by others.
+    // A network trained with another scaling would misread its inputs.
     let differ = "and the training preset `road` differ in what is seen, or how it is scaled";
     assert!(retrain(&["--preset", "road"]).contains(differ));
-    // By the name that it has on the command line.
     let road = format!("{}/corpora/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
     assert!(retrain(&["--policy", &road]).contains("and the training preset `retrain` differ in"));
     assert!(retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` stands alone"));

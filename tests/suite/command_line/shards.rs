@@ -1,4 +1,4 @@
-//! Work that is divided: `--shard`, `crumple merge`, `crumple plan` and the job files that it writes.
+//! Divided work: `--shard`, `crumple merge`, `crumple plan` and its job files.
 
 use std::fs;
 use std::path::Path;
@@ -50,7 +50,7 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
         &run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]),
         "s/b, which is one of the shards",
     );
-    // Another count in its folder: in what, and both values.
+    // The error for another count in the folder names the field and both values.
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
     assert_refused(&other, "another `count.registration.configuration.seed`: \"0\" instead of \"1\"");
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--out=rate", "--resume"]].concat());
@@ -61,7 +61,7 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
     assert_refused(&merge(&["nowhere"]), "nowhere: there is no such folder");
     run_shard(folder, "1/2", "half");
     assert_refused(&merge(&["s/a", "half"]), "half: shard 1/2 has done what shard 1/3 in s/a has done, too");
-    // Without its manifest it is no shard of anything else.
+    // A folder without a manifest is no shard.
     fs::rename(folder.join("s/b/work.json"), folder.join("kept.json")).unwrap();
     for order in [["s/a", "s/b"], ["s/b", "s/a"]] {
         assert_refused(&merge(&order), "s/b/work.json: the file is missing");
@@ -102,7 +102,8 @@ fn shards_of_an_estimate_are_merged() {
 const SEARCH_ARGS: [&str; 5] =
     ["falsify", "--controller=match-leader", "--estimator=truth", "--budget=60", "--method=halton"];
 
-/// Four files a shard; of a reference search the folder and the words of one machine, otherwise what is missing.
+/// Four files per shard; merged, a reference search gives the output of one machine, and an incomplete one the missing
+/// ranges.
 #[test]
 fn shards_of_a_search_are_one_campaign() {
     let folder = temp_folder();
@@ -134,7 +135,7 @@ fn shards_of_a_search_are_one_campaign() {
         );
     }
     assert_same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
-    // It is a campaign like any other, and a part is no whole one.
+    // The result is a normal campaign, and a partial one is incomplete.
     let looked = run_crumple(folder, &["fsck", "campaign", "part"]);
     assert_eq!(exit_code(&looked), 0);
     assert!(stdout(&looked).contains("campaign: a campaign, complete; "), "{}", stdout(&looked));
@@ -194,7 +195,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
     assert_refused(&run_crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
 }
 
-/// From merged evidence the report is written without gathering anything.
+/// The report is written from merged evidence without new runs.
 #[test]
 fn shards_of_an_assessment_are_its_evidence() {
     let folder = temp_folder();
@@ -223,7 +224,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     let report = |of: &str| {
         let text = fs::read_to_string(folder.join(of).join("assessment.json")).unwrap();
         let mut report: serde_json::Value = serde_json::from_str(&text).unwrap();
-        // When it was made, and how long that took.
+        // Date and duration differ.
         report["provenance"]["made"] = serde_json::Value::Null;
         report
     };
@@ -267,7 +268,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     let said = &json_objects(&output)[0];
     assert_eq!((&said["missing_seeds"], &said["missing_shards"]), (&serde_json::json!([0]), &serde_json::json!([1])));
     assert_eq!(said["seeds"].as_array().unwrap().len(), 2, "{said}");
-    // A shard that was not begun is missing, wherever it is named.
+    // A shard that was not begun is missing, in any order.
     fs::create_dir(folder.join("not")).unwrap();
     for order in [["not", "2"], ["2", "not"]] {
         let output = run_crumple(folder, &[&["merge", "--out=some"], &order[..]].concat());
@@ -277,7 +278,6 @@ fn shards_of_trainings_are_put_together_with_their_results() {
                 && stderr(&output).contains("seeds are missing of 3: 0, shards 1 of 2")
         );
     }
-    // What is refused leaves nothing behind.
     let refused = |folders: &[&str], said: &str| {
         assert_refused(&run_crumple(folder, &[&["merge", "--out=x"], folders].concat()), said);
         assert!(!folder.join("x").exists());
@@ -290,14 +290,14 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     for order in [["count", "1"], ["1", "count"]] {
         refused(&order, &format!("{}: a shard of", order[1]));
     }
-    // The same seed that came to something else in a copy of its shard.
+    // A copy of a shard with another result for the same seed.
     run_crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
     let result = folder.join("copy/seed-0/result.json");
     let text = fs::read_to_string(&result).unwrap();
     let changed = text.replacen("\"unseen_contacts\": ", "\"unseen_contacts\": 1", 1);
     rewrite_with_manifest(&folder.join("copy/seed-0"), "result.json", &changed);
     refused(&["1", "2", "copy"], "copy: shard 1/2 came to something else in 1");
-    // A seed in another's place, a shard that says something else, one without a word of itself.
+    // A seed in another shard, a shard with another record, and one without a record.
     fs::rename(folder.join("1/seed-0"), folder.join("2/seed-2-was")).unwrap();
     fs::rename(folder.join("2/seed-2"), folder.join("1/seed-0")).unwrap();
     refused(&["1", "2"], "1/seed-0/training.toml: trained otherwise");
@@ -307,7 +307,6 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     refused(&["single"], "single/shard.json: the file is missing");
 }
 
-/// A file and its manifest, written anew such that they fit together.
 fn rewrite_with_manifest(folder: &Path, name: &str, text: &str) {
     fs::write(folder.join(name), text).unwrap();
     let path = folder.join("work.json");
@@ -323,7 +322,7 @@ fn rewrite_with_manifest(folder: &Path, name: &str, text: &str) {
     fs::write(&path, written.replace(own, &sha256(bare))).unwrap();
 }
 
-/// A plan of a search, made as an engine would.
+/// Runs the planned commands of a search as an engine would.
 #[cfg(unix)]
 #[test]
 fn a_plan_of_a_search_makes_its_shards() {
@@ -346,12 +345,10 @@ fn a_plan_of_a_search_makes_its_shards() {
     let single = run_crumple(folder, &[&words[..], &["--log=summary", "--out=single"]].concat());
     assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
     assert_refused(&run_crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
-    // Not over an earlier one, unless that is meant.
     assert_refused(&run_crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
     let again = run_ok(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
     let read = |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).unwrap();
     assert_eq!(read(&again.stdout), read(&fs::read(folder.join("p/plan.json")).unwrap()));
-    // A folder that looks like an option.
     let output = run_ok(folder, &[&plan[..], &["--out=-x"]].concat());
     for line in
         ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/campaign\n"]
@@ -368,7 +365,7 @@ fn a_plan_of_a_search_makes_its_shards() {
     );
 }
 
-/// As an engine would, with the words that the plan says.
+/// Runs the planned commands as an engine would.
 #[cfg(unix)]
 #[test]
 fn what_a_plan_writes_makes_what_it_says() {
@@ -404,7 +401,7 @@ fn what_a_plan_writes_makes_what_it_says() {
     }
 }
 
-/// Packages that stand for the engines': they say what was asked of them, and that nobody is there.
+/// Writes stubs of the engines' packages, which print their arguments and report that no server answers.
 #[cfg(unix)]
 fn write_engine_stubs(folder: &Path) {
     let write = |name: &str, text: &str| {
@@ -426,7 +423,7 @@ fn write_engine_stubs(folder: &Path) {
     );
 }
 
-/// What no cluster was named for begins none, and what nobody answers is said in a line.
+/// Without a named cluster no job starts; an unreachable one gives a one-line error.
 #[cfg(unix)]
 #[test]
 fn job_files_connect_to_what_is_named_and_to_nothing_else() {

@@ -1,11 +1,10 @@
-//! What shells, `man` and those who ask for help are told of this build.
+//! Shell completions, manual pages and `doctor`.
 
 use std::collections::BTreeSet;
 use std::fs;
 
 use super::*;
 
-/// The subcommands that `--help` lists.
 fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
     let help = run_crumple(folder, &["--help"]);
     let commands = stdout(&help).split("Commands:").nth(1).unwrap().split("Options:").next().unwrap().to_owned();
@@ -13,7 +12,6 @@ fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
     names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
 }
 
-/// Every command has a page, and every shell completes every command.
 #[test]
 fn pages_and_completions_know_every_command() {
     let folder = temp_folder();
@@ -25,7 +23,7 @@ fn pages_and_completions_know_every_command() {
         assert!(page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"), "{command}");
     }
     assert!(folder.path().join("man/crumple-verify-rate.1").exists());
-    // The synopsis is what `--help` says: what has to be there stands without brackets, with what it takes.
+    // The synopsis is the usage of `--help`: required options without brackets, with their values.
     for words in [&["suite", "run"][..], &["suite", "map"], &["verify", "rate"], &["merge"], &["simulate"]] {
         let help = run_crumple(folder.path(), &[words, &["--help"]].concat());
         let usage = stdout(&help).lines().find_map(|line| line.strip_prefix("Usage: ")).expect("a usage").to_owned();
@@ -42,14 +40,14 @@ fn pages_and_completions_know_every_command() {
     assert_refused(&run_crumple(folder.path(), &["completions", "tcsh"]), "invalid value 'tcsh'");
 }
 
-/// It says what is missing where nothing is on the `PATH`, and never fails for it.
+/// An empty `PATH` is no error.
 #[test]
 fn a_doctor_says_what_is_missing() {
     let folder = temp_folder();
     let told = command(folder.path(), &["doctor", "--format", "json"]).env("PATH", "/nowhere").output().unwrap();
     assert_eq!(exit_code(&told), 0, "{}", stderr(&told));
     let report = &json_objects(&told)[0];
-    // The first is crumple's own, for FMUs, and lies beside it.
+    // The first is crumple's FMU host, next to the program.
     assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
     assert!(report["fused_multiply_add"].is_boolean());
     assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
@@ -57,7 +55,7 @@ fn a_doctor_says_what_is_missing() {
     assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
 }
 
-/// What is shown is a file that takes the place of its name.
+/// The printed file can replace the name.
 #[test]
 fn what_is_built_in_is_shown_as_a_file() {
     let folder = temp_folder();
@@ -98,7 +96,6 @@ fn what_is_built_in_is_shown_as_a_file() {
     fs::write(folder.path().join("two.toml"), format!("{head}{vehicle}")).unwrap();
     runs(&["simulate", "two.toml", "--expect", "safe"]);
 
-    // Names of several kinds are said to be that.
     let shown = run_crumple(folder.path(), &["show", "paper"]);
     assert!(stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"), "{shown:?}");
     assert!(show(&["paper", "--kind", "preset"]).contains("actor_rate"));

@@ -1,4 +1,4 @@
-//! `crumple train`: what it leaves behind, and what becomes of it when it is killed.
+//! `crumple train`: output files, and resumption after a kill.
 
 use std::fs;
 use std::path::Path;
@@ -55,7 +55,7 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     }
 }
 
-/// A training that ended and was made longer is the longer one, wherever it ended: after an evaluation, or between two.
+/// A training may be extended after an evaluation or between two.
 #[test]
 fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
     let folder = temp_folder();
@@ -67,7 +67,7 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
         assert!([0, 1].contains(&exit_code(&trained)), "{}", stderr(&trained));
     };
     train("straight", "14", &[]);
-    // At once, during the random episodes, after an evaluation and between two.
+    // Ends immediately, before learning starts, after an evaluation and between two.
     for (out, ends) in [("short", ["2", "3"]), ("longer", ["6", "11"])] {
         train(out, ends[0], &[]);
         let log = fs::read_to_string(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
@@ -85,7 +85,7 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
     }
 }
 
-/// Whatever order seeds are trained in, and in however many commands, `training.json` is about all of them.
+/// `training.json` covers all seeds, in any order and number of commands.
 #[test]
 fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     let folder = temp_folder();
@@ -107,7 +107,7 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     assert_eq!(both["seeds"][1], alone["seeds"][0]);
     let curve = fs::read_to_string(folder.path().join("run/learning-curve.json")).unwrap();
     assert!(curve.contains("\"seeds\": 2"));
-    // A copy of a seed under another way to write its number is none of its own.
+    // A copy of a seed folder under another spelling of its number is ignored.
     fs::create_dir(folder.path().join("run/seed-04")).unwrap();
     for name in file_names_in(&folder.path().join("run/seed-4")) {
         fs::copy(folder.path().join("run/seed-4").join(&name), folder.path().join("run/seed-04").join(&name)).unwrap();
@@ -122,7 +122,7 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     let other = run_crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
     assert_refused(&other, "run/seed-4/training.toml: the training there has another `learning.batch`: 8 instead of 9");
     assert!(!folder.path().join("run/seed-7").exists(), "nothing is begun");
-    // What the folder says of how it was trained is a preset, and gives the same policy.
+    // `training.toml` in the folder is a preset that gives the same policy.
     let again =
         run_crumple(folder.path(), &["train", "--preset", "run/seed-5/training.toml", "--seed", "5", "--out", "again"]);
     assert_eq!(exit_code(&again), 0, "{}", stderr(&again));
@@ -130,7 +130,7 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     assert!(policy("run") == policy("again"));
 }
 
-/// A training on spaces says so in its policy, and a space that is none is refused before anything is written.
+/// The policy file names the spaces of its training; an unknown space is refused before anything is written.
 #[test]
 fn episodes_are_drawn_from_spaces_by_name_and_file() {
     let folder = temp_folder();
@@ -170,7 +170,7 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
     assert!(!folder.path().join("refused").exists());
 }
 
-/// Rates of 0 learn nothing: no checkpoint is better than the untrained network.
+/// With learning rates of 0 no checkpoint is better than the untrained network.
 #[test]
 fn what_learned_nothing_leaves_no_policy_and_is_no_success() {
     let folder = temp_folder();
@@ -220,7 +220,7 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     ] {
         assert_refused(&run_crumple(folder.path(), &["train", "--preset", preset]), &reason);
     }
-    // What is wanted is another kind of file; it is said which this is, and what takes it.
+    // The error names the kind of the file, and the command that takes it.
     for (command, wanted) in [("describe", "is no network from outside"), ("check", "is no certificate")] {
         let drives = "but a policy, which is a controller as it is: `crumple simulate paper-1 --controller FILE`";
         let refused = run_crumple(folder.path(), &[command, policy]);

@@ -41,7 +41,7 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
     }
 }
 
-/// What the filter may be off by is exceeded sometimes: nothing calls it proved.
+/// Filter errors sometimes exceed their bounds, so no output calls them proved.
 #[test]
 fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -79,7 +79,7 @@ fn each_pair_of_classes_gets_a_certificate() {
     assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
 }
 
-/// What is verified of a box says whose it is and what the checker makes of it, and what is wrong with a box stands where its file says.
+/// The JSON names the policy and the checker's verdict; errors in a box have file, line and field.
 #[test]
 fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
     let folder = temp_folder();
@@ -230,7 +230,6 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
 }
 
-/// Killed at any moment, an estimate goes on where it was, to the bytes of one that nothing happened to.
 #[test]
 fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     for method in ["--rare=splitting", "--rare=importance"] {
@@ -254,7 +253,7 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
     }
 }
 
-/// What programs read says what people read, and names things as `check`, `merge` and `suite run` do.
+/// JSON and text agree, with the names of `check`, `merge` and `suite run`.
 #[test]
 fn what_is_verified_can_be_read_by_programs() {
     let folder = temp_folder();
@@ -276,7 +275,7 @@ fn what_is_verified_can_be_read_by_programs() {
         (one["runs"].as_u64(), one["failures"].as_u64(), one["confidence"].as_f64()),
         (Some(300), Some(0), Some(0.99))
     );
-    // Nobody fails in n runs with a chance of 1 - c at the rate 1 - (1 - c)^(1/n).
+    // At the rate 1 - (1 - c)^(1/n), the probability of n runs without a failure is 1 - c.
     let bound = 1.0 - 0.01_f64.powf(1.0 / 300.0);
     assert!((one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{one}");
     let checked = &said(&["check", one["certificate"].as_str().unwrap(), "--format", "json"])[0];
@@ -289,7 +288,7 @@ fn what_is_verified_can_be_read_by_programs() {
     );
 }
 
-/// What is of the estimate of a rare failure is refused beside a count, which it would not change; a count that shows nothing is told.
+/// Options of `--rare` are refused without it; a count that proves nothing fails with its counts.
 #[test]
 fn a_count_says_what_it_is_of() {
     let folder = temp_folder();
@@ -303,7 +302,7 @@ fn a_count_says_what_it_is_of() {
     let shown = run_crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
     let one = &json_objects(&shown)[0];
     assert_eq!((exit_code(&shown), one["runs"].as_u64(), &one["certificate"]), (1, Some(100), &Value::Null), "{one}");
-    // Where it is not rare, runs are counted: all of 250 fail, and the truth may be 0.985.
+    // Frequent failures are counted: all 250 runs fail, and the true rate may be 0.985.
     let rare = ["verify", "rate", "--controller", "baseline", "--estimator", "truth", "--rare", "--samples", "50"];
     let rare =
         run_crumple(folder.path(), &[&rare[..], &["--repetitions", "5", "--out", "rare", "--format", "json"]].concat());

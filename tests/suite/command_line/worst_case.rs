@@ -1,4 +1,4 @@
-//! `avoid`, `check` and `worst-case` as a user meets them.
+//! `avoid`, `check` and `worst-case` on the command line.
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, built_in_scenario, file};
@@ -31,7 +31,7 @@ fn an_escape_is_written_replayed_and_checked() {
     assert_eq!(exit_code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
 }
 
-/// An escape is the best that was found on its grid: nobody may read that no better one exists.
+/// An escape is only the best on its grid; the output must not call it optimal.
 #[test]
 fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
     let folder = temp_folder();
@@ -57,7 +57,7 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
     assert_eq!(exit_code(&other), 1, "{other:?}");
 }
 
-/// A bound says nothing of a follower that its scene leaves out, and `check` says that the follower exists.
+/// A bound does not cover followers outside its scene, and `check` mentions them.
 #[test]
 fn vehicles_that_a_bound_leaves_out_are_counted() {
     let folder = temp_folder();
@@ -77,7 +77,7 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
     assert!(said.contains("  behind: no vehicle\n"), "{said}");
 }
 
-/// A follower whose brake fired in the replay of an escape that was said to leave it alone.
+/// The follower's brake fired in the replay of an escape that was reported not to trigger it.
 #[test]
 fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
     let folder = temp_folder();
@@ -118,7 +118,7 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
     }
 }
 
-/// What is made whatever the budget is said to be more than it.
+/// The output notes simulations beyond the budget.
 #[test]
 fn more_simulations_than_the_budget_are_said() {
     let folder = temp_folder();

@@ -1,4 +1,4 @@
-//! The world the filter believes in.
+//! The motion model that the filter assumes.
 
 use crumple_world::estimate::{EgoTuning, Filter, Tuning};
 use crumple_world::random::{Purpose, Stream, stream};
@@ -6,7 +6,7 @@ use crumple_world::scenario::Sensors;
 use nalgebra::{Matrix3, Vector3};
 use rand_distr::{Distribution, StandardNormal};
 
-/// A distance that moves as the filter believes: its jerk is white, with the density the filter's bandwidth stands for.
+/// A distance with white jerk of the density that corresponds to the filter's bandwidth.
 pub(super) struct WhiteJerk {
     state: Vector3<f64>,
     transition: Matrix3<f64>,
@@ -16,10 +16,9 @@ pub(super) struct WhiteJerk {
 
 impl WhiteJerk {
     pub(super) const STEP_S: f64 = 0.01;
-    /// The documented bandwidth of the ego's filters.
     const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
-    /// A world, the tuning of a gap sensor's filter, and such a filter that has been running.
+    /// Returns the tuning of a gap sensor's filter, a world, and such a filter in steady state.
     pub(super) fn with_filter(sensors: &Sensors, run: u64) -> (Tuning, Self, Filter) {
         let mut world = Self::new(sensors.gap_noise_m, run);
         let tuning = EgoTuning::new(Self::STEP_S, sensors).gap().clone();
@@ -30,7 +29,7 @@ impl WhiteJerk {
 
     fn new(noise_m: f64, run: u64) -> Self {
         let h = Self::STEP_S;
-        // The density q = ω⁶ σ² h, and the covariance it gains over a step.
+        // The density q = ω⁶ σ² h, and the covariance that it adds per step.
         let density = Self::BANDWIDTH_RAD_PER_S.powi(6) * noise_m * noise_m * h;
         let integrals = |row: i32, column: i32| {
             let factorial = |n: i32| f64::from((1..=n).product::<i32>());
@@ -60,9 +59,9 @@ impl WhiteJerk {
         self.state.x
     }
 
-    /// How far the filter's prediction of this instant is off.
+    /// Returns the error of the filter's prediction of this instant.
     pub(super) fn prediction_error(&self, tuning: &Tuning, filter: &Filter) -> [f64; 3] {
-        // Without a measurement the filter answers with its prediction.
+        // Without a measurement the filter returns its prediction.
         let predicted = filter.clone().update(tuning, None);
         (Vector3::new(predicted.distance_m, predicted.rate_mps, predicted.acceleration_mps2) - self.state).into()
     }

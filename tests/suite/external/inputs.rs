@@ -1,4 +1,5 @@
-//! Files that name a program: scenarios, spaces, a campaign, a certificate, and shards. The program leaves a marker when it starts.
+//! Files that name a program: scenarios, spaces, a campaign, a certificate, and shards. The program leaves a marker
+//! when it starts.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -11,10 +12,9 @@ use tempfile::TempDir;
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 use crate::fmus::{library_member, zip_archive};
 
-/// The file that the program makes when it starts.
 pub(super) const MARKER_FILE: &str = "started";
 
-/// The program as a command, with as many letters as `evil.toml` has.
+/// The program as a command, with the length of `evil.toml`.
 pub(super) const EXEC_CONTROLLER: &str = "exec:./ev";
 
 /// A controller that keeps accelerating.
@@ -59,7 +59,6 @@ figures.own_speed = { values = [60.0], unit = "km/h", origin = "chosen" }
 figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
-/// A space around a scenario.
 pub(super) fn space_toml(name: &str, base: &str) -> String {
     format!(
         "version = 1\nname = \"{name}\"\nbase = \"{base}\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
@@ -67,7 +66,6 @@ pub(super) fn space_toml(name: &str, base: &str) -> String {
     )
 }
 
-/// A configuration of a short assessment.
 pub(super) fn assessment_toml(controllers: &str, more: &str) -> String {
     format!(
         "version = 1\npaper = false\n{controllers}\n{more}\ndistributions = [\"plain.toml\"]\ndraws = 4\neveryday_draws = 1\n\
@@ -75,14 +73,12 @@ pub(super) fn assessment_toml(controllers: &str, more: &str) -> String {
     )
 }
 
-/// Output of a command.
 pub(super) struct CommandOutput {
     pub(super) code: i32,
     pub(super) stdout: String,
     pub(super) stderr: String,
 }
 
-/// A folder with the files.
 pub(super) struct InputFolder {
     folder: TempDir,
 }
@@ -103,7 +99,6 @@ impl InputFolder {
         self.folder.path()
     }
 
-    /// Runs a command.
     pub(super) fn run(&self, words: &[&str]) -> CommandOutput {
         for output in OUTPUTS {
             let path = self.folder().join(output);
@@ -114,7 +109,6 @@ impl InputFolder {
         CommandOutput { code: exit_code(&output), stdout: text(&output.stdout), stderr: text(&output.stderr) }
     }
 
-    /// Returns true if the program has started since the last call.
     pub(super) fn has_started(&self) -> bool {
         fs::remove_file(self.folder().join(MARKER_FILE)).is_ok()
     }
@@ -152,7 +146,7 @@ impl InputFolder {
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
 
-    /// A campaign, a certificate and shards, made with permission.
+    /// Makes a campaign, a certificate and shards, with permission to start the program.
     fn make_run_folders(&self) {
         let search = ["falsify", "--controller", "idm", "--space", "space.toml", "--budget", "2", "--allow-external"];
         let count =

@@ -12,12 +12,12 @@ use inputs::{EXEC_CONTROLLER, InputFolder, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
 
-/// Result without the option, and with it.
+/// Expected result without the option, and with it.
 #[derive(Clone, Copy)]
 enum StartExpectation {
-    /// Exit code 2, and an error that names the option and this place. With the option the program starts.
+    /// Exit code 2, and an error that names the option and this position. With the option the program starts.
     RefusedOrStarts(&'static str),
-    /// As before. With the option the command takes too long for a test, or reads the program's name and starts nothing.
+    /// Without the option like `RefusedOrStarts`. With it the command is too slow for a test, or starts nothing.
     Refused(&'static str),
     /// The command starts nothing, and needs no option.
     StartsNothing,
@@ -93,7 +93,6 @@ const CASES: &[(&str, &[&str], StartExpectation)] = &[
     ("man", &["--out", "o"], StartsNothing),
 ];
 
-/// Names of all subcommands, as the help lists them; those of a subcommand behind its name.
 fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
     let words: Vec<&str> = of.split_whitespace().chain(["--help"]).collect();
     let help = String::from_utf8(run_crumple(folder, &words).stdout).unwrap();
@@ -129,7 +128,7 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
     }
 }
 
-/// With the option, crumple gives an FMU that a scenario names to its host, which finds no library in it.
+/// With the option, crumple passes the FMU that a scenario names to its host, which finds no library in it.
 #[test]
 fn the_option_permits_the_fmu_that_a_scenario_names() {
     let inputs = InputFolder::new();
@@ -166,7 +165,6 @@ fn what_the_command_line_or_its_configuration_names_starts() {
     }
 }
 
-/// `merge --format html` draws a failure with the controller that the shard records, and with no other.
 #[test]
 fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available() {
     let inputs = InputFolder::new();
@@ -191,7 +189,7 @@ fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available
         "{}",
         said.stderr
     );
-    // Another controller of the same name: a network, which needs no permission, and a program.
+    // Other controllers of the same name: a network, which needs no permission, and a program.
     let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
     fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
     let said = page("suite-shard", &[OPTION]);
@@ -229,7 +227,7 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     let marker = format!("touch {}", folder.path().join(MARKER_FILE).display());
     assert!(git(&["config", "filter.evil.clean", &format!("{marker}; cat")]));
     assert!(git(&["config", "core.fsmonitor", &marker]));
-    // A later time stamp, so that git compares contents.
+    // A later time stamp makes git compare contents.
     fs::write(folder.path().join("a.toml"), inputs::assessment_toml("controllers = [\"idm\"] ", "")).unwrap();
     let starts_nothing = || {
         let assessed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
@@ -237,7 +235,7 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
         assert!(!folder.path().join(MARKER_FILE).exists());
     };
     starts_nothing();
-    // Git runs this hook when it refreshes the index, which it does if a time stamp alone has changed.
+    // Git runs this hook when it refreshes the index, which it does if only a time stamp has changed.
     assert!(git(&["config", "--remove-section", "filter.evil"]) && git(&["config", "core.fsmonitor", "false"]));
     let hook = folder.path().join(".git/hooks/post-index-change");
     fs::create_dir_all(hook.parent().unwrap()).unwrap();

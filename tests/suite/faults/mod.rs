@@ -1,8 +1,8 @@
-//! Every call of the system that changes a file may fail, be the last one, or be lost with the power: work that goes on afterwards ends
-//! with the same bytes as work that nothing happened to.
+//! Fault injection: every system call that changes a file may fail, be the last one, or be lost in a power failure.
+//! Resumed work then ends with the bytes of undisturbed work.
 //!
-//! A small library stands between the program and the system (`shim.c`). `FAULTS` says how many calls of each command are tried in
-//! each way, spread over all of them and others for each `FAULTS_SEED`; `FAULTS=all` tries every one.
+//! A library (`shim.c`) intercepts the calls. `FAULTS` is the number of calls of each command that are tried with each
+//! fault, spread over all calls and varied by `FAULTS_SEED`; `FAULTS=all` tries every call.
 
 mod power;
 
@@ -14,13 +14,12 @@ use std::process::{Command, Output};
 use crate::damage::{assert_same_contents, read_files, scratch_folder};
 use crate::tiny;
 
-/// Calls that are tried in each way, unless `FAULTS` says otherwise.
+/// Number of calls tried with each fault, unless `FAULTS` overrides it.
 const DEFAULT_TRIED_CALLS: usize = 1;
 
-/// A command that keeps work in the folder `run`.
+/// A command that can resume its work in the folder `run`.
 struct ResumableCommand {
     arguments: &'static [&'static str],
-    /// The preset it trains with.
     preset: Option<fn() -> String>,
 }
 
@@ -56,7 +55,7 @@ const TRAINING: ResumableCommand = ResumableCommand {
     preset: Some(tiny::training),
 };
 
-/// In a space of which an avoidable contact is soon seen to be one, and every round looks for such.
+/// In this space an avoidable collision is quickly found to be avoidable, and every round searches for some.
 const RETRAINING: ResumableCommand = ResumableCommand {
     arguments: &[
         "retrain",
@@ -88,11 +87,9 @@ const RETRAINING: ResumableCommand = ResumableCommand {
     preset: Some(tiny::retraining),
 };
 
-/// The files of a folder, by name.
 type FolderFiles = BTreeMap<String, Vec<u8>>;
 
 impl ResumableCommand {
-    /// A folder in which it can be run.
     fn new_folder(&self) -> tempfile::TempDir {
         let place = scratch_folder();
         if let Some(preset) = self.preset {
@@ -108,15 +105,13 @@ impl ResumableCommand {
         command
     }
 
-    /// Goes on, and ends with the files of work that nothing happened to.
     fn assert_completes(&self, place: &Path, genuine: &FolderFiles, what: &str) {
         let ended = self.command(place).output().unwrap();
-        // A gate may fail, as it does without faults.
+        // A gate may fail, as without faults.
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", describe_output(&ended));
         assert_same_contents(&read_files(&place.join("run")), genuine, what);
     }
 
-    /// The files it ends with, and the trace of what it did.
     fn run_without_faults(&self, shim: &Path) -> (FolderFiles, Vec<u8>) {
         let place = self.new_folder();
         let trace = place.path().join("trace");
@@ -139,7 +134,6 @@ fn with_shim<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> &'a mut
     command.env("LD_PRELOAD", shim).env("FAULT_UNDER", under)
 }
 
-/// The library, built with the compiler that links Rust programs.
 fn build_shim(folder: &Path) -> PathBuf {
     let library = folder.join("shim.so");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/faults/shim.c");
@@ -154,7 +148,7 @@ fn build_shim(folder: &Path) -> PathBuf {
     library
 }
 
-/// Which of so many calls are tried: all, or some spread over them.
+/// Selects the calls to try: all, or some spread over them.
 fn selected_calls(calls: usize, salt: usize) -> Vec<usize> {
     let number = |name| std::env::var(name).ok().and_then(|number| number.parse::<usize>().ok());
     if std::env::var("FAULTS").is_ok_and(|wanted| wanted == "all") {
@@ -170,7 +164,7 @@ fn call_count(trace: &[u8]) -> usize {
     text.trim_end().rsplit_once("calls ").unwrap().1.parse().unwrap()
 }
 
-/// A full disk, a disk that fails, and an end without warning, at any call.
+/// Injects a full disk, a failing disk and a sudden end at the selected calls.
 fn assert_survives_faults(kept: &ResumableCommand) {
     let folder = tempfile::tempdir().unwrap();
     let shim = build_shim(folder.path());
@@ -185,7 +179,7 @@ fn assert_survives_faults(kept: &ResumableCommand) {
                 .env("FAULT", fault);
             let ended = faulty.output().unwrap();
             match (ended.status.code(), fault) {
-                // What was only tidying up may fail.
+                // Errors of cleanup may be ignored.
                 (Some(3), "enospc" | "eio") | (None, "kill") | (Some(0 | 1), _) => {}
                 _ => panic!("{what}: {}", describe_output(&ended)),
             }
@@ -197,7 +191,7 @@ fn assert_survives_faults(kept: &ResumableCommand) {
     }
 }
 
-/// The power goes at any call, and what had not been made to reach the disk is gone, or partly gone.
+/// Injects a power failure at the selected calls, with all or a part of the unsynchronised changes lost.
 fn assert_survives_power_loss(kept: &ResumableCommand) {
     let folder = tempfile::tempdir().unwrap();
     let (genuine, trace) = kept.run_without_faults(&build_shim(folder.path()));

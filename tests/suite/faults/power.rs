@@ -1,13 +1,12 @@
-//! A disk that forgets: what was changed since it was last made to reach the disk is lost with the power.
+//! A simulated disk that loses unsynchronised changes in a power failure.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-/// One change, as the shim wrote it down.
 #[derive(Debug, Clone)]
 pub(super) enum DiskOperation {
-    /// A file was opened, made if it was not there, emptied if so asked.
+    /// A file was opened, created if missing, truncated if requested.
     Open {
         handle: u32,
         emptied: bool,
@@ -29,7 +28,7 @@ pub(super) enum DiskOperation {
         handle: u32,
         length: usize,
     },
-    /// A file's contents, or a folder's names, reached the disk.
+    /// The contents of a file, or the names in a folder, were synchronised.
     Sync {
         handle: u32,
     },
@@ -49,14 +48,13 @@ pub(super) enum DiskOperation {
     },
 }
 
-/// What of the changes that had not reached the disk is lost.
+/// Part of the unsynchronised changes that is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum PowerLoss {
-    /// Everything.
     Everything,
     /// Contents, but not names.
     Contents,
-    /// Contents, but not names and lengths: there are zeros.
+    /// Contents, but not names and lengths: zeros remain.
     Zeros,
     /// Names, but not contents.
     Names,
@@ -66,7 +64,6 @@ impl PowerLoss {
     pub(super) const ALL: [Self; 4] = [Self::Everything, Self::Contents, Self::Zeros, Self::Names];
 }
 
-/// The changes in a trace, in order.
 pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
     let (mut rest, mut changes) = (trace, Vec::new());
     while let Some(end) = rest.iter().position(|&byte| byte == b'\n') {
@@ -107,7 +104,6 @@ pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
     changes
 }
 
-/// A name's file, or folder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum DiskNode {
     File(usize),
@@ -120,7 +116,7 @@ struct DurableContents {
     durable: Vec<u8>,
 }
 
-/// Names and files, as they are and as the disk has them. The first folder is there for good.
+/// Names and files, current and synchronised. The root folder is permanent.
 #[derive(Default)]
 struct Disk {
     root: String,
@@ -128,14 +124,13 @@ struct Disk {
     now: BTreeMap<String, DiskNode>,
     durable: BTreeMap<String, DiskNode>,
     handles: BTreeMap<u32, String>,
-    /// Files that handles are of, whatever their names are now.
+    /// Files of open handles, whatever their names are now.
     open_files: BTreeMap<u32, usize>,
 }
 
-/// What is left of a folder, by names in it; none for folders.
+/// Remaining contents of a folder by name; `None` for folders.
 pub(super) struct SurvivingFiles(BTreeMap<String, Option<Vec<u8>>>);
 
-/// The disk when the power comes back.
 pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) -> SurvivingFiles {
     let mut disk = Disk::default();
     for change in changes {
@@ -223,7 +218,7 @@ impl Disk {
         }
     }
 
-    /// The names in a folder, not those in the folders in it.
+    /// Synchronises the names in a folder, without its subfolders.
     fn sync_names(&mut self, folder: &str) {
         let is_in = |path: &str| path.rsplit_once('/').is_some_and(|(parent, _)| parent == folder);
         self.durable.retain(|path, _| !is_in(path) || self.now.contains_key(path));
@@ -237,7 +232,7 @@ impl SurvivingFiles {
         for (name, contents) in &self.0 {
             let path = folder.join(name);
             match contents {
-                // What lies in a folder whose name is lost is lost with it.
+                // Contents of a lost folder are lost, too.
                 Some(bytes) if path.parent().is_some_and(Path::is_dir) => fs::write(path, bytes).unwrap(),
                 None if path.parent().is_some_and(Path::is_dir) => fs::create_dir(path).unwrap(),
                 _ => {}

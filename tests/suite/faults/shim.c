@@ -1,10 +1,10 @@
-/* Stands between a program and the system: counts the calls that change files below a folder, fails or kills at one of them, and writes
-   down what was changed and what was made durable.
+/* Intercepts system calls that change files below a folder: counts them, fails or kills at one of them, and records
+   changes and synchronisations.
 
    FAULT_UNDER  the folder
-   FAULT_AT     which call, from 1; 0 for none
+   FAULT_AT     number of the call, from 1; 0 for none
    FAULT        enospc, eio or kill
-   FAULT_TRACE  where to write down what was done; its last line says how many calls there were */
+   FAULT_TRACE  file for the record; its last line has the number of calls */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -39,7 +39,7 @@ static void put(const void *bytes, size_t count) {
     if (trace >= 0 && real(trace, bytes, count) < 0) abort();
 }
 
-/* A line of the trace. */
+/* Writes a line of the trace. */
 static void say(const char *format, ...) {
     if (trace < 0) return;
     char line[8192];
@@ -50,7 +50,7 @@ static void say(const char *format, ...) {
     put(line, (size_t)count);
 }
 
-/* Counts a call; -1 if it is to fail. Called and left with the mutex held. */
+/* Counts a call. Returns -1 if it must fail. The caller holds the mutex. */
 static int counted(void) {
     if (trace < 0 && getenv("FAULT_TRACE")) trace = REAL(open)(getenv("FAULT_TRACE"), O_CREAT | O_WRONLY | O_APPEND, 0644);
     calls++;

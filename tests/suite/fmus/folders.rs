@@ -1,11 +1,10 @@
-//! Folders that FMUs are unpacked into: none stays behind, and none is removed while it is in use.
+//! Folders into which FMUs are unpacked: none remains, and none is removed while it is in use.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Stdio};
 
 use super::*;
 
-/// A folder with `odd.fmu`, which has a resource, and an empty `temporary` beside it.
 fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
     let place = odd_fmu_folder(what)?;
     fs::create_dir(place.path().join("temporary")).unwrap();
@@ -25,7 +24,6 @@ fn unpacked_folders(place: &Path) -> Vec<std::path::PathBuf> {
     fs::read_dir(place.join("temporary")).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
-/// Starts the program that hosts FMUs, and waits until it has unpacked.
 fn start_host(place: &Path) -> Child {
     let mut host = Command::new(env!("CARGO_BIN_EXE_crumple-fmu"))
         .args(["drive", "--input=speed", "--output=command", "odd.fmu"])

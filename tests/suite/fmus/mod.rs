@@ -1,4 +1,5 @@
-//! FMUs as controllers: they drive as the same law does by other ways, what they do wrong ends runs, and damaged ones are refused.
+//! FMUs as controllers: they equal the same controller in other forms, their errors end runs, and damaged files are
+//! refused.
 
 mod folders;
 mod units;
@@ -25,7 +26,6 @@ const EXAMPLE_XML: &str = include_str!("../../../examples/controllers/fmu/modelD
 const ODD: &str = include_str!("odd.c");
 const ODD_XML: &str = include_str!("odd.xml");
 
-/// Where the edition of the standard wants the library of this platform.
 pub(crate) fn library_member(edition: u32, name: &str) -> String {
     let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
     let extension = if cfg!(target_os = "macos") { "dylib" } else { "so" };
@@ -36,7 +36,7 @@ pub(crate) fn library_member(edition: u32, name: &str) -> String {
     format!("binaries/{folder}/{name}.{extension}")
 }
 
-/// A library of a C source; none where there is no compiler, with a message.
+/// Compiles a C source to a library; prints a message and returns `None` without a compiler.
 fn compile_library(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
     let (from, to) = (folder.join("source.c"), folder.join("library.so"));
     fs::write(&from, source).unwrap();
@@ -61,7 +61,6 @@ pub(crate) fn zip_archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
-/// A folder with the example as `follower.fmu`.
 fn example_fmu_folder() -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), EXAMPLE, "-DEXAMPLE")?;
@@ -70,7 +69,6 @@ fn example_fmu_folder() -> Option<tempfile::TempDir> {
     Some(folder)
 }
 
-/// A folder with the other one as `odd.fmu`, and its controller file.
 fn odd_fmu_folder(what: &str) -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), ODD, &format!("-DWHAT={what}"))?;
@@ -121,7 +119,7 @@ fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> 
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
 }
 
-/// By FMI 2, by FMI 3 with names of its own, with one instance for all runs, and as a process without FMI: the same bits, in both
+/// FMI 2, FMI 3 with other names, one instance for all runs, and a process without FMI give the same bits in both
 /// engines.
 #[test]
 fn one_law_drives_alike_by_both_editions_and_without() {
@@ -141,7 +139,8 @@ fn one_law_drives_alike_by_both_editions_and_without() {
     }
 }
 
-/// What an FMU integrates goes on by one decision interval a decision, from its initialization on: here a lag in closed form.
+/// The state of an FMU advances by one decision interval per decision, from initialisation on: here a lag in closed
+/// form.
 #[test]
 fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
     let Some(odd) = odd_fmu_folder("LATER") else { return };
@@ -189,7 +188,7 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
     }
 }
 
-/// Its file and what it is wired to, and not where it lies.
+/// The identity does not depend on the path.
 #[test]
 fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     let Some(odd) = odd_fmu_folder("NOTHING") else { return };
@@ -248,7 +247,7 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
     assert_eq!(exit_code(&nobody), 2);
 }
 
-/// Each of 200 damaged ones: one clear error, exit code 2; and so for whatever else is in an archive.
+/// Each of 200 damaged files, and each unusual archive, gives one clear error and exit code 2.
 #[test]
 fn damaged_fmus_are_refused() {
     let Some(example) = example_fmu_folder() else { return };
@@ -269,7 +268,7 @@ fn damaged_fmus_are_refused() {
         if number % 2 == 0 {
             bytes.truncate(random.random_range(0..whole.len()));
         } else {
-            // Where what is read before driving lies: the description, at the beginning, and the list of members, at the end.
+            // The parts that are read before driving: the description at the start, the central directory at the end.
             let place = random.random_range(0..1200);
             let place = if place < 900 { place } else { whole.len() - (place - 899) };
             bytes[place] ^= 1 << random.random_range(0..8);
@@ -277,7 +276,7 @@ fn damaged_fmus_are_refused() {
         fs::write(&path, bytes).unwrap();
         accepted += usize::from(refused(&format!("{number}")).is_none());
     }
-    // A name or a date of a member may change and still be one.
+    // Some changes affect only a name or a date.
     assert!(accepted < 40, "{accepted} of 200 are accepted");
 
     let library = library_member(2, "follower");

@@ -1,4 +1,4 @@
-/* The follower of examples/controllers/fmu once more, by FMI 3.0; with WHAT it does something odd from 0.03 s on. */
+/* The follower of examples/controllers/fmu in FMI 3.0; WHAT selects a misbehaviour from 0.03 s on. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -46,7 +46,7 @@ int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double toler
 }
 int fmi3ExitInitializationMode(void *instance) {
     Follower *own = instance;
-    /* What the first observation is set to is known by now. */
+    /* The first observation is set by now. */
     return own->values[SPEED_MPS] > 0.0 ? OK : ERROR;
 }
 int fmi3Terminate(void *instance) { return instance ? OK : ERROR; }
@@ -85,7 +85,7 @@ int fmi3DoStep(void *instance, double time_s, double step_s, bool no_set_state, 
     wanted_mps2 = fmax(-7.5, fmin(wanted_mps2, fmin(2.0, value[SET_SPEED_MPS] - value[SPEED_MPS])));
     if (!own->is_ahead || own->lanes != 1) return ERROR;
     if (WHAT == PRINT) printf("an answer that is none, at %g\n", time_s), fflush(stdout);
-    if (WHAT == LATER) { /* A lag of 0.3 s, as a solver of its own would have it. */
+    if (WHAT == LATER) { /* A lag of 0.3 s with internal state. */
         own->filtered_mps2 += (wanted_mps2 - own->filtered_mps2) * (1.0 - exp(-step_s / 0.3));
         wanted_mps2 = own->filtered_mps2;
     }
@@ -103,7 +103,7 @@ int fmi3DoStep(void *instance, double time_s, double step_s, bool no_set_state, 
     }
 }
 
-/* The standard wants these to be there, whatever an FMU can do. */
+/* FMI requires these symbols, even if unsupported. */
 #define UNSUPPORTED(name) int name(void) { return ERROR; }
 UNSUPPORTED(fmi3ActivateModelPartition) UNSUPPORTED(fmi3CompletedIntegratorStep) UNSUPPORTED(fmi3DeserializeFMUState)
 UNSUPPORTED(fmi3EnterConfigurationMode) UNSUPPORTED(fmi3EnterContinuousTimeMode) UNSUPPORTED(fmi3EnterEventMode)

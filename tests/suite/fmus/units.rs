@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Units of another kind for each unit of the example, with their definitions. The time gap's has an offset.
+/// Another unit for each unit of the example, with its definition. The time gap's has an offset.
 const OTHER_UNITS: &str = r#"<UnitDefinitions>
     <Unit name="ft"><BaseUnit m="1" factor="0.3048"/><DisplayUnit name="yd" factor="0.333"/></Unit>
     <Unit name="km/h"><BaseUnit m="1" s="-1" factor="0.2777777777777778"/></Unit>
@@ -15,7 +15,8 @@ const OTHER_UNITS: &str = r#"<UnitDefinitions>
 /// Factors and offsets of gap, relative speed, speed, answer, time gap and set speed in [`OTHER_UNITS`].
 const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3.6, 9.80665, 60, 1 / 3.6}, OFFSET[] = {0, 0, 0, 0, 0.25, 0};\n";
 
-/// The C source of an FMU that calculates in SI units inside and speaks other units outside. Its table begins at this reference.
+/// Returns the C source of an FMU that computes in SI units with other units outside. Its table begins at reference
+/// `first`.
 fn convert_units_in_source(source: &str, first: u32) -> String {
     let of = |table: &str| format!("(references[one] - {first} < 6u ? {table}[references[one] - {first}]");
     let (factor, offset) = (of("FACTOR") + " : 1.0)", of("OFFSET") + " : 0.0)");
@@ -29,7 +30,7 @@ fn convert_units_in_source(source: &str, first: u32) -> String {
     source.replace("typedef struct {\n    double values", &format!("{UNIT_TABLE}typedef struct {{\n    double values"))
 }
 
-/// The description of the example with other units; the set speed gets its unit from a declared type.
+/// Returns the description of the example with other units; the set speed gets its unit from a declared type.
 fn other_units_xml() -> String {
     let begin = EXAMPLE_XML.find("<UnitDefinitions>").unwrap();
     let end = EXAMPLE_XML.find("<ModelVariables>").unwrap();
@@ -42,7 +43,7 @@ fn other_units_xml() -> String {
         .replace("unit=\"s\"", "unit=\"late\"")
 }
 
-/// The same by FMI 3: `odd` with the units of [`OTHER_UNITS`].
+/// Returns the description of `odd` (FMI 3) with the units of [`OTHER_UNITS`].
 fn other_units_odd_xml() -> String {
     let types = "<TypeDefinitions><Float64Type name=\"Speed\" unit=\"km/h\"/></TypeDefinitions>";
     let text = ODD_XML.replace("\"ONCE\"", "\"false\"");
@@ -86,7 +87,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     let found = simulate_with_truth(&find_controller("f.toml", two.path()).kind, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
     assert!(expected.outcome.failed_controller().is_none() && apart_m < 1e-9, "FMI 2: {apart_m} m");
-    // Without a controller file the variables are called like quantities, and are converted too.
+    // Without a controller file the variables are named like quantities, and are converted too.
     let by_names = |folder: &Path| simulate_with_truth(&find_controller("follower.fmu", folder).kind, &scenario);
     let apart_m = largest_difference_m(&by_names(plain.path()), &by_names(two.path()));
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
@@ -108,7 +109,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
 
-/// Nothing of an FMU runs here, so that its library may be empty.
+/// No code of an FMU runs here, so its library may be empty.
 #[test]
 fn units_that_cannot_be_converted_are_refused_by_name() {
     let place = temp_folder();
@@ -174,7 +175,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (other_units_xml(), wired("gap_ahead_m", "scale = -1.0\noffset = 3.0", "")),
         (answer_in("%"), wired("gap_ahead_m", "", "scale_mps2 = 3.0")),
         (answer_in("m/s²"), plain.clone()),
-        // A parameter that nothing sets keeps its start value, whatever its unit is.
+        // An unset parameter keeps its start value, in any unit.
         (with("unit=\"late\"", "unit=\"furlong\""), plain.clone()),
         (other_units_xml().replace("unit=", "quantity="), plain),
     ];
@@ -183,7 +184,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
     }
 }
 
-/// Limits of an input are in SI units, and so are scale and offset.
+/// Limits, scale and offset of an input are in SI units.
 #[test]
 fn numbers_of_a_controller_file_are_in_si_units() {
     let place = temp_folder();

@@ -1,5 +1,5 @@
-//! Forged certificates: each is a genuine one with something changed that a forger would change, and, half of the time, with all that
-//! the change has broken mended again (hashes, digests, sums, canonical form).
+//! Forged certificates: genuine ones with a change that a forger would make; in half of the cases all hashes, digests,
+//! sums and the canonical form are repaired.
 
 use crumple_core::digest::sha256;
 use crumple_verify::Certificate;
@@ -10,29 +10,23 @@ use rand::seq::IndexedRandom;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Value, json};
 
-/// A genuine certificate with what checking it takes.
+/// A genuine certificate, with the data for checking it.
 #[derive(Debug, Clone)]
 pub(super) struct GenuineCertificate {
-    /// The certificate.
     pub(super) certificate: Certificate,
-    /// Its policy, if it is about one.
     pub(super) policy: Option<Vec<u8>>,
-    /// The scenario that it is about, if it is about one.
     pub(super) scenario: Option<Scenario>,
 }
 
 /// A forged certificate, as a file.
 #[derive(Debug, Clone)]
 pub(super) struct ForgedCertificate {
-    /// What was changed.
     pub(super) change: String,
-    /// The file.
     pub(super) text: String,
-    /// The policy file beside it.
     pub(super) policy: Option<Vec<u8>>,
 }
 
-/// Forges one of some genuine certificates; `others` lends it parts.
+/// Forges one of some genuine certificates; `others` supplies parts.
 pub(super) fn forge(
     genuine: &GenuineCertificate,
     others: &[GenuineCertificate],
@@ -54,7 +48,7 @@ pub(super) fn forge(
             format!("without {place}")
         }
         6 => {
-            // The value that stands there stays the last, or the first, of two.
+            // The genuine value stays the last, or the first, of two.
             let canonical = genuine.certificate.to_canonical_json();
             let names: Vec<usize> = canonical.match_indices("\":").map(|(at, _)| at).collect();
             let at = names.choose(random).copied().unwrap_or_default();
@@ -108,7 +102,7 @@ pub(super) fn forge(
         repair_hashes(&mut value);
         change += ", mended";
     }
-    // In the order of the types, or it would be refused for its order alone.
+    // Keep the order of the types, or the checker rejects the order alone.
     let ordered = serde_json::from_value::<Certificate>(value.clone()).ok().filter(|_| keeps_order);
     let text = text
         .unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.to_canonical_json()));
@@ -133,7 +127,6 @@ fn change_number(value: &mut Value, places: &[String], random: &mut Xoshiro256Pl
         7 => x.next_down(),
         _ => x * [0.5, 2.0, 10.0, 1e300].choose(random).copied().unwrap_or(2.0),
     };
-    // A count stays a count.
     *number = if number.is_u64() { json!(changed.clamp(0.0, 1e15).round() as u64) } else { json!(changed) };
     format!("{place} is {number}")
 }
@@ -152,7 +145,6 @@ fn change_list(value: &mut Value, places: &[String], random: &mut Xoshiro256Plus
     format!("{place} without, with twice, or with another order of entry {at}")
 }
 
-/// A word or a digit of a text is another.
 fn change_text(value: &mut Value, places: &[String], random: &mut Xoshiro256PlusPlus) -> String {
     let texts: Vec<&String> =
         places.iter().filter(|place| value.pointer(place).is_some_and(Value::is_string)).collect();
@@ -168,7 +160,7 @@ fn change_text(value: &mut Value, places: &[String], random: &mut Xoshiro256Plus
     format!("{place} is {}", text.chars().take(70).collect::<String>().escape_debug())
 }
 
-/// Another policy, a bit of it, or its header; the certificate follows, or does not.
+/// Replaces the policy, a bit of it, or its header; the certificate follows, or does not.
 fn change_policy(
     value: &mut Value,
     policy: &mut Option<Vec<u8>>,
@@ -208,7 +200,6 @@ fn change_policy(
     format!("{what}, with its digest")
 }
 
-/// Makes hashes and sums right again.
 fn repair_hashes(value: &mut Value) {
     if let Some(text) = value.pointer("/provenance/scenario_text").and_then(Value::as_str) {
         value["provenance"]["scenario_sha256"] = json!(sha256(text));
@@ -233,7 +224,6 @@ fn repair_hashes(value: &mut Value) {
     }
 }
 
-/// A pointer to every value.
 fn json_pointers(value: &Value) -> Vec<String> {
     let mut places = Vec::new();
     let mut pending = vec![(String::new(), value)];

@@ -1,4 +1,4 @@
-//! Terms of a logic in the place of numbers: computing with them writes down what was computed.
+//! Symbolic terms in place of numbers: evaluating code with them records the computation.
 
 use std::cell::RefCell;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
@@ -6,7 +6,7 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 use crumple_world::control::Real;
 
 thread_local! {
-    /// The text of every term of this thread.
+    /// Text of every term of this thread.
     static TEXTS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 

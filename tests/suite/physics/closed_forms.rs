@@ -1,4 +1,4 @@
-//! Stopping distances and contact times against closed forms, to 1e-9.
+//! Stopping distances and collision times against closed forms, to 1e-9.
 
 use crumple_fuzzing::RunSetup;
 use crumple_world::scenario::{
@@ -11,7 +11,6 @@ use proptest::prelude::*;
 use super::trace_of;
 use crate::generate::{any_profile, simulate_traced, with_cases};
 
-/// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
 struct AcceleratedBody {
     x: f64,
@@ -34,8 +33,8 @@ impl AcceleratedBody {
     }
 }
 
-/// First contact of two bodies and their smallest gap until `end_s`, from the closed forms: the gap is monotone between
-/// the instants at which somebody stops or both are equally fast, and a monotone function has its root by bisection.
+/// Returns the first collision of two bodies and their smallest gap until `end_s`, in closed form: the gap is monotone
+/// between the instants at which a body stops or both speeds are equal, so bisection finds its root.
 fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (Option<f64>, f64) {
     let gap = |t: f64| front.x_at(t) - rear.x_at(t);
     let mut turns = vec![0.0, end_s, front.stop_time_s(), rear.stop_time_s()];
@@ -57,7 +56,6 @@ fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (
     (None, smallest)
 }
 
-/// Two vehicles that drive by themselves from the start, `gap_m` apart, in a scenario long enough for both to stop.
 fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f64, steps: u32) -> Scenario {
     let vehicle = |body: AcceleratedBody| {
         let profile = PiecewiseAcceleration { from_s: vec![0.0], accel_mps2: vec![body.a] };
@@ -88,8 +86,8 @@ fn run(scenario: &Scenario) -> SimulationResult {
     simulate_traced(scenario, &RunSetup::with_true_state().options(scenario.spec().step_s))
 }
 
-/// A script that a vehicle at `v` can keep: one that does not ease off, and recorded speeds that start at the vehicle's and
-/// change by no more than brakes and engine allow.
+/// Returns a script that a vehicle at `v` can follow: without release, and with recorded speeds that start at the
+/// vehicle's speed and respect its limits.
 fn make_feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
     match &mut profile {
         LeadProfile::RampBrake(ramp) => ramp.release_s = 0.0,
@@ -107,7 +105,7 @@ fn make_feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
     (v, profile)
 }
 
-/// The speed at time t of a vehicle that started at v, by formula; meaningless once it has been zero.
+/// Returns the speed at time t in closed form for an initial speed v; not valid after a stop.
 fn scripted_speed_mps(profile: &LeadProfile, v: f64, t: f64) -> f64 {
     match profile {
         LeadProfile::ConstantSpeed => v,
@@ -144,7 +142,7 @@ fn any_step_s() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(with_cases(1024))]
 
-    /// Stopping takes v / b and v² / 2b, however long the steps, from an onset at any step.
+    /// Stopping takes v / b and v² / 2b, for any step size and any onset.
     #[test]
     fn a_braking_vehicle_stops_in_v_squared_over_2b(
         v in 0.0..60.0_f64,
@@ -169,7 +167,7 @@ proptest! {
         prop_assert!(v == 0.0 || moving_s <= onset_s + v / b && onset_s + v / b <= moving_s + step_s + 1e-9);
     }
 
-    /// At every step boundary a scripted vehicle has the speed of its script, wherever in a step the script changes.
+    /// A scripted vehicle has the speed of its script at every step boundary, even if the script changes within a step.
     #[test]
     fn scripts_are_kept_at_every_step_boundary(
         v in 0.0..40.0_f64,
@@ -192,8 +190,8 @@ proptest! {
         }
     }
 
-    /// A vehicle at constant speed v_r reaches one that stops at b from v_f: the root of g + (v_f - v_r) t - b t²/2 if the
-    /// front one still moves then, and (g + v_f² / 2b) / v_r otherwise.
+    /// A vehicle at constant speed v_r reaches one that brakes at b from v_f at the root of g + (v_f - v_r) t - b t²/2
+    /// if the front one still moves then, and at (g + v_f² / 2b) / v_r otherwise.
     #[test]
     fn constant_speed_into_a_braking_vehicle(
         (g, v_f, v_r) in (0.1..50.0_f64, 0.0..40.0_f64, 1.0..40.0_f64),
@@ -210,7 +208,8 @@ proptest! {
         prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
     }
 
-    /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g) or stops v² / 2b on.
+    /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g), or stops after v² /
+    /// 2b.
     #[test]
     fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in any_step_s()) {
         let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
@@ -227,7 +226,7 @@ proptest! {
         }
     }
 
-    /// Any two constant accelerations: contact, impact speed and smallest gap are those of the closed forms.
+    /// Any two constant accelerations: collision, impact speed and smallest gap match the closed forms.
     #[test]
     fn any_two_bodies_meet_where_their_parabolas_do(
         (g, v_f, v_r) in (0.01..40.0_f64, 0.0..40.0_f64, 0.0..40.0_f64),
@@ -255,7 +254,7 @@ proptest! {
     }
 }
 
-/// Noise on an acceleration is normal, with the deviation stated and no memory.
+/// Acceleration noise is normal, with the stated standard deviation and without memory.
 #[test]
 fn noise_is_as_large_as_stated() {
     let deviation_mps2 = 0.3;
@@ -267,7 +266,7 @@ fn noise_is_as_large_as_stated() {
     let trace = trace_of(&result);
     let noise = &trace.vehicles[0].acceleration_mps2[..2000];
     let mean = |of: &dyn Fn(usize) -> f64| (0..1999).map(of).sum::<f64>() / 1999.0;
-    // Each of these is off by more than that once in ten thousand runs.
+    // Each bound fails by chance once in ten thousand runs.
     assert!(mean(&|k| noise[k]).abs() < 4.0 * deviation_mps2 / 2000.0_f64.sqrt());
     assert!((mean(&|k| noise[k].powi(2)).sqrt() / deviation_mps2 - 1.0).abs() < 4.0 / 4000.0_f64.sqrt());
     assert!((mean(&|k| noise[k] * noise[k + 1]) / deviation_mps2.powi(2)).abs() < 4.0 / 2000.0_f64.sqrt());

@@ -1,4 +1,4 @@
-//! Impacts keep momentum, take energy away and leave vehicles stuck together.
+//! Impacts conserve momentum, dissipate energy and leave vehicles stuck together.
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
 use crumple_fuzzing::{RunSetup, TestCase, make_scripted};
@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use super::trace_of;
 use crate::generate::{any_scenario, check_oracle, simulate_traced, with_cases};
 
-/// A line in which some vehicles do not look and the one ahead of them is slower.
+/// A line in which some vehicles never brake and the one ahead of them is slower.
 fn any_pile_up() -> impl Strategy<Value = Scenario> {
     let careless = prop::collection::vec((any::<bool>(), 0.0..20.0_f64), 6);
     (any_scenario(), careless).prop_map(|(scenario, careless)| {
@@ -32,15 +32,14 @@ fn continuing_setup() -> RunSetup {
 proptest! {
     #![proptest_config(with_cases(512))]
 
-    /// Every impact keeps the momentum of its two bodies and never adds energy; each body's change of speed is told right;
-    /// whoever touches stays together, with one speed and no gap, to the end.
+    /// Every impact conserves the momentum of its two bodies, adds no energy, and reports each change of speed
+    /// correctly. Vehicles that collide stay together to the end, with one speed and no gap.
     #[test]
     fn each_impact_keeps_momentum_and_leaves_vehicles_stuck_together(scenario in any_pile_up()) {
         check_oracle(&TestCase { scenario, setup: continuing_setup() }, impacts_are_inelastic)?;
     }
 
-    /// Over a step in which nobody brakes to standstill, forces alone change the momentum of the line, whatever hits
-    /// whatever in it: impacts have no momentum of their own to give.
+    /// In a step in which no vehicle brakes to standstill, only forces change the momentum of the line; impacts do not.
     #[test]
     fn the_motion_itself_keeps_momentum_through_impacts(scenario in any_pile_up()) {
         let result = simulate_traced(&scenario, &continuing_setup().options(scenario.spec().step_s));
@@ -63,7 +62,7 @@ proptest! {
         }
     }
 
-    /// A vehicle that stands is held, whatever it and those it sticks to want: it is never braked.
+    /// A standing vehicle is held whatever it and the vehicles stuck to it command: it is never braked.
     #[test]
     fn nobody_who_stands_is_braked(scenario in any_pile_up()) {
         let result = simulate_traced(&scenario, &continuing_setup().options(scenario.spec().step_s));
@@ -76,7 +75,6 @@ proptest! {
     }
 }
 
-/// The properties above are about something.
 #[test]
 fn pile_ups_pile_up() {
     use proptest::strategy::ValueTree;

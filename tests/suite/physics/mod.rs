@@ -1,4 +1,4 @@
-//! The laws that hold in every scenario, whoever drives.
+//! Invariants of every scenario, with any drivers.
 
 mod closed_forms;
 mod impacts;
@@ -21,33 +21,32 @@ fn trace_of(result: &SimulationResult) -> &Trace {
 proptest! {
     #![proptest_config(with_cases(512))]
 
-    /// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
+    /// No vehicle reverses or is where its speed cannot have taken it; braking never adds energy.
     #[test]
     fn vehicles_move_forward_continuously_and_braking_takes_energy_away(test_case in any_test_case()) {
         check_oracle(&test_case, motion_is_physical)?;
     }
 
-    /// The recorded motion, the verdict and the report's verdict tell one story, and nobody goes beyond what road and
-    /// vehicle allow.
+    /// The trace, the verdict and the report agree, and no vehicle exceeds the limits of road and vehicle.
     #[test]
     fn verdict_summary_and_trace_agree(test_case in any_test_case()) {
         check_oracle(&test_case, metrics_agree)?;
     }
 
-    /// "Always a gap" holds on the trace if and only if nobody touches.
+    /// "Always a gap" holds on the trace if and only if there is no collision.
     #[test]
     fn the_monitor_says_what_the_verdict_says(test_case in any_test_case()) {
         check_oracle(&test_case, monitor_agrees)?;
     }
 
-    /// Ten times finer integration, with controllers, sensors and noise at the same instants, is the same motion.
+    /// A tenth of the step, with controllers, sensors and noise at the same instants, gives the same motion.
     #[test]
     fn the_integration_step_changes_nothing(test_case in any_test_case()) {
         check_oracle(&test_case, step_size_changes_nothing)?;
     }
 }
 
-/// The paper's scenarios, which everything is compared on, are among those that do not depend on the step.
+/// The paper's scenarios, the basis of all comparisons, do not depend on the step.
 #[test]
 fn the_verdicts_of_the_papers_distribution_do_not_depend_on_the_step() {
     let baseline = crumple_world::control::ControllerSpec::from_name("baseline").unwrap();

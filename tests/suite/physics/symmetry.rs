@@ -1,4 +1,4 @@
-//! What may be moved, delayed or added without changing what happens.
+//! Symmetries: changes in time, space and number of vehicles that do not change the outcome.
 
 use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
 use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape, make_scripted};
@@ -13,7 +13,6 @@ use crate::generate::{
     without_learned_drivers, without_noise,
 };
 
-/// [`same_impacts`] for a property.
 fn assert_same_impacts(
     before: &SimulationResult,
     after: &SimulationResult,
@@ -23,7 +22,7 @@ fn assert_same_impacts(
     check_same_impacts(before, after, shift, shift_s).map_err(TestCaseError::fail)
 }
 
-/// Vehicles at one speed whose drivers hold it until the leader does something.
+/// Vehicles at one speed whose drivers keep it until the leader acts.
 fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
     let followers = prop::collection::vec((0..4_u8).prop_map(DriverKind::Controller), 1..4);
     let shape =
@@ -46,7 +45,6 @@ fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
     })
 }
 
-/// The same script, later.
 fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
     let later = |times: &mut Vec<f64>| times.iter_mut().for_each(|time_s| *time_s += by_s);
     match profile {
@@ -62,7 +60,7 @@ fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
 proptest! {
     #![proptest_config(with_cases(256))]
 
-    /// A leader that acts k steps later makes everything happen k steps later and that much farther down the road.
+    /// A leader that acts k steps later delays everything by k steps, and shifts it along the road accordingly.
     #[test]
     fn time_shift(scenario in any_steady_scenario(), steps in 1..150_usize, after_contact in any_after_contact()) {
         let spec = scenario.spec();
@@ -86,7 +84,7 @@ proptest! {
         }
     }
 
-    /// Nothing depends on where along the road it happens, noise and estimates included.
+    /// The position along the road changes nothing, including noise and estimates.
     #[test]
     fn spatial_shift(
         scenario in any_scenario(),
@@ -106,8 +104,8 @@ proptest! {
         }
     }
 
-    /// Vehicles are numbered from the front, and the numbers mean nothing: one more vehicle out of reach ahead of a leader
-    /// that follows a script changes not a bit. Without noise, whose streams go by number.
+    /// One more vehicle out of reach ahead of a scripted leader changes no bit. Without noise, whose streams depend on
+    /// the vehicle's number.
     #[test]
     fn one_more_vehicle_far_ahead(
         scenario in any_scenario(),
@@ -128,7 +126,8 @@ proptest! {
         prop_assert_eq!(&alone.vehicles[1..], &led.vehicles[2..]);
     }
 
-    /// The built-in drivers look ahead only: one more vehicle out of reach behind changes not a bit, noise included.
+    /// Built-in drivers ignore the vehicle behind: one more vehicle out of reach behind changes no bit, including
+    /// noise.
     #[test]
     fn one_more_vehicle_far_behind(
         scenario in any_scenario(),
@@ -148,7 +147,6 @@ proptest! {
     }
 }
 
-/// The symmetries are tested where something happens: their scenarios do collide, and not always.
 #[test]
 fn scenarios_of_the_symmetry_tests_are_neither_all_safe_nor_all_fatal() {
     use proptest::strategy::ValueTree;

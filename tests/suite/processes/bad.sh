@@ -1,7 +1,7 @@
-# A controller that does something bad: bad.sh WHAT MARK. The mark is for whoever looks for it among processes.
+# A misbehaving controller: bad.sh WHAT MARK. MARK identifies its processes.
 what=$1
 say() { printf '%s\n' "$1"; }
-# Something that does not end by itself, with the mark in its command.
+# Starts a process that does not end by itself, with the mark in its command line.
 linger() { sh -c 'trap "" HUP INT TERM; while :; do sleep 1; done' "$1" </dev/null; }
 
 echo "begins to $what" >&2

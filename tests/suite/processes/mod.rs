@@ -1,4 +1,4 @@
-//! Controllers that are processes: what they may do wrong ends runs, and nothing of them stays behind.
+//! Controllers that are processes: their errors end runs, and no process remains.
 
 mod unanswered;
 
@@ -23,7 +23,6 @@ use crate::command_line::{exit_code, kill_at_random_times, run_crumple, temp_fol
 
 const BAD_SCRIPT: &str = include_str!("bad.sh");
 
-/// A folder with `bad.sh`, and with a controller file for what it shall do.
 fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
     let folder = temp_folder();
     fs::write(folder.path().join("bad.sh"), BAD_SCRIPT).unwrap();
@@ -46,7 +45,6 @@ fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> Simu
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
 
-/// Processes whose command holds a text.
 fn running_processes(mark: &str) -> Vec<String> {
     let Ok(all) = fs::read_dir("/proc") else { return Vec::new() };
     let commands = all.flatten().filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
@@ -54,7 +52,7 @@ fn running_processes(mark: &str) -> Vec<String> {
     commands.filter(|command| command.contains(mark)).collect()
 }
 
-/// The system ends processes soon, and not at once.
+/// Asserts that the processes end; the system takes a moment.
 fn assert_no_process_remains(mark: &str) {
     let end = Instant::now() + Duration::from_secs(20);
     while !running_processes(mark).is_empty() {
@@ -67,7 +65,6 @@ fn short_scenario() -> Scenario {
     built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
 }
 
-/// Writes `short.toml`, a space of runs of a second.
 fn write_short_space(folder: &Path) {
     fs::write(folder.join("base.toml"), file::to_toml(&short_scenario()).unwrap()).unwrap();
     let space = "version = 1\nname = \"short\"\nbase = \"base.toml\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
@@ -75,7 +72,7 @@ fn write_short_space(folder: &Path) {
     fs::write(folder.join("short.toml"), space).unwrap();
 }
 
-/// Each ends the run in which it happens, says who, when and why with its last words, and leaves no process.
+/// Each error ends the run in which it happens. The message has the vehicle, the time, the reason and the last output.
 #[test]
 fn whatever_a_process_does_wrong_ends_the_run() {
     let cases = [
@@ -131,7 +128,7 @@ fn whatever_a_process_does_wrong_ends_the_run() {
     assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
 }
 
-/// Whoever fails in a batch ends its own run, and no other.
+/// A failure ends only the run of its controller in the batch.
 #[test]
 fn a_failure_in_a_batch_is_of_one_run() {
     let Some(folder) = python_example_folder() else { return };
@@ -162,7 +159,7 @@ fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> 
 
 const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/controllers");
 
-/// A folder with the examples; none where Python is not there, with a message.
+/// Creates a folder with the examples; prints a message and returns `None` without Python.
 fn python_example_folder() -> Option<tempfile::TempDir> {
     if !Command::new("python3").arg("--version").output().is_ok_and(|found| found.status.success()) {
         println!("skipped: there is no python3");
@@ -175,7 +172,7 @@ fn python_example_folder() -> Option<tempfile::TempDir> {
     Some(folder)
 }
 
-/// Python in batches, Python run by run, and C answer the same, in both engines.
+/// Python in batches, Python run by run, and C give the same answers, in both engines.
 #[test]
 fn the_examples_drive_alike() {
     let Some(folder) = python_example_folder() else { return };
@@ -203,7 +200,7 @@ fn the_examples_drive_alike() {
     );
 }
 
-/// Asked twice, each of its first runs; from then on it is not started any more.
+/// The first runs are sent twice; after a contradiction the process is not started again.
 #[test]
 fn who_is_not_what_he_claims_is_caught_within_two_runs() {
     for (what, caught_in_run) in [("differ", 0), ("remember", 1)] {
@@ -269,7 +266,6 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
     assert_eq!(plan.first_without_identity().map(|unknown| unknown.name.as_str()), Some("exec:sh bad.sh"));
 }
 
-/// A process that drives traffic drives as it would under test.
 #[test]
 fn a_scenario_may_have_a_process_as_a_driver() {
     allow_external();
@@ -321,7 +317,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
     }
 }
 
-/// What decides how it drives is its identity; and while it is used, its files stay what they were.
+/// The identity covers everything that affects the answers, and the files must not change during use.
 #[test]
 fn the_identity_of_a_process_is_that_of_its_files() {
     let folder = bad_process_folder("be good", LISTED_FILES);
@@ -334,7 +330,7 @@ fn the_identity_of_a_process_is_that_of_its_files() {
     assert!(said.contains("cannot be started again: bad.sh has changed since it was read"), "{said}");
 }
 
-/// The system closes the watchmen's pipes, however crumple ends.
+/// The system closes the pipes of the watchdogs, however crumple ends.
 #[cfg(target_os = "linux")]
 #[test]
 fn nothing_stays_behind_a_kill() {
@@ -350,7 +346,7 @@ fn nothing_stays_behind_a_kill() {
         .spawn()
         .unwrap();
     let watchmen = format!("crumple-watchman-{}", killed.id());
-    // Its own process and the one that lingers, of each of two that are asked the same.
+    // Two processes that are sent the same queries, each with a lingering child.
     let end = Instant::now() + Duration::from_secs(60);
     while running_processes(&mark).len() < 3 {
         assert!(Instant::now() < end, "{:?}", running_processes(&mark));
@@ -363,7 +359,7 @@ fn nothing_stays_behind_a_kill() {
     assert_no_process_remains(&watchmen);
 }
 
-/// Runs follow each other in one process a vehicle and thread, and those that fail leave nothing either.
+/// Runs share one process per vehicle and thread; runs that fail leave none either.
 #[cfg(target_os = "linux")]
 #[test]
 fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
@@ -377,7 +373,8 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
     let crash = format!("version = 1\ncommand = [\"sh\", \"bad.sh\", \"end\", \"{mark}\"]\nfiles = [\"bad.sh\"]\n");
     fs::write(folder.path().join("crash.toml"), crash).unwrap();
     for (controller, runs) in [("alone.toml", "10000"), ("crash.toml", "200")] {
-        // Four for each process, of which there are four at most: two threads, and in the first runs one besides each.
+        // Four descriptors for each of at most four processes: two threads, with a second process each in the first
+        // runs.
         let script = "ulimit -n 64; exec \"$0\" \"$@\"";
         let count = ["verify", "rate", "--controller", controller, "--space", "short.toml", "--estimator", "truth"];
         let mut counted = Command::new("sh");
@@ -396,11 +393,9 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
     assert!(said.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {said}");
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 
-    /// A campaign that is killed at any moment resumes and ends with the same bytes.
     #[test]
     #[ignore = "tier 2: seconds between kills"]
     fn a_campaign_with_a_process_goes_on_after_a_kill() {

@@ -1,4 +1,4 @@
-//! Controllers that give no answer: what is told of them wherever results are told, and what is not concluded from it.
+//! Controllers that give no answer: reports of every result mention them, and draw no false conclusions.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::{bad_process_folder, find_controller, short_scenario, simulate_with_truth, write_short_space};
 use crate::command_line::{exit_code, run_crumple, temp_folder};
 
-/// Holds its speed, and dies where the vehicle ahead is nearer than its argument, in whole metres.
+/// A controller that keeps its speed, and exits when the gap ahead is below its argument, in whole metres.
 const NEAR_SCRIPT: &str = r#"#!/bin/sh
 while read -r line; do
     id=${line#'{"id":'}
@@ -31,8 +31,8 @@ while read -r line; do
 done
 "#;
 
-/// A folder with a space of short runs, a controller that dies near others, one that never does, one that remembers the runs before, and
-/// two that cannot be started.
+/// Creates a folder with a space of short runs, a controller that exits at small gaps, one that never does, one that
+/// remembers earlier runs, and two that cannot start.
 fn controllers_folder() -> tempfile::TempDir {
     let folder = bad_process_folder("remember", "files = [\"bad.sh\"]");
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
@@ -50,7 +50,6 @@ fn controllers_folder() -> tempfile::TempDir {
     folder
 }
 
-/// What a command says on standard output, with its exit code and its errors.
 fn run_and_capture(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
     let output = run_crumple(folder, arguments);
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -156,7 +155,7 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
     let silent = &summary["methods"][1]["other_unanswered"];
     assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
     assert_eq!((&summary["falsified"], &summary["methods"][1]["failures"]), (&Value::from(false), &Value::from(0)));
-    // Who fails where the other gives no answer either has not failed beside it.
+    // A controller that fails where the other gives no answer either has not failed in comparison.
     fs::copy(folder.path().join("near.toml"), folder.path().join("as-near.toml")).unwrap();
     let (_, summary) = against("near.toml", "as-near.toml");
     assert_eq!(summary["falsified"], false, "{summary}");
@@ -189,7 +188,7 @@ fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
         fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("24", "33"),
     )
     .unwrap();
-    // Both fail by giving no answer: the first against it, the second for nobody.
+    // Both give no answer: that counts against the first, and not in favour of the second.
     let rate = ["verify", "rate", "--space", "short.toml", "--runs", "40", "--confidence", "0.6", "--out", "out"];
     let (code, text, error) = run_and_capture(
         folder.path(),
@@ -244,7 +243,7 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
     }
 }
 
-/// A few later runs are asked twice, too.
+/// A few later runs are also sent twice.
 #[test]
 fn who_remembers_late_is_caught_in_the_end() {
     let folder = bad_process_folder("remember-late", "files = [\"bad.sh\"]");
@@ -259,7 +258,7 @@ fn who_remembers_late_is_caught_in_the_end() {
     assert!(find_controller("bad.toml", folder.path()).ensure_trusted().is_ok());
 }
 
-/// Who calls a suite or a map of one need not ask whether a controller was refused on the way.
+/// Suites and maps themselves detect a controller that is refused during their runs.
 #[test]
 fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
     let folder = bad_process_folder("remember", "files = [\"bad.sh\"]");
@@ -271,7 +270,7 @@ fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
     assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
 }
 
-/// Finds fields relative to the folder and behind a shield; a command by itself has no file.
+/// Fields are found relative to the folder and behind a shield; a bare command has no file.
 #[test]
 fn a_field_of_a_controller_is_found_in_its_file() {
     let folder = controllers_folder();
@@ -295,7 +294,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         "require = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"near.toml\"",
     ];
     let gates: String = gates.iter().map(|gate| format!("[[gates]]\n{gate}\n")).collect();
-    // It dies in every drive, and at once in most.
+    // It fails in every drive, and immediately in most.
     let near = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("\"24\"", "\"900\"");
     fs::write(folder.path().join("near.toml"), near).unwrap();
     let config =
@@ -357,7 +356,7 @@ fn a_worst_case_without_an_answer_has_no_margin() {
     assert_eq!((&report["margin_m"], &report["method"], &report["found"]), (&Value::Null, &Value::Null, &true.into()));
 }
 
-/// Who names a program, or what one is made of, hears how to name it.
+/// The error for a program, or for its source, explains how to name it.
 #[test]
 fn a_file_that_is_no_controller_is_told_how_to_become_one() {
     let folder = temp_folder();

@@ -1,4 +1,4 @@
-//! Every oracle notices what it is there to notice: the program with one thing wrong in it, again and again.
+//! Every oracle detects the fault that it is meant to detect, in programs with one fault each.
 
 use std::collections::HashSet;
 use std::sync::LazyLock;
@@ -27,62 +27,53 @@ use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, Tes
 
 use crate::generate::{any_bytes, any_test_case, with_cases};
 
-/// A proof, of something else than what it is shown for.
+/// A proof about another subject.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
     Certificate::from_json(include_str!("../../../corpora/fuzz/certificate/unavoidable")).expect("a certificate")
 });
 
-/// The program with something wrong in it.
 pub(super) struct FaultySystem(pub(super) Fault);
 
-/// What is wrong with a system.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Fault {
-    /// Contact is looked for between front bumpers.
+    /// Collisions are computed between front bumpers.
     GapSign,
     /// Vehicles that brake to standstill reverse.
     NoStandstill,
-    /// Half a sample's way is missing now and then.
+    /// Half of a sample's motion is sometimes missing.
     Leap,
-    /// Coasting makes faster.
     CoastingAccelerates,
     /// Noise and controllers act at the integration step.
     NoiseOnSubsteps,
-    /// A run's result in a batch is its neighbour's.
+    /// A run in a batch returns its neighbour's result.
     BatchOffByOne,
-    /// A run in a batch takes the noise of another seed.
+    /// A run in a batch uses the noise of another seed.
     BatchSeed,
-    /// The batch engine's first sample is lost.
+    /// The batch engine loses its first sample.
     BatchSample,
     /// The struck vehicle keeps its speed.
     ElasticImpact,
-    /// What has touched comes apart again.
+    /// Vehicles separate after a collision.
     ContactReleased,
-    /// The run goes on, and reports nothing.
+    /// The run continues without reporting the collision.
     ContactForgotten,
     /// The smallest gap is that at the samples only, of the pair behind.
     GapOfVehicleBehind,
-    /// Braking disregards the road.
     FrictionIgnored,
-    /// The report takes the vehicle that was hit for the one that hit.
+    /// The report swaps the striking and the struck vehicle.
     ContactRoleSwapped,
-    /// Closing speed has the wrong sign.
+    /// The closing speed has the wrong sign.
     RateSign,
-    /// Estimates may say that a vehicle reverses.
+    /// Estimated speeds may be negative.
     Reversing,
-    /// The second digit of a position is lost in the file.
+    /// Files lose the second digit of a position.
     RoundedFile,
-    /// Files forget the seed.
+    /// Files lose the seed.
     SeedlessFile,
-    /// "Always" begins a sample late.
     LateWindow,
-    /// A formula holds when it does not.
     AlwaysSatisfied,
-    /// Nobody stands between full throttle and the brake.
     NoShield,
-    /// The bound over all drivers is half of what it should be.
     HalvedBound,
-    /// Nobody survives anything.
     AlwaysUnavoidable,
 }
 
@@ -90,7 +81,7 @@ impl System for FaultySystem {
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         match self.0 {
             Fault::GapSign => {
-                // A vehicle without length is touched 2 m or more too late.
+                // Without the vehicle's length a collision is detected 2 m or more too late.
                 let short = run.scenario().edited(|spec| {
                     spec.vehicles.iter_mut().for_each(|vehicle| vehicle.length_m = Some(0.1));
                 });
@@ -197,7 +188,6 @@ impl System for FaultySystem {
     }
 }
 
-/// A result with something wrong in it.
 fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> SimulationResult {
     let Some(trace) = &mut result.trace else { return result };
     match fault {
@@ -260,7 +250,7 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
     result
 }
 
-/// Every oracle notices what it is there to notice, when the suite asks it and when the fuzz target does.
+/// Checked through the suite and through the fuzz target.
 #[test]
 fn every_oracle_notices_its_fault() {
     let wrong: [(Fault, OracleFn, Invariant); 23] = [
@@ -290,11 +280,10 @@ fn every_oracle_notices_its_fault() {
     ];
     let oracles: HashSet<usize> = wrong.iter().map(|(_, oracle, _)| *oracle as usize).collect();
     let laws: HashSet<Invariant> = wrong.iter().map(|(.., law)| *law).collect();
-    // Of the 18 laws, one is that every test case can be run, and two are of the targets that read files.
+    // One of the 18 invariants is that every test case can be simulated; two belong to targets that read files.
     assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
     for (fault, oracle, law) in wrong {
         let system = FaultySystem(fault);
-        // As a property of the suite.
         let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..with_cases(256) };
         let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
         let property = runner.run(&any_test_case(), |test_case| match test_case.check(oracle, &system) {
@@ -302,12 +291,11 @@ fn every_oracle_notices_its_fault() {
             _ => Ok(()),
         });
         assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
-        // As the fuzz target asks it.
         let mut runner = TestRunner::deterministic();
         let strategy = any_bytes(TEST_CASE_BYTES);
-        // Some faults show in few of all scenarios: that of the bound only where nothing is noisy and nobody collides.
+        // Some faults show in few scenarios: that of the bound only without noise and collisions.
         let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
-        // By whichever oracle is asked first; of the right program they say nothing.
+        // Any oracle may detect it; the correct program passes all.
         let is_noticed = |bytes: Vec<u8>| {
             let test_case = TestCase::from_bytes(&bytes);
             test_case.check_all(&system).is_err() && test_case.check_all(&Crumple).is_ok()

@@ -1,4 +1,4 @@
-//! How little it takes: against samples, and replayed from files.
+//! The mildest attacks: against samples, and replayed from files.
 
 use std::path::Path;
 
@@ -27,7 +27,7 @@ fn find_attack(
     attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").attack
 }
 
-/// Random braking within the envelope, one acceleration a tenth of a second, and its ∫ a².
+/// Returns random braking within the envelope, one acceleration per 0.1 s, and its ∫ a².
 fn random_braking(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (f64, Scenario) {
     let cells = scenario.steps().div_ceil(10);
     let (mut from_s, mut accel_mps2) = (Vec::new(), Vec::new());
@@ -73,7 +73,7 @@ fn the_mildest_profile_is_milder_than_any_sample() {
     }
 }
 
-/// With nobody behind it is the leader that has to be hit: no plain braking does it with less.
+/// Without a follower, the leader must be hit: no constant braking is milder.
 #[test]
 fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
     let mut exact = 0;
@@ -111,7 +111,7 @@ fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
     assert!(exact >= 5, "{exact} of 16");
 }
 
-/// Against controllers of which nothing is known but what they do.
+/// Against black-box controllers.
 #[test]
 fn every_controller_has_a_worst_case_that_replays_from_its_file() {
     let scenario = built_in_scenario("paper-1").unwrap();
@@ -133,10 +133,10 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
     }
 }
 
-/// The sequential program knows nothing of the baseline's rule, and comes no lower than the exact one.
+/// The sequential program, which does not know the baseline's rule, finds nothing milder than the exact method.
 #[test]
 fn nothing_is_milder_than_the_exact_profile() {
-    // What the sequential program comes down to is no promise, and should not become worse unseen.
+    // The results of the sequential program have no guarantee; these limits detect regressions.
     for (delays_s, most_m2ps3) in [([0.0, 0.0], 7.5), ([0.3, 0.2], 6.3)] {
         let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.duration_s = 8.0;
@@ -146,7 +146,7 @@ fn nothing_is_milder_than_the_exact_profile() {
     }
 }
 
-/// Pulses of many depths and lengths, built up and released as fast as the jerk allows, from the start on.
+/// Pulses of many depths and lengths, built up and released at the jerk limit, from the start on.
 #[test]
 fn no_plain_pulse_is_milder_than_the_profile_found() {
     for (name, controller) in [("paper-1", "idm"), ("paper-1", "acc-aeb"), ("paper-2", "idm")] {
@@ -180,12 +180,11 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             "{name}, {controller}: {} against {least_m2ps3}",
             found.effort_m2ps3
         );
-        // 68.83 was called a local optimum.
+        // An earlier version reported the local optimum 68.83.
         assert!((name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32, "{}", found.effort_m2ps3);
     }
 }
 
-/// The baseline, as if it came from outside.
 struct OutsideBaseline;
 
 impl ControllerSource for OutsideBaseline {
@@ -201,7 +200,7 @@ impl ControllerSource for OutsideBaseline {
 fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
     let envelope = Envelope::from_scenario(scenario);
     let exact = find_attack(scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0).expect("collides");
-    // The same controller from outside takes the other way.
+    // A black-box copy of the controller uses the other method.
     let custom = RunOptions { controller: std::sync::Arc::new(OutsideBaseline).into(), ..options("baseline") };
     let found = find_attack(scenario, &custom, AttackObjective::Mildest, envelope, 3000).expect("collides");
     assert_eq!((exact.method, found.method), (AttackMethod::Exact, AttackMethod::Sequential));
@@ -222,7 +221,7 @@ fn a_jerk_without_bounds_is_none() {
         assert_eq!(effort(1e308), effort(1e6), "{controller}");
         assert_eq!(effort(f64::INFINITY), effort(1e6), "{controller}");
     }
-    // What is exact can only get milder with more freedom.
+    // The exact result can only get milder with more freedom.
     let exact = |jerk_mps3| {
         let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
         let found = find_attack(&scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0);
@@ -231,7 +230,7 @@ fn a_jerk_without_bounds_is_none() {
     assert!(exact(1e308) <= exact(10.0) * (1.0 + 1e-3), "{} against {}", exact(1e308), exact(10.0));
 }
 
-/// Within the envelope, at its first instant too.
+/// Including the first instant.
 #[test]
 fn no_profile_is_rougher_than_the_envelope() {
     let scenario = built_in_scenario("paper-1").unwrap();
@@ -245,7 +244,7 @@ fn no_profile_is_rougher_than_the_envelope() {
         let Driver::Profile(LeadProfile::Pieces(pieces)) = &found.scenario.vehicles()[0].driver else { panic!() };
         let mut before = (0.0, 0.0);
         for (&from_s, &accel_mps2) in pieces.from_s.iter().zip(&pieces.accel_mps2) {
-            // Equal neighbours are one piece: from nothing to the first and between neighbours there is one tenth.
+            // Equal neighbours form one piece; changes to the first piece and between pieces take 0.1 s.
             let change = (accel_mps2 - before.1).abs();
             assert!(change <= 0.8 + 1e-6, "{controller}: {change} m/s² from {} to {from_s} s", before.0);
             assert!((-6.0..=0.0).contains(&accel_mps2));
@@ -254,7 +253,7 @@ fn no_profile_is_rougher_than_the_envelope() {
     }
 }
 
-/// When the brake acts is enumerated only where it acts as decided.
+/// Trigger times are enumerated only if the brake acts without delay and noise.
 #[test]
 fn whoever_answers_late_or_with_noise_is_not_enumerated() {
     let changes: [fn(&mut crumple_world::scenario::ScenarioSpec); 4] = [
@@ -295,7 +294,7 @@ fn nonsense_is_refused() {
         )
         .is_err()
     );
-    // Nothing to hit and nobody behind: a single pair that matches its leader.
+    // A single pair whose follower matches its leader: no collision is possible.
     let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
     let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
     assert!(find_attack(&pair, &options("match-leader"), AttackObjective::Mildest, gentle, 500).is_none());

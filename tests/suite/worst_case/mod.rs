@@ -1,4 +1,4 @@
-//! Whether anyone could have avoided it: against the paper, brute force, every controller, and the checker.
+//! Avoidability against the paper, brute force, every controller, and the checker.
 
 mod attacks;
 #[allow(unreachable_pub, reason = "shared with the tests of the checker")]
@@ -20,7 +20,7 @@ use serde_json::Value;
 
 use scenes::{random_scenario, scenario_of_scene, small_scenario, with_profile};
 
-/// Decided, and where there is an escape its bound is one that the checker accepts, and no smaller one.
+/// Decides avoidability. Checks that the checker accepts the bound of an escape, and rejects a smaller one.
 fn decide_with_bound(scenario: &Scenario) -> Avoidance {
     let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
     let avoidance = avoid(scenario, options).expect("the default grid fits");
@@ -47,14 +47,14 @@ fn smallest_gap_m(simulated: &SimulationResult) -> f64 {
 }
 
 fn check_certificate(certificate: &Certificate) -> ProvedClaim {
-    // What counts is what stands in the file.
+    // The file counts.
     let text = serde_json::to_string(certificate).expect("plain data");
     let read = Certificate::from_json(&text).expect("our own file");
     assert_eq!(read, *certificate);
     crumple_verify::check(&read).expect("our own proof")
 }
 
-/// Figures of a prototype in another language.
+/// Values of a prototype in another language.
 #[test]
 fn the_papers_collisions_were_avoidable() {
     for (name, gap_m, trigger_s) in [("paper-1", 8.4, Some(3.2)), ("paper-2", 9.2, None), ("paper-3", 8.7, None)] {
@@ -92,8 +92,7 @@ fn a_finer_grid_closes_the_bracket() {
     assert!(avoid(&scenario, AvoidOptions { grid_s: Some(0.015), ..AvoidOptions::default() }).is_err());
 }
 
-/// What a finer grid found in what was said to be the best that anyone can keep: the certified bounds are above it, and no escape
-/// is taken for the best.
+/// Escapes of a finer grid stay below the certified bounds, and no escape is reported as optimal.
 #[test]
 fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
     let kept_m = |scenario: &Scenario, grid_s: Option<f64>| {
@@ -112,7 +111,7 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
         assert!((coarse_m - said_m).abs() < 0.01, "{name}: {coarse_m}");
         assert!(fine_m >= found_m - 5e-5 && fine_m <= bound_m, "{name}: {fine_m} {bound_m}");
     }
-    // 5.90 m where 5.77 m was said to be the best: as much is gained elsewhere.
+    // A finer grid found 5.90 m where 5.77 m was reported as optimal; other scenarios gain as much.
     let mut most_m: f64 = 0.0;
     for scenario in (0..40).map(small_scenario) {
         let Some((coarse_m, bound_m)) = kept_m(&scenario, Some(0.3)) else { continue };
@@ -140,7 +139,7 @@ fn smoother_escapes_cost_less_and_keep_half_the_gap() {
     assert!(smoothest.1 < largest.1 && smoothest.1 < gentlest.1, "{largest:?} {gentlest:?} {smoothest:?}");
 }
 
-/// Every choice among full braking, coasting and full acceleration, changed once in half a second.
+/// Every sequence of full braking, coasting and full acceleration, with a change every 0.5 s.
 #[test]
 fn brute_force_never_does_better() {
     let mut escaped = 0;
@@ -175,7 +174,7 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
     (0..3_usize.pow(spans as u32)).map(gap_m).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
+/// A controller that survives an unavoidable scenario, or exceeds the bound, would refute the verdict.
 #[test]
 fn no_controller_contradicts_a_verdict() {
     let count: u64 = 100 * u64::from(crate::generate::with_cases(256).cases) / 256;
@@ -217,12 +216,11 @@ fn no_controller_contradicts_a_verdict() {
     }
     println!("{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}");
     assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
-    // The multipliers of one program have to say much about the others.
+    // The multipliers of one program must spare most of the others.
     assert!(programs as u64 <= 25 * count, "{programs} programs for {count} scenes");
     assert!(avoidable * 5 > count && unavoidable * 20 > count, "{avoidable} and {unavoidable}: nothing to tell apart");
 }
 
-/// A certificate is about its own scenario alone, and not about one next to it.
 #[test]
 fn a_certificate_is_about_its_own_scenario() {
     fn brake(spec: &mut ScenarioSpec) -> &mut Brake {
@@ -257,7 +255,7 @@ fn a_certificate_is_about_its_own_scenario() {
         AvoidanceVerdict::Unavoidable(certificate) => Some(*certificate),
         AvoidanceVerdict::Undecided(_) => None,
     };
-    // Nobody who answers late can follow a profile that begins at once.
+    // A vehicle with a delay cannot follow a profile that begins immediately.
     let paper_1 = built_in_scenario("paper-1").unwrap();
     let late = paper_1.edited(|spec| spec.vehicles[1].reaction_delay_s = 0.2).unwrap();
     let (early, waits) = (certified(&paper_1).expect("decided"), certified(&late).expect("decided"));
@@ -283,7 +281,7 @@ fn a_certificate_is_about_its_own_scenario() {
     assert_eq!(kinds.len(), 2, "{kinds:?}");
 }
 
-/// Whatever single change of a file the checker accepts is a true statement: it is solved or replayed anew.
+/// Any single change that the checker accepts is a true statement: solved or replayed again.
 #[test]
 fn what_survives_mutation_is_true() {
     let verdicts = (0..40).map(|seed| (small_scenario(seed), decide_with_bound(&small_scenario(seed)).verdict));
@@ -320,7 +318,6 @@ fn what_survives_mutation_is_true() {
 fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
     let mutant: Certificate = serde_json::from_value(mutant.clone()).expect("was read before");
     match (&original.statement, &mutant.statement) {
-        // The same claim with another proof.
         (Statement::Unavoidable(before), Statement::Unavoidable(after)) if before.scene == after.scene => true,
         (_, Statement::Unavoidable(claim)) => scenario_of_scene(&claim.scene, &[])
             .is_none_or(|scenario| !matches!(decide_with_bound(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
@@ -368,14 +365,13 @@ fn a_box_is_decided_as_a_whole() {
         );
         assert_eq!(replayed.outcome, Outcome::NoCollision);
     }
-    // Nobody stops a car from 25 m/s in 16 m behind a wall, wherever in the box it stands.
+    // No car stops from 25 m/s in 16 m before a wall, at any position in the box.
     let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
     let hopeless = ScenarioBox::new(&wall, &ranges(0.0, 3.0)).unwrap();
     let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&hopeless, AvoidOptions::default()).unwrap().verdict else {
         panic!()
     };
     check_certificate(&proof);
-    // Nor at any of many speeds, fast or slow.
     let speeds = |low, high| ScenarioRanges {
         version: 1,
         ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
@@ -385,10 +381,9 @@ fn a_box_is_decided_as_a_whole() {
         panic!()
     };
     check_certificate(&proof);
-    // At 10 m/s it stops.
     let partly = ScenarioBox::new(&wall, &speeds(10.0, 40.0)).unwrap();
     assert!(matches!(avoid_box(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
-    // Braking that begins sooner or later is escaped by one profile, too.
+    // One profile escapes for all onsets of the braking.
     let onset = |low, high| ScenarioRanges {
         version: 1,
         ranges: vec![FieldRange { field: "vehicles[0].driver.brake.onset_s".into(), low, high }],
@@ -419,7 +414,7 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     };
     let idm = ControllerSpec::from_name("idm").unwrap();
     let idm = crumple_world::scenario::Driver::Controller(idm);
-    // Whoever leads, a script that touches nobody is an escape; where none is found nothing is said.
+    // With any leader, a collision-free script is an escape; without one there is no verdict.
     assert_eq!(reason(&|s| s.vehicles[0].driver = idm.clone()), None);
     let wall = |s: &mut crumple_world::scenario::ScenarioSpec| {
         (s.vehicles[0].speed_mps, s.vehicles[0].driver) = (0.0, idm.clone());
@@ -427,17 +422,17 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
     assert_eq!(reason(&wall), Some(UndecidedReason::Leader));
     assert_eq!(reason(&|s| s.vehicles[1].driver = idm.clone()), Some(UndecidedReason::NoEgo));
     assert_eq!(reason(&|s| s.vehicles[1].actuator_lag_s = 0.2), Some(UndecidedReason::EgoResponse { vehicle: 1 }));
-    // A delay of the ego is part of the escape; nobody helps a car that runs into a wall, lag or not.
+    // An escape includes the ego's delay; before a wall a collision is unavoidable, with lag or without.
     assert_eq!(reason(&|s| s.vehicles[1].reaction_delay_s = 0.2), None);
     assert_eq!(reason(&|s| (s.vehicles[0].speed_mps, s.vehicles[1].actuator_lag_s) = (0.0, 0.2)), None);
     assert_eq!(reason(&|s| s.vehicles[0].acceleration_noise_mps2 = 0.01), None);
-    // Noise of the ego may take it beyond any bound.
+    // Noise of the ego may exceed any bound.
     let noisy = built_in_scenario("paper-1").unwrap().edited(|s| s.vehicles[1].acceleration_noise_mps2 = 0.01).unwrap();
     let avoidance = decide_with_bound(&noisy);
     assert!(avoidance.best_min_gap_m.is_some() && avoidance.min_gap_bound_m.is_none(), "{avoidance:?}");
 }
 
-/// A certificate has room for sixteen.
+/// A certificate has room for sixteen vehicles.
 #[test]
 fn too_many_vehicles_are_said_to_be() {
     let paper_3 = built_in_scenario("paper-3").unwrap();

@@ -1,6 +1,6 @@
-//! Random search for escapes: the opponent of `avoid` behind followers that react.
+//! Random search for escapes, compared with `avoid` behind reacting followers.
 //!
-//! It shares no code with the optimiser: profiles are pieces with random knots, levels and held constants, and half of them
+//! Shares no code with the optimiser: profiles are pieces with random knots, levels and held constants; half of them
 //! are random changes of the best ones so far.
 
 use std::path::Path;
@@ -14,21 +14,20 @@ use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, sim
 
 use super::scenes::Dice;
 
-/// Tries between two looks at the best profiles.
+/// Tries between two updates of the best profiles.
 const BATCH: usize = 250;
-/// Profiles that are changed.
 const ELITE_COUNT: usize = 5;
 /// Shares of the duration in which all knots of a random profile lie.
 const HORIZON_SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
 
-/// A profile, accelerations from instants on, and the margin that it keeps.
 #[derive(Debug, Clone)]
 pub(super) struct TriedProfile {
     pub(super) pieces: Vec<(f64, f64)>,
     pub(super) margin_m: f64,
 }
 
-/// The profile of vehicle 1 with the largest smallest gap of so many random ones; its margin is negative if each collides.
+/// Returns the random profile of vehicle 1 with the largest minimum gap; its margin is negative if each profile
+/// collides.
 pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> TriedProfile {
     let dice = &mut Dice(seed);
     let mut best: Vec<TriedProfile> = Vec::new();
@@ -51,7 +50,7 @@ pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> Tri
     best.swap_remove(0)
 }
 
-/// An acceleration of vehicle 1: a limit, none, or anything between.
+/// Returns an acceleration of vehicle 1: a limit, zero, or a value in between.
 fn random_level_mps2(scenario: &Scenario, dice: &mut Dice) -> f64 {
     let (low, high) = (-scenario.usable_brake_mps2(1), scenario.vehicles()[1].max_accel_mps2());
     match dice.between(0.0, 6.0) as usize {
@@ -63,7 +62,6 @@ fn random_level_mps2(scenario: &Scenario, dice: &mut Dice) -> f64 {
     }
 }
 
-/// One to eight pieces.
 fn random_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
     let horizon = HORIZON_SHARES[(dice.between(0.0, 4.0) as usize).min(3)];
     let count = 1 + dice.between(0.0, 8.0) as usize;
@@ -74,7 +72,7 @@ fn random_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
     normalise_profile(scenario, pieces)
 }
 
-/// One to three random changes: of a level, of a knot, of all levels, or of the number of pieces.
+/// Makes one to three random changes: of a level, of a knot, of all levels, or of the number of pieces.
 fn mutate_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut Dice) -> Vec<(f64, f64)> {
     for _ in 0..1 + dice.between(0.0, 3.0) as usize {
         let at = (dice.between(0.0, pieces.len() as f64) as usize).min(pieces.len() - 1);
@@ -95,7 +93,7 @@ fn mutate_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut D
     normalise_profile(scenario, pieces)
 }
 
-/// Knots on the scenario's steps, in order, from the start on, and levels within the limits.
+/// Puts knots on the scenario's steps, in order, from the start on, and levels within the limits.
 fn normalise_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let step_s = scenario.spec().step_s;
     let (low, high) = (-scenario.usable_brake_mps2(1), scenario.vehicles()[1].max_accel_mps2());
@@ -137,10 +135,10 @@ fn avoid_with_bound(scenario: &Scenario) -> Avoidance {
     avoid(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() }).expect("the default grid fits")
 }
 
-/// How a random search compares with `avoid` in random scenarios of the space `assisted`.
+/// Comparison of a random search with `avoid` in random scenarios of the space `assisted`.
 #[derive(Debug, Default)]
 struct SearchComparison {
-    /// Scenarios in which it keeps a gap that is larger by more than 2 % and 0.05 m.
+    /// Scenarios in which the search keeps a gap that is larger by more than 2 % and 0.05 m.
     improved: Vec<(u64, f64, f64)>,
     undecided: Vec<u64>,
 }
@@ -186,14 +184,14 @@ fn a_long_random_search_finds_larger_gaps_in_few_scenarios() {
     assert!(comparison.improved.len() <= 4, "{comparison:?}");
 }
 
-/// Gaps that a random search has found where the programs, which do not know the follower's law, kept 0.045 and 3.750 m.
+/// Gaps of a random search where the programs, which do not model the follower's controller, kept 0.045 and 3.750 m.
 #[test]
 fn behind_a_law_the_gap_is_the_one_that_it_leaves() {
     let acc_aeb = load_escape_scenario("acc-aeb-fires.toml");
     let avoidance = avoid_with_bound(&acc_aeb);
     let escape = avoidance.verdict.escape().expect("avoidable");
     assert!(escape.min_gap_m >= 0.381, "{}", escape.min_gap_m);
-    // The brake is read from the replay.
+    // The replay shows whether the brake fires.
     let trace = simulate(&Run::new(&escape.scenario, script_options()).unwrap(), RecordingLevel::Trace).trace.unwrap();
     let hardest_mps2 = trace.vehicles[2].acceleration_mps2.iter().copied().fold(0.0, f64::min);
     let fires = hardest_mps2 < -3.5;

@@ -1,4 +1,4 @@
-//! Random scenes with an emergency in them.
+//! Random scenarios with an emergency.
 
 use crumple_verify::{ConstantPiece, Scene};
 use crumple_world::control::{AebSettings, ControllerSpec};
@@ -22,7 +22,6 @@ impl Dice {
     }
 }
 
-/// An emergency stop ahead and somebody close behind, on any road.
 pub(crate) fn random_scenario(seed: u64) -> Scenario {
     let dice = &mut Dice(seed);
     let class = |dice: &mut Dice| if dice.one_in(2.0) { VehicleClass::Heavy } else { VehicleClass::Light };
@@ -59,7 +58,6 @@ pub(crate) fn random_scenario(seed: u64) -> Scenario {
     scenario_from_gaps(format!("random-{seed}"), 0.01, 15.0, friction, vehicles)
 }
 
-/// A few seconds in steps of a tenth.
 pub(crate) fn small_scenario(seed: u64) -> Scenario {
     let dice = &mut Dice(seed + 1_000_000);
     let brake = Brake { onset_s: 0.0, rate_mps2: dice.between(4.0, 9.0) };
@@ -73,7 +71,7 @@ pub(crate) fn small_scenario(seed: u64) -> Scenario {
     scenario_from_gaps(format!("small-{seed}"), 0.1, 3.0, 1.0, vec![leader, ego, follower])
 }
 
-/// Positions are still the gaps ahead.
+/// Builds a scenario in which positions are still gaps ahead.
 fn scenario_from_gaps(
     name: String,
     step_s: f64,
@@ -100,15 +98,14 @@ fn scenario_from_gaps(
     Scenario::new(spec).expect("valid by construction")
 }
 
-/// The scenario with accelerations, each held for a time, in place of vehicle 1.
 pub(crate) fn with_profile(scenario: &Scenario, accel_mps2: Vec<f64>, held_s: f64) -> Scenario {
     let from_s = (0..accel_mps2.len()).map(|piece| piece as f64 * held_s).collect();
     let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
     scenario.edited(|spec| spec.vehicles[1].driver = script).expect("within its limits")
 }
 
-/// The scenario that the scene of a certificate describes, with a profile for each ego if there are any; none if no
-/// scenario file may say so.
+/// Returns the scenario that the scene of a certificate describes, with a profile for each ego if there are any; `None`
+/// if no scenario file can describe it.
 pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<ConstantPiece<f64>>]) -> Option<Scenario> {
     let pieces = |runs: Vec<(u32, f64)>| {
         let mut step = 0;

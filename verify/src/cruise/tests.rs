@@ -1,4 +1,4 @@
-//! Against closed forms, a simulation, and affine networks.
+//! Comparisons with closed forms, a simulation, and affine networks.
 
 use super::*;
 use crate::reach::{LinearLayer, NetworkFileFormat, NetworkLayer};
@@ -12,7 +12,7 @@ fn is_near(found: Interval, [low, high]: [f64; 2], off: f64) -> bool {
     (found.low() - low).abs() <= off && (found.high() - high).abs() <= off
 }
 
-/// Way, speed and gamma a period later, by the method of Runge and Kutta.
+/// Advances distance, speed and γ by a period with a Runge-Kutta method.
 fn simulate_period(state: [f64; 3], a: f64) -> [f64; 3] {
     const PARTS: u32 = 10;
     let h = 0.1 / f64::from(PARTS);
@@ -28,7 +28,7 @@ fn simulate_period(state: [f64; 3], a: f64) -> [f64; 3] {
 }
 
 proptest! {
-    /// Both ends of all that is said of a period follow from its formulas, and what the car does lies between them.
+    /// Checks both ends of all bounds of a period against the formulas, and that the simulation lies between them.
     #[test]
     fn a_period_is_as_its_closed_forms_say(v in 5.0..35.0_f64, gamma in -15.0..15.0_f64, a in -15.0..15.0_f64) {
         let car = CarState {
@@ -61,13 +61,13 @@ proptest! {
     }
 }
 
-/// 2 m/s in a tenth of a second, which is what is tried, to the last bit of either end: touching it shows nothing.
+/// The assumed 2 m/s in a tenth of a second must not be reached, to the last bit of either end.
 #[test]
 fn a_speed_that_may_touch_what_is_tried_is_given_up() {
     let (period, still) = (PeriodCoefficients::new(), AffineForm::default());
     for sign in [1.0, -1.0] {
         let mut seen = [0; 3];
-        // A form is a little wider than what it is made of.
+        // A form is slightly wider than its parts.
         for ulps in (-20_000..=20_i64).step_by(2) {
             let gamma = f64::from_bits(20.0_f64.to_bits().wrapping_add_signed(ulps));
             let gamma = Interval::new(gamma.min(0.0), gamma).map(|up| if sign > 0.0 { up } else { -up }).unwrap();
@@ -94,7 +94,6 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
     assert!(anywhere.advance(&still, &period, 0).is_none());
 }
 
-/// A network of one product: a is affine in the own speed.
 fn affine_controller(of_speed: f64, a: f64) -> NeuralController {
     let layer = LinearLayer { inputs: 5, outputs: 1, weights: vec![0.0, 0.0, of_speed, 0.0, 0.0], biases: vec![a] };
     NeuralController {
@@ -116,7 +115,7 @@ fn bound_point(actor: &NeuralController, distance_m: f64) -> CruiseBounds {
     bound_cell(actor, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
 }
 
-/// The own car brakes harder than the lead car and falls behind: nearest at the start, but for what may be between decisions.
+/// The own car brakes harder than the lead car: nearest at the start, apart from the allowance between decisions.
 #[test]
 fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
     for a in [-3.0, -4.5, -7.0] {
@@ -130,7 +129,7 @@ fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
     }
 }
 
-/// What is off in a period has a symbol of its own: where the network drives speeds apart, or together, so do the bounds.
+/// The remainder of a period has its own symbol: bounds follow as the network spreads or contracts the speeds.
 #[test]
 fn an_affine_network_is_bounded_as_it_drives() {
     for (of_speed, a) in [(0.0, -3.0), (0.0, 1.0), (0.25, -7.5), (-0.5, 15.0)] {
@@ -146,7 +145,7 @@ fn an_affine_network_is_bounded_as_it_drives() {
     }
 }
 
-/// The faster, the more it accelerates: until a speed may change by more than what is tried, and when that is depends on the fastest.
+/// Acceleration grows with speed until it exceeds the assumed change; the fastest member determines the time.
 #[test]
 fn the_time_at_which_bounds_are_too_wide_is_said() {
     for at_start in [12.0, 16.0] {

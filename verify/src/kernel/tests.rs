@@ -1,4 +1,4 @@
-//! Each case speaks of the motion it says it speaks of.
+//! Checks that each case describes the intended motion.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -7,14 +7,13 @@ fn rational(text: &str) -> BigRational {
     text.parse().unwrap()
 }
 
-/// What is covered up to `t` while braking at `rate` with `stop` to go, to standstill if it comes to that.
 fn distance_covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> BigRational {
     let moving = t.min(stop);
     rate * (stop * moving - moving * moving / rational("2"))
 }
 
-/// The polynomials of a pair, with the closed form's p and q as given and r, beside what they have to be worth at a point: from
-/// the motion itself, and from the claims.
+/// Returns the polynomials for a pair of limits and given coefficients, with their expected values from the motion
+/// itself.
 fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(ProofCase, BigRational)> {
     let [b, c, p, q, r] = [b, c, p, q, r].map(rational);
     let [x, y, z] = at;
@@ -34,7 +33,7 @@ fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 
         worth.push(closing(&xyz, &xy, &xyz) - closing(&xyz, &xy, x));
         all.extend(pair.catching_up_cases(&r));
         let harder = &b - &c;
-        // t = x, A = y, B = z, whoever might stand by then: an identity.
+        // t = x, A = y, B = z, even after a stop: an identity.
         let two = rational("2");
         let moving = |rate: &BigRational, stop: &BigRational, t: &BigRational| rate * (stop * t - t * t / &two);
         let (v, w) = (&b * y, &c * z);
@@ -63,7 +62,7 @@ fn each_case_speaks_of_the_motion() {
         for x in &values {
             for y in &values {
                 for z in &values {
-                    // Whatever is claimed: the case says by how much it is short.
+                    // The claimed coefficients are arbitrary: the case shows the shortfall.
                     for claimed in [["1/15", "-1/12", "1/3"], ["2/7", "-3/11", "5/13"]] {
                         for (case, worth) in cases_with_values(b, c, [x, y, z], claimed) {
                             let value = case.polynomial.evaluate([x, y, z]);

@@ -1,45 +1,45 @@
-//! What a network does to each of its numbers between products: a straight line, and what is off it.
+//! Activation functions: a straight line, and the excess over it.
 //!
-//! Over [l, h] each function f is replaced by s x + [m, M] with a plain number s and m ≤ f(x) - s x ≤ M; what is off the line is a
-//! symbol of its own. s is near the slope of the chord; m and M are bounds for the s that was taken, whatever it is. Besides, what is
-//! computed in single precision is off f by a stated rounding. With u = 2⁻²⁴:
+//! Over [l, h] a line s x + [m, M] replaces each function f, with a plain number s and m ≤ f(x) - s x ≤ M; the excess
+//! is a symbol of its own. s is near the slope of the chord; m and M are bounds for the chosen s. The single-precision
+//! value differs from f by a stated rounding. With u = 2⁻²⁴, m and M, and rounding:
 //!
-//! | function | m and M | rounding |
-//! |---|---|---|
-//! | max(0, x) | convex, and a line on either side of 0: f - s x takes its extremes at l, 0 and h | none |
-//! | x, a x below 0 | a line on either side of 0, whatever a is: likewise | u a x below 0 |
-//! | x cut to [c, d] | lines between c and d: f - s x takes its extremes at l, c, d and h | none |
-//! | tanh | odd, convex below 0 and concave above: each half by its tangent | assumed, [`TANH_ERROR`] |
-//! | 1/(1 + e⁻ˣ) | 1/2 + tanh(x/2)/2, of which every step but the tanh is exact | below |
-//! | x, α (eˣ - 1) below 0 | for 0 ≤ α ≤ 1 convex: highest at l or h, and above its tangents, 0 among them if α ≤ s ≤ 1; else the range, on a level line | below |
-//! | x + a, a x, x / a | a line | u of the result, for products 10⁻⁴⁴ besides |
+//! - max(0, x): convex, and a line on either side of 0: f - s x takes its extremes at l, 0 and h; no rounding;
+//! - x, a x below 0: a line on either side of 0 for any a: likewise; u a x below 0;
+//! - x clipped to [c, d]: f - s x takes its extremes at l, c, d and h; no rounding;
+//! - tanh: odd, convex below 0 and concave above: each half by its tangent; assumed, [`TANH_ERROR`];
+//! - 1/(1 + e⁻ˣ): 1/2 + tanh(x/2)/2, of which every step but the tanh is exact; below;
+//! - x, α (eˣ - 1) below 0: for 0 ≤ α ≤ 1 convex: highest at l or h, and above its tangents, 0 among them if α ≤ s ≤ 1;
+//!   else the range, on a level line; below;
+//! - x + a, a x, x / a: a line; u of the result, for products 10⁻⁴⁴ besides.
 //!
 //! # Rounding of exp
-//! exp and exp - 1 in single precision are assumed to be off by 2⁻²² of themselves at most, and by 10⁻³⁸ where they are as small as that;
-//! libm's are within 2⁻²³ in tests. An infinite e⁻ˣ makes 1/(1 + e⁻ˣ) zero, where it is less than 2⁻¹²⁶. With y = e⁻ˣ the derivative of 1/(1 + y) is at most 1
-//! and, times y, at most 1/4: so the quotient is off by 2⁻²⁴ for the exponential, by u for the sum and by u for the division, in all by less
-//! than 2⁻²². α (eˣ - 1) is off by |α| (2⁻²² + u) at most, less than |α| 2⁻²¹.
+//! exp and exp - 1 in single precision are assumed to have a relative error of at most 2⁻²², and an error of 10⁻³⁸ for
+//! values that small; libm's are within 2⁻²³ in tests. An infinite e⁻ˣ makes 1/(1 + e⁻ˣ) zero, where it is less than
+//! 2⁻¹²⁶. With y = e⁻ˣ the derivative of 1/(1 + y) is at most 1 and, times y, at most 1/4. So the quotient is off by
+//! 2⁻²⁴ for the exponential, u for the sum and u for the division, in all by less than 2⁻²². α (eˣ - 1) is off by |α|
+//! (2⁻²² + u) at most, less than |α| 2⁻²¹.
 
 use super::controller::{TANH_ERROR, UNIT_ROUNDOFF};
 use super::form::AffineForm;
 use super::relax::{elu_relaxation, linear_enclosure, relu_relaxation, tanh_relaxation};
 use crate::interval::Interval;
 
-/// How far 1/(1 + e⁻ˣ) in single precision is from the true one at most.
+/// Largest error of the single-precision 1/(1 + e⁻ˣ).
 const SIGMOID_ERROR: f64 = TANH_ERROR;
-/// The same of eˣ - 1 times α, for an α of 1.
+/// Largest error of the single-precision α (eˣ - 1), for α = 1.
 const ELU_ERROR: f64 = 2.0 * TANH_ERROR;
-/// More than a product in single precision loses by underflow.
+/// Upper bound of the loss of a single-precision product by underflow.
 const UNDERFLOW: f64 = 1e-44;
 
-/// Something done to each number: one operand for each of them where there are operands.
+/// An elementwise function, with one operand per number if it has operands.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Activation {
     /// max(0, x).
     Relu,
-    /// x, times this below 0.
+    /// x, and the parameter times x below 0.
     LeakyRelu(f64),
-    /// x, below 0 this times eˣ - 1.
+    /// x, and the parameter times eˣ - 1 below 0.
     Elu(f64),
     /// tanh x.
     Tanh,
@@ -51,16 +51,16 @@ pub enum Activation {
     Multiply(Vec<f64>),
     /// x / a.
     Divide(Vec<f64>),
-    /// x cut to lie between two numbers.
+    /// x clipped to an interval.
     Clip {
-        /// The lowest.
+        /// Lower limits.
         low: Vec<f64>,
-        /// The highest.
+        /// Upper limits.
         high: Vec<f64>,
     },
 }
 
-/// A function is in `slope` x + [`low`, `high`], and what is computed for it within `rounding` of it.
+/// A function within `slope` x + [`low`, `high`], and its computed value within `rounding` of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LinearRelaxation {
     pub(super) slope: f64,
@@ -76,7 +76,7 @@ impl LinearRelaxation {
         Self { slope: 0.0, low: value, high: value, rounding: 0.0 }
     }
 
-    /// The line through values at both ends, and what is off it at any of `points`, between which the function is straight.
+    /// Creates the chord, and the excess at `points`, between which the function is straight.
     fn from_breakpoints(points: &[(f64, Interval)], [least, most]: [f64; 2]) -> Self {
         let (Some((low, at_low)), Some((high, at_high))) = (points.first(), points.last()) else {
             return Self::new_constant(f64::NAN);
@@ -92,12 +92,11 @@ impl LinearRelaxation {
         *self == Self::IDENTITY
     }
 
-    /// Whether the result is the same number for all.
+    /// True if the result is one number for all inputs.
     pub(super) fn is_constant(&self) -> bool {
         self.slope == 0.0 && self.low == self.high && self.rounding == 0.0
     }
 
-    /// The middle of what is off the line, and how far it may be from that.
     pub(super) fn middle_and_radius(&self) -> (f64, f64) {
         Interval::new(self.low, self.high).map_or((0.0, f64::INFINITY), Interval::middle_and_radius)
     }
@@ -115,7 +114,7 @@ impl LinearRelaxation {
 }
 
 impl Activation {
-    /// How many numbers it is for; none if for any.
+    /// Returns the number of operands, or `None` for a function of any width.
     #[must_use]
     pub fn width(&self) -> Option<usize> {
         match self {
@@ -125,7 +124,7 @@ impl Activation {
         }
     }
 
-    /// Bound of the size of what it makes of a number whose size is at most `bound`.
+    /// Bounds the magnitude of the result for magnitudes up to `bound`.
     pub(super) fn max_magnitude(&self, number: usize, bound: f64) -> f64 {
         let of = |operands: &[f64]| operands.get(number).map_or(f64::NAN, |operand| operand.abs());
         match self {
@@ -140,7 +139,6 @@ impl Activation {
         }
     }
 
-    /// Operations that a number takes, more or less.
     pub(super) fn operations(&self) -> u64 {
         match self {
             Self::Relu => 0,
@@ -149,7 +147,7 @@ impl Activation {
         }
     }
 
-    /// Whether a narrower range could make a better line.
+    /// True if a narrower range could tighten the line.
     pub(super) fn is_nonlinear_on(&self, number: usize, low: f64, high: f64) -> bool {
         let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         match self {
@@ -164,7 +162,7 @@ impl Activation {
         }
     }
 
-    /// A line for number `number` between `low` and `high`.
+    /// Returns the line of number `number` over [`low`, `high`].
     pub(super) fn relaxation(&self, number: usize, low: f64, high: f64) -> LinearRelaxation {
         let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         let largest = low.abs().max(high.abs());
@@ -247,14 +245,12 @@ impl Activation {
         }
     }
 
-    /// What it makes of a form.
     pub(super) fn apply(&self, number: usize, x: &AffineForm) -> AffineForm {
         let range = x.range();
         self.relaxation(number, range.low(), range.high()).apply(x)
     }
 }
 
-/// What rounding to single precision changes a number of this size by at most.
 fn rounding_error(size: f64) -> f64 {
     size * (UNIT_ROUNDOFF * (1.0 + 1e-6))
 }

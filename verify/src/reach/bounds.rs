@@ -1,11 +1,10 @@
-//! Bounds of the numbers between the layers of a network: see [`actor`](super::actor).
+//! Bounds of the numbers between the layers of a network: see [`controller`](super::controller).
 
 use super::activation::Activation;
 use super::controller::{LinearLayer, UNIT_ROUNDOFF};
 use super::form::{AffineForm, SUM_REL_ERROR, round_up};
 use crate::interval::Interval;
 
-/// The inputs as matrices: a row of as many numbers as there are symbols for each of them.
 pub(super) struct InputForms {
     symbol_count: usize,
     terms: Vec<f64>,
@@ -15,11 +14,11 @@ pub(super) struct InputForms {
 
 /// The Λᵢ and Eⱼ of all numbers, the middles, and ρ.
 pub(super) struct NetworkBounds {
-    /// One after the other the Λᵢ of all numbers, then the Eⱼ of all numbers.
+    /// The Λᵢ of all numbers, then the Eⱼ of all numbers.
     pub(super) columns: Vec<f64>,
     pub(super) centre: Vec<f64>,
     pub(super) rho: Vec<f64>,
-    /// What is off the lines of the last functions, not yet columns: (which number, radius), in order.
+    /// Excess of the last activations, not yet in columns: (index, radius), in order.
     excess: Vec<(usize, f64)>,
 }
 
@@ -37,7 +36,7 @@ impl InputForms {
         }
     }
 
-    /// Largest |Σ Λᵢ (yᵢ - middle)|, if the same with nothing in common between the yᵢ is `apart`.
+    /// Returns the largest |Σ Λᵢ (yᵢ - middle)|, given `apart`, its value for uncorrelated yᵢ.
     fn max_linear_part(&self, slopes: &[f64], apart: f64) -> f64 {
         let mut sums = vec![0.0; self.symbol_count];
         for (row, &slope) in self.terms.chunks_exact(self.symbol_count.max(1)).zip(slopes) {
@@ -49,7 +48,6 @@ impl InputForms {
 }
 
 impl NetworkBounds {
-    /// Each input is itself.
     pub(super) fn from_inputs(inputs: &[AffineForm]) -> Self {
         let count = inputs.len();
         let identity = |i: usize| (0..count).map(move |number| f64::from(u8::from(i == number)));
@@ -65,14 +63,13 @@ impl NetworkBounds {
         self.columns.len() / self.centre.len().max(1)
     }
 
-    /// What a layer costs, more or less.
     pub(super) fn operations(&self, layer: &LinearLayer) -> u64 {
         let width = (self.column_count() + self.excess.len()) as u64;
         let alive = self.centre.iter().filter(|&&centre| centre != 0.0).count() as u64;
         alive * layer.outputs as u64 * (width + 2) + 1000
     }
 
-    /// For each number the largest |Σ Λᵢ (yᵢ - middle)| if the yᵢ had nothing in common, and the largest |Σ Eⱼ ηⱼ|.
+    /// Returns for each number the largest |Σ Λᵢ (yᵢ - middle)| for uncorrelated yᵢ, and the largest |Σ Eⱼ ηⱼ|.
     fn radii(&self, inputs: &InputForms) -> (Vec<f64>, Vec<f64>) {
         let numbers = self.centre.len();
         let (mut apart, mut own) = (vec![0.0; numbers], vec![0.0; numbers]);
@@ -85,7 +82,7 @@ impl NetworkBounds {
         (apart, own)
     }
 
-    /// h W + b with what single and double precision may add.
+    /// Computes h W + b with the rounding of single and double precision.
     pub(super) fn apply_linear(&self, layer: &LinearLayer, inputs: &InputForms) -> Self {
         let (n, numbers, outputs) = (layer.inputs as f64 + 2.0, self.centre.len(), layer.outputs.max(1));
         let relative = n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
@@ -121,7 +118,6 @@ impl NetworkBounds {
         Self { columns, centre, rho, excess: Vec::new() }
     }
 
-    /// What a function makes of each number.
     pub(super) fn apply_activation(&mut self, each: &Activation, inputs: &InputForms) {
         self.append_excess_columns();
         let numbers = self.centre.len();
@@ -161,7 +157,7 @@ impl NetworkBounds {
         }
     }
 
-    /// Makes columns of what is off the lines, so that another function can follow without a product in between.
+    /// Turns excesses into columns, so that another activation can follow without a product in between.
     fn append_excess_columns(&mut self) {
         let numbers = self.centre.len();
         for (number, radius) in self.excess.drain(..) {
@@ -171,7 +167,7 @@ impl NetworkBounds {
         }
     }
 
-    /// One of the numbers as a form in the inputs' symbols; none if there is no such number.
+    /// Returns one number as a form in the symbols of the inputs, or `None` if it does not exist.
     pub(super) fn into_form(mut self, number: usize, inputs: &[AffineForm]) -> Option<AffineForm> {
         self.append_excess_columns();
         let (centre, rho) = (*self.centre.get(number)?, *self.rho.get(number)?);
@@ -187,7 +183,6 @@ impl NetworkBounds {
     }
 }
 
-/// Adds numbers times a factor.
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
 }

@@ -1,4 +1,4 @@
-//! Leader and follower: vehicles that brake to standstill.
+//! Vehicles that brake to standstill: leader and follower.
 //!
 //! Both hold their speed until they brake at b from a time τ on, to standstill. With P = max(0, t - τ) and w = v - b P
 //!
@@ -8,9 +8,9 @@
 //!          = v τ + v²/(2 b)                         once all members stand
 //! ```
 //!
-//! evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need not be an instant: over the step
-//! it falls into, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as an interval.
-//! The acceleration observed is that of the step before; where members differ it is any number from -b to 0.
+//! evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need not be an instant.
+//! Over the step of τ, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as
+//! an interval. The acceleration observed is that of the step before; if members differ it is any number from -b to 0.
 
 use super::form::AffineForm;
 use super::relax::{reciprocal, relu, relu_squared};
@@ -26,7 +26,6 @@ pub(super) struct BrakingVehicle {
     /// τ / h.
     pub(super) onset: AffineForm,
     pub(super) onset_range: Interval,
-    /// Distance that holding the mean acceleration over the first step may cost.
     pub(super) onset_step_error_m: Interval,
 }
 
@@ -39,7 +38,6 @@ pub(super) struct VehicleState {
 }
 
 impl VehicleState {
-    /// What holds those of either.
     pub(super) fn join(&self, other: &Self) -> Self {
         Self {
             distance: self.distance.join(&other.distance),
@@ -64,19 +62,18 @@ impl BrakingVehicle {
         Self { speed, rate, half_over_rate, onset, onset_range, onset_step_error_m: mean_held_m }
     }
 
-    /// Whether all members have stood for a step at instant k: from then on nothing about them changes.
+    /// True if all members have stood for a step at instant k: their state no longer changes.
     pub(super) fn has_stood(&self, k: u32, step: Interval) -> bool {
         let since = Interval::point(f64::from(k) - 1.0) - self.onset_range;
         since.low() >= 0.0 && (self.speed.range() - self.rate.range() * since * step).high() <= 0.0
     }
 
-    /// What the acceleration of the step before instant k may have been, each a form of its own: none, the mean of a step in which it began to
-    /// brake, or the rate. One of them is that of [`at`](Self::at) where they are one.
+    /// Returns the alternative accelerations in the step before instant k: zero, the mean of the step of the onset, or
+    /// the rate. A single one equals that of [`state_at`](Self::state_at).
     pub(super) fn possible_accelerations(&self, k: u32, step: Interval) -> Vec<AffineForm> {
         let k = f64::from(k);
         let [first, last] = [self.onset_range.low(), self.onset_range.high()];
         let since = AffineForm::constant(Interval::point(k - 1.0)).minus(&self.onset);
-        // A step ago, if it had begun to brake.
         let speed = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step))).range();
         let (has_begun, begins_at_instants) = (first <= k - 1.0, self.onset_step_error_m == Interval::ZERO);
         let stands = self.speed.range().low() <= 0.0 || has_begun && speed.low() <= 0.0;
@@ -97,7 +94,6 @@ impl BrakingVehicle {
         all
     }
 
-    /// At instant k.
     pub(super) fn state_at(&self, k: u32, step: Interval) -> VehicleState {
         let k = f64::from(k);
         let coasting = self.speed.scaled(Interval::point(k) * step);

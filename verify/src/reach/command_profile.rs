@@ -1,8 +1,9 @@
-//! What the egos of a set do from one decision to the next: hold an acceleration, or follow a law from which they depart.
+//! Commands of the egos of a set until the next decision: a held acceleration, or those of a residual policy.
 //!
-//! Who follows a law accelerates anew at every step. What that adds within a decision interval belongs to no symbol; at the decision it becomes symbols. Who
-//! stops within a step would have reversed at b h at most, if it brakes at b, so that a speed below that is none of a member's. Over the last step before the
-//! next decision the set is split in those who move and those who stand, as [`members`](super::members) does for the whole of an interval.
+//! A residual policy commands a new acceleration at every step. New uncertainty within a decision interval belongs to
+//! no symbol; it becomes symbols at the decision. The unclipped update of a vehicle that stops within the step ends at
+//! >= -b h, so lower speeds are discarded. Over the last step before the next decision the set is split into moving and
+//! standing members, as [`ego_set`](super::ego_set) does for a whole interval.
 
 use super::braking::VehicleState;
 use super::ego_set::{EgoSet, MotionMode};
@@ -10,15 +11,13 @@ use super::form::AffineForm;
 use super::relax::{relu, relu_above};
 use crate::interval::Interval;
 
-/// What is done until the next decision.
 pub(super) enum CommandProfile {
-    /// One acceleration.
+    /// A held acceleration.
     Constant(AffineForm),
-    /// Another one at each step.
+    /// A new acceleration at each step.
     Stepwise(StepCommands),
 }
 
-/// Accelerations step by step, and what comes of them.
 pub(super) struct StepCommands {
     /// At the begin of each step, and at the end of the last.
     egos: Vec<VehicleState>,
@@ -26,7 +25,7 @@ pub(super) struct StepCommands {
 }
 
 impl CommandProfile {
-    /// Of egos that accelerate, at each step in turn, at what is said of them then.
+    /// Simulates egos with the acceleration that the closure returns for each step and state.
     pub(super) fn from_steps(
         start: &VehicleState,
         steps: u32,
@@ -45,7 +44,7 @@ impl CommandProfile {
         Self::Stepwise(StepCommands { egos, accelerations })
     }
 
-    /// All egos `steps` steps into the interval; what they accelerate at is left open.
+    /// Returns all egos `steps` steps into the interval; leaves their acceleration open.
     pub(super) fn ego_after(&self, members: &EgoSet, step: Interval, steps: u32) -> VehicleState {
         match self {
             Self::Constant(wanted) => members.ego_after(wanted, step, steps),
@@ -53,7 +52,6 @@ impl CommandProfile {
         }
     }
 
-    /// All accelerations that are asked for.
     pub(super) fn accelerations_mps2(&self) -> Interval {
         match self {
             Self::Constant(wanted) => wanted.range(),
@@ -63,7 +61,7 @@ impl CommandProfile {
         }
     }
 
-    /// Whether nobody has stopped who moves at the end.
+    /// True if no ego that moves at the end has stopped before.
     pub(super) fn is_moving_throughout(&self, speed_at_end: &AffineForm) -> bool {
         let moves = |speed: &AffineForm| speed.range().low() > 0.0;
         let within = match self {
@@ -73,7 +71,8 @@ impl CommandProfile {
         within && moves(speed_at_end)
     }
 
-    /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
+    /// Returns the egos at the next decision: those that move at the beginning of the last step before it, and those
+    /// that stand.
     pub(super) fn after_decision(&self, members: &EgoSet, step: Interval, decision_steps: u32) -> [Option<EgoSet>; 2] {
         match self {
             Self::Constant(wanted) => members.after_decision(wanted, step, decision_steps),
@@ -86,7 +85,6 @@ impl CommandProfile {
         }
     }
 
-    /// Whether egos that stand go on standing.
     pub(super) fn is_standing_throughout(&self, kind: MotionMode) -> bool {
         let stood = match self {
             Self::Constant(_) => true,
@@ -96,7 +94,7 @@ impl CommandProfile {
     }
 }
 
-/// Egos a step later. Those that were there before are as many: who stops is among them with a speed of 0.
+/// Advances all egos by a step; those that stop get a speed of 0.
 fn advance_step(
     VehicleState { distance, speed, .. }: &VehicleState,
     wanted: &AffineForm,
@@ -104,7 +102,6 @@ fn advance_step(
 ) -> VehicleState {
     let half = Interval::point(0.5);
     if speed.is_zero() {
-        // Who stands accelerates at max(0, u).
         let acceleration = relu(wanted);
         let distance = distance.clone().plus(&acceleration.scaled(step.sqr() * half));
         return VehicleState { distance, speed: acceleration.scaled(step), acceleration: AffineForm::default() };

@@ -1,30 +1,31 @@
-//! What a network may answer to a set of observations.
+//! Bounds of a network's output for a set of observations.
 //!
-//! The network sees affine functions of what is observed, cut to limits; computes, step after step, h W + b or a function of each
-//! number; and its answer is stretched to an acceleration. It does so in single precision. Here each of its numbers is, for every
-//! observation of the set,
+//! The network's inputs are affine functions of the observation, clipped to limits. Each layer computes h W + b or an
+//! activation function. The output is scaled to an acceleration. All in single precision. Here each of its numbers is,
+//! for every observation of the set,
 //!
 //! ```text
 //! c + Σ Λᵢ (yᵢ - middle of yᵢ) + Σ Eⱼ ηⱼ + ρ,    ηⱼ, ρ/size of ρ in [-1, 1]
 //! ```
 //!
-//! with y its inputs, which are affine forms, one symbol ηⱼ for each function that is not straight over the range of its number
-//! (it is replaced by a straight line and a bounded excess, see [`activation`](super::activation)), and ρ for everything small. A number's
-//! range is that over the forms, not over the box around them: what the observations have in common counts. The answer is
-//! again an affine form in the symbols of the state: what a step of driving does to the state is not lost on the next one.
-//! What is done to the one answer behind the last product is done to that form.
+//! with y its inputs, which are affine forms. There is one symbol ηⱼ for each activation that is not straight over the
+//! range of its number (a straight line and a bounded excess replace it, see [`activation`](super::activation)), and ρ
+//! for everything small. The range of a number is that over the forms, not over their box, so correlations of the
+//! observations count. The output is again an affine form in the symbols of the state, so correlations survive the next
+//! step. Operations after the last product apply to that form.
 //!
 //! # Rounding of the network
-//! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, fused or not (a fused
-//! multiply-add rounds once where the other two do twice), is off by at most γ (Σ|w||h| + |b|), where γ
-//! = (n + 2) u / (1 - (n + 2) u), and by less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. An
-//! input is off by u (1 + 10⁻⁶) of itself, and a difference of two observed numbers by 2⁻⁵³ of itself before anything is subtracted from it.
-//! The tanh of a single-precision number is assumed to be within 2⁻²² of the true one; libm's is within 2⁻²³ in tests. Each is added to ρ.
-//! The stretched answer is off by less than 10⁻¹⁴ of its terms. Nothing uses that a number *is* rounded: what is said of the network holds
-//! in real numbers as well.
+//! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, fused or not (a fused multiply-add
+//! rounds once instead of twice), is off by at most γ (Σ|w||h| + |b|), with γ = (n + 2) u / (1 - (n + 2) u), and by
+//! less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. An input is off by u (1 + 10⁻⁶) of
+//! itself, and a difference of two observed numbers by 2⁻⁵³ of itself before any subtraction. The tanh of a
+//! single-precision number is assumed to be within 2⁻²² of the true one; libm's is within 2⁻²³ in tests. Each is added
+//! to ρ. The scaled output is off by less than 10⁻¹⁴ of its terms. The bounds also hold for the network in real
+//! numbers.
 //!
 //! # Rounding of these bounds
-//! Sums of up to 8500 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is added too.
+//! Sums of up to 8500 products in double precision err by less than 10⁻¹² of the sum of the absolute values, which is
+//! added too.
 
 use serde::{Deserialize, Serialize};
 
@@ -36,39 +37,40 @@ use super::residual::ResidualPolicy;
 use crate::interval::Interval;
 use crate::work::{OpBudget, WorkLimit};
 
-/// Numbers that are observed: gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
+/// Number of observed quantities: gaps ahead and behind, speeds ahead, own and behind, accelerations ahead, own and
+/// behind.
 pub const OBSERVATION_SIZE: usize = 8;
 
-/// Rounding of single precision.
+/// Unit roundoff of single precision.
 pub(super) const UNIT_ROUNDOFF: f64 = 1.0 / (1 << 24) as f64;
 
-/// Assumed of the single-precision tanh: how far it is from the true one at most; and of exp and exp - 1, relative to themselves.
+/// Assumed absolute error of the single-precision tanh, and relative error of exp and exp - 1.
 pub const TANH_ERROR: f64 = 1.0 / (1 << 22) as f64;
 
-/// A network with what surrounds it, exactly as in its file.
+/// A network with its input mapping and output scaling, exactly as in its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NeuralController {
-    /// What the network sees, in order.
+    /// Inputs of the network, in order.
     pub inputs: Vec<ControllerInput>,
-    /// What it does with that.
+    /// Layers of the network.
     pub layers: Vec<NetworkLayer>,
-    /// Which of its answers counts, from 0.
+    /// Index of the used output, from 0.
     pub output_index: usize,
-    /// What the answer is multiplied with, in m/s²; 1 where it is an action that departs from a law, and then nothing is added to it.
+    /// Factor of the output, in m/s²; 1 for the action of a residual policy, with an offset of 0.
     pub scale_mps2: f64,
-    /// What is added to that, in m/s².
+    /// Offset of the scaled output, in m/s².
     pub offset_mps2: f64,
-    /// Bounds of the accelerations that it asks for, in m/s².
+    /// Bounds of the commanded acceleration, in m/s².
     pub action_bounds_mps2: [f64; 2],
-    /// Whether these are kept by cutting what goes beyond them, or nothing can.
+    /// True if these bounds clip; false if the output cannot exceed them.
     pub is_clipped: bool,
-    /// The law from which it departs; none if it answers with an acceleration.
+    /// Base controller of a residual policy; `None` if the output is an acceleration.
     pub residual_over: Option<ResidualPolicy>,
-    /// The gap that stands in for a vehicle that is not there, in metres.
+    /// Gap that stands in for an absent vehicle, in metres.
     pub empty_gap_m: f64,
     /// Time between decisions, in seconds.
     pub decision_interval_s: f64,
-    /// The file that it was read from, if it is not one of crumple's own policies.
+    /// Source file of an imported network.
     pub source: Option<NetworkFileSource>,
 }
 
@@ -76,13 +78,13 @@ pub struct NeuralController {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkFileSource {
-    /// Its format.
+    /// Format of the file.
     pub format: NetworkFileFormat,
-    /// Its SHA-256, in hexadecimal.
+    /// SHA-256 of the file, in hexadecimal.
     pub sha256: String,
 }
 
-/// Formats of networks.
+/// A format of network files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -94,7 +96,7 @@ pub enum NetworkFileFormat {
 }
 
 impl NetworkFileFormat {
-    /// Its name for a reader.
+    /// Returns the display name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -104,63 +106,63 @@ impl NetworkFileFormat {
     }
 }
 
-/// A number that a network sees: (an affine function of what is observed - offset) / scale, cut to lie between two numbers.
+/// An input of a network: (an affine function of the observation - offset) / scale, clipped to [low, high].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerInput {
-    /// What each observed number is multiplied with: 1, -1 or 0.
+    /// Coefficient of each observed number: 1, -1 or 0.
     pub coefficients: [f64; OBSERVATION_SIZE],
-    /// What is added.
+    /// Constant term.
     pub constant: f64,
-    /// What stands in for all of that where nobody is behind, if it is about who is behind.
+    /// Value of the affine function without a follower, for inputs about the follower.
     pub absent_value: Option<f64>,
-    /// Subtracted.
+    /// Subtracted value.
     pub offset: f64,
-    /// Divided by.
+    /// Divisor.
     pub scale: f64,
-    /// The least that the network sees.
+    /// Lower clipping limit.
     pub low: f64,
-    /// The most that it sees.
+    /// Upper clipping limit.
     pub high: f64,
 }
 
-/// What a network does next.
+/// A layer of a network.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NetworkLayer {
-    /// A product with a matrix.
+    /// Product with a matrix.
     Linear(LinearLayer),
-    /// Something done to each number.
+    /// Activation of each number.
     Activation(Activation),
 }
 
-/// h W + b.
+/// The affine map h W + b.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearLayer {
     /// Length of h.
     pub inputs: usize,
     /// Length of the result.
     pub outputs: usize,
-    /// W row after row, one row an input.
+    /// W row by row, one row per input.
     pub weights: Vec<f64>,
     /// b.
     pub biases: Vec<f64>,
 }
 
-/// What crumple's own policies are made of: layers with rectifiers between them and a tanh behind.
+/// A policy of crumple's own: ReLU layers with a tanh at the end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NativePolicy {
-    /// From the observation on.
+    /// Layers from the observation on.
     pub layers: Vec<LinearLayer>,
-    /// Subtracted from observations.
+    /// Values subtracted from observations.
     pub offset: [f64; OBSERVATION_SIZE],
-    /// Observations are divided by this.
+    /// Divisors of observations.
     pub scale: [f64; OBSERVATION_SIZE],
-    /// Scaled observations are cut to plus and minus this.
+    /// Clipping limit of scaled observations, on either side.
     pub limit: f64,
-    /// The gap that stands in for a vehicle that is not there, in metres.
+    /// Gap that stands in for an absent vehicle, in metres.
     pub empty_gap_m: f64,
     /// Accelerations for a tanh of -1 and 1, in m/s².
     pub action_bounds_mps2: [f64; 2],
-    /// The law that it departs from towards these, if it does.
+    /// Base controller, if the policy is a residual policy.
     pub residual_over: Option<ResidualPolicy>,
     /// Time between decisions, in seconds.
     pub decision_interval_s: f64,
@@ -206,7 +208,7 @@ impl From<NativePolicy> for NeuralController {
     }
 }
 
-/// The steps of layers with rectifiers between them.
+/// Returns layers with ReLUs between them.
 pub fn interleave_relu(layers: Vec<LinearLayer>) -> impl Iterator<Item = NetworkLayer> {
     let rectified = |(index, layer)| {
         let rectifier = (index > 0).then_some(NetworkLayer::Activation(Activation::Relu));
@@ -216,7 +218,7 @@ pub fn interleave_relu(layers: Vec<LinearLayer>) -> impl Iterator<Item = Network
 }
 
 impl NeuralController {
-    /// How many bytes the bounds between two steps take at most.
+    /// Returns an upper bound of the bytes for the bounds between two layers.
     pub(super) fn max_decision_bytes(&self) -> usize {
         let mut width = self.inputs.len();
         let mut numbers = width;
@@ -224,23 +226,20 @@ impl NeuralController {
         let of_step = |step: &NetworkLayer| {
             match step {
                 NetworkLayer::Linear(layer) => {
-                    // What is off the lines of a function behind it.
                     numbers = layer.outputs;
                     width += numbers;
                 }
-                // A second function in a row.
                 NetworkLayer::Activation(_) if is_each => width += numbers,
                 NetworkLayer::Activation(_) => {}
             }
             is_each = matches!(step, NetworkLayer::Activation(_));
             width.saturating_mul(numbers)
         };
-        // Those before a step and those after it.
         self.layers.iter().map(of_step).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
     }
 
-    /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s², with somebody behind or not; of who
-    /// departs from a law the action.
+    /// Returns the commanded acceleration in m/s², or the action of a residual policy, for observations with errors of
+    /// up to `error`.
     #[must_use]
     pub fn decide(
         &self,
@@ -251,7 +250,7 @@ impl NeuralController {
         self.decide_with_budget(seen, error, is_followed, &OpBudget::new(WorkLimit::UNLIMITED))
     }
 
-    /// The same; any number at all where it takes too much work.
+    /// Decides like [`decide`](Self::decide) within a budget; returns the whole line if it is exceeded.
     pub(crate) fn decide_with_budget(
         &self,
         seen: &[AffineForm; OBSERVATION_SIZE],
@@ -271,7 +270,6 @@ impl NeuralController {
 }
 
 impl ControllerInput {
-    /// It, for observations of which each may be off by `error`.
     fn enclose(
         &self,
         seen: &[AffineForm; OBSERVATION_SIZE],
@@ -301,7 +299,7 @@ impl ControllerInput {
             }
         }
         if terms > 1 {
-            // The simulator rounds it as well.
+            // The simulator rounds this sum as well.
             off += (value.centre().abs() + value.radius()) * f64::EPSILON;
         }
         value.shift(-Interval::point(*offset));
@@ -315,7 +313,7 @@ impl ControllerInput {
     }
 }
 
-/// A form cut to lie between two numbers: y + max(0, low - y) - max(0, y - high).
+/// Clips a form to an interval: y + max(0, low - y) - max(0, y - high).
 fn clip(y: &AffineForm, [low, high]: [f64; 2]) -> AffineForm {
     let beyond = |sign: f64, limit: f64| {
         let mut beyond = y.scaled(Interval::point(sign));
@@ -325,14 +323,14 @@ fn clip(y: &AffineForm, [low, high]: [f64; 2]) -> AffineForm {
     y.clone().minus(&beyond(1.0, high)).plus(&beyond(-1.0, low))
 }
 
-/// What steps make of inputs, the first of their answers, as a form in the inputs' symbols.
+/// Returns the first output of layers, as a form in the symbols of the inputs.
 #[must_use]
 pub fn network_output(steps: &[NetworkLayer], inputs: &[AffineForm]) -> AffineForm {
     network_output_with_budget(steps, 0, inputs, &OpBudget::new(WorkLimit::UNLIMITED))
         .unwrap_or_else(AffineForm::entire)
 }
 
-/// One of the answers; none where it takes too much work, or there is no such answer.
+/// Returns one of the outputs, or `None` if the budget is exceeded or no such output exists.
 fn network_output_with_budget(
     steps: &[NetworkLayer],
     which: usize,

@@ -1,23 +1,24 @@
-//! The ego: from one decision to the next.
+//! Sets of egos, from one decision to the next.
 //!
-//! The actor decides every D steps; its answer u is held. It is affine in the symbols plus a rest, which becomes a new symbol. After
-//! s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0, -w)²/(2|u|), the last of which is at most
-//! max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most v s/2. What this adds becomes new symbols too.
-//! So nothing that is uncertain is counted twice.
+//! The controller decides every D steps and holds its command u. It is affine in the symbols plus a rest, which becomes
+//! a new symbol. After s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0,
+//! -w)²/(2|u|). The last term is at most max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most
+//! v s/2. The added uncertainty becomes new symbols too, so none is counted twice.
 //!
-//! Where some members stand at the beginning of the last step before the next decision and others move, the set is split in those
-//! two: who moves observes u as its acceleration and has stopped, if at all, within one step; who stands observes 0. Either set
-//! keeps what would belong to the other (a free speed below zero, for instance): too many members do no harm.
+//! If some members stand at the beginning of the last step before the next decision and others move, the set is split
+//! into the two. Moving members observe u as their acceleration and have stopped, if at all, within one step; standing
+//! members observe 0. Either set keeps members of the other (a free speed below zero, for instance), which is sound.
 //!
-//! # Few symbols
-//! Old symbols act alike: what was uncertain long ago shows as a distance and a speed in nearly the same proportion, whenever it
-//! was. So two of them with vectors p and q (distance, speed, acceleration) become one with p + q: for any λ from 0 to 1
+//! # Order reduction
+//! Old symbols act alike: old uncertainty shows as a distance and a speed in nearly constant proportion. So two symbols
+//! with vectors p and q (distance, speed, acceleration) become one with p + q: for any λ from 0 to 1
 //!
 //! ```text
 //! p ε + q ε' = (p + q) (λ ε + (1 - λ) ε') + (p - λ (p + q)) ε + (q - (1 - λ) (p + q)) ε',
 //! ```
 //!
-//! where the first factor is again in [-1, 1], and the rest, small if p and q point the same way, becomes a symbol for each number.
+//! where the first factor is again in [-1, 1]. The rest, small if p and q are nearly parallel, becomes a symbol for
+//! each number.
 
 use super::braking::VehicleState;
 use super::form::{AffineForm, round_up};
@@ -25,21 +26,19 @@ use super::ranges::BoxDimension;
 use super::relax::{relu, relu_above};
 use crate::interval::Interval;
 
-/// Symbols of the ranges, and of the instant at which the follower's brake fires. Those from here on are the leader's, if it brakes as it
-/// likes, and then the ego's own.
+/// Symbols of the ranges and of the follower's firing instant. Later ones belong to a leader with bounded braking, then
+/// to the ego.
 pub(super) const SHARED_SYMBOLS: usize = BoxDimension::ALL.len() + 1;
-/// Most symbols that are the ego's own, and how many of them are left if they become more.
+/// Maximum number of the ego's own symbols, and their number after a reduction.
 const MAX_SYMBOLS: usize = 160;
 const REDUCED_SYMBOLS: usize = 120;
 
-/// What the members of a set have in common.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MotionMode {
-    /// They have not stopped yet, or not for longer than a step.
+    /// Not stopped, or for at most one step.
     Moving,
-    /// They stand.
     Standing,
-    /// They stood, and may have started again.
+    /// Stood before, and may have started again.
     Restarted,
 }
 
@@ -47,42 +46,38 @@ impl MotionMode {
     pub(super) const ALL: [Self; 3] = [Self::Moving, Self::Standing, Self::Restarted];
 }
 
-/// One place for the set of each kind.
 pub(super) type ByMode<T> = [Option<T>; 3];
 
-/// A set of egos at an instant that is a decision's.
 #[derive(Debug, Clone)]
 pub(super) struct EgoSet {
     pub(super) mode: MotionMode,
     pub(super) ego: VehicleState,
-    /// Who follows each of them, if somebody does by a law.
+    /// Follower of each ego, if it has a law.
     pub(super) follower: Option<VehicleState>,
-    /// The first symbol that is their own.
+    /// First of the set's own symbols.
     first_own_symbol: usize,
-    /// The first symbol that is not in use.
     pub(super) next_symbol: usize,
 }
 
 impl EgoSet {
-    /// Egos that drive at some speed, where so many symbols are shared with others.
+    /// Creates egos with a speed; `shared` symbols are shared with other sets.
     pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
         let kind = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
         let ego = VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
         Self { mode: kind, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
     }
 
-    /// The same egos, followed like this.
     pub(super) fn with_follower(self, follower: Option<VehicleState>) -> Self {
         Self { follower, ..self }
     }
 
-    /// The same egos later within a decision interval. Those that stood and now may move have started again.
+    /// Replaces the egos by later ones in a decision interval. A standing set that may move becomes restarted.
     pub(super) fn with_ego(self, ego: VehicleState) -> Self {
         let may_move = self.mode == MotionMode::Standing && !ego.speed.is_zero();
         Self { mode: if may_move { MotionMode::Restarted } else { self.mode }, ego, ..self }
     }
 
-    /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
+    /// Returns all egos `steps` steps into a decision interval; leaves their acceleration open.
     pub(super) fn ego_after(&self, wanted: &AffineForm, step: Interval, steps: u32) -> VehicleState {
         if steps == 0 {
             return VehicleState { acceleration: AffineForm::default(), ..self.ego.clone() };
@@ -90,7 +85,8 @@ impl EgoSet {
         advance_vehicle(&self.ego, wanted, Interval::point(f64::from(steps)) * step)
     }
 
-    /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
+    /// Returns the egos at the next decision: those that move at the beginning of the last step before it, and those
+    /// that stand.
     pub(super) fn after_decision(&self, wanted: &AffineForm, step: Interval, decision_steps: u32) -> [Option<Self>; 2] {
         let VehicleState { distance, speed, .. } = &self.ego;
         let [until_last, time] =
@@ -100,14 +96,13 @@ impl EgoSet {
         let (before_last, acts) = (free(until_last).range(), wanted.range());
         let braking = (-acts).max(Interval::ZERO);
         if speed.is_zero() {
-            // Who stands accelerates at max(0, u).
             let acceleration = relu(wanted);
             let kind = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
             let travelled = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
             return [Some(self.with_state(kind, travelled, acceleration.scaled(time), acceleration)), None];
         }
         let moving = || {
-            // Who stops in the last step would have reversed at no more than b h.
+            // The unclipped update of a vehicle that stops in the last step ends at >= -b h.
             let end = free(time);
             let most_reversing = braking * step;
             let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
@@ -116,7 +111,6 @@ impl EgoSet {
             self.with_state(self.mode, travelled, relu_above(&end, -most_reversing.high()), wanted.clone())
         };
         let stopped = || {
-            // From at most b s within at most s seconds.
             let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
             let mut travelled = distance.clone();
             travelled.shift((speed_mps * until_last * half).hull(Interval::ZERO));
@@ -127,7 +121,7 @@ impl EgoSet {
         [may_move.then(moving), may_stand.then(stopped)]
     }
 
-    /// The members of both, which may have different symbols but for the shared ones.
+    /// Joins two sets, which may differ in all symbols but the shared ones.
     pub(super) fn join(&self, other: &Self) -> Self {
         let symbols = self.next_symbol.max(other.next_symbol);
         let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.join(b));
@@ -152,7 +146,6 @@ impl EgoSet {
         }
     }
 
-    /// The same set with what is uncertain about distances and speeds as symbols.
     fn with_rests_as_symbols(mut self) -> Self {
         let used = self.forms().map(|form| form.terms().len());
         let mut symbols = used.fold(self.next_symbol, usize::max);
@@ -165,13 +158,11 @@ impl EgoSet {
         Self { next_symbol: symbols, ..self }
     }
 
-    /// Distance, speed and acceleration of the ego, and of a follower.
     fn forms(&self) -> impl Iterator<Item = &AffineForm> {
         let seen = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
         seen.flat_map(|VehicleState { distance, speed, acceleration }| [distance, speed, acceleration])
     }
 
-    /// The same set with fewer symbols: the pairs that cost least become one each.
     fn reduce_order(mut self) -> Self {
         let mut vectors: Vec<Generator> = (self.first_own_symbol..self.next_symbol)
             .map(|symbol| {
@@ -205,7 +196,7 @@ impl EgoSet {
     }
 }
 
-/// A vehicle some time later, if it holds an acceleration until it stands; what it accelerates at is left open.
+/// Advances a vehicle that holds an acceleration until it stands; leaves its acceleration open.
 pub(super) fn advance_vehicle(
     VehicleState { distance, speed, .. }: &VehicleState,
     wanted: &AffineForm,
@@ -233,17 +224,17 @@ pub(super) fn advance_vehicle(
     VehicleState { distance: travelled, speed: relu(&free), acceleration: wanted.clone() }
 }
 
-/// What a symbol is multiplied by in distance, speed and acceleration of the ego, and, where it follows by a law, of the follower.
+/// Coefficients of a symbol in distance, speed and acceleration of the ego, and of a follower with a law.
 type Generator = [f64; 6];
 
-/// The vector or its negative, which says the same of a symbol.
+/// Returns the vector or its negative, an equivalent generator.
 fn normalize_sign(vector: Generator) -> Generator {
     let [distance, speed, _, behind, speed_behind, _] = vector;
     let first = [distance, speed, behind, speed_behind].into_iter().find(|&number| number != 0.0);
     if first.is_some_and(|first| first < 0.0) { vector.map(|number| -number) } else { vector }
 }
 
-/// From -1 to 1, by how much of it is the ego's speed; what is the follower's alone comes after that.
+/// Returns a sort key from -1 to 1 by the share of the ego's speed; generators of the follower alone come last.
 fn direction_key(upright: &Generator) -> f64 {
     let of = |distance: f64, speed: f64| if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) };
     match *upright {
@@ -252,7 +243,6 @@ fn direction_key(upright: &Generator) -> f64 {
     }
 }
 
-/// Two vectors as one.
 struct GeneratorPair {
     sum: Generator,
     excess: Generator,

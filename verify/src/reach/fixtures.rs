@@ -1,39 +1,34 @@
-//! What tests of several modules start from.
+//! Fixtures for tests of several modules.
 
 use super::form::AffineForm;
 use super::{ControllerInput, InitialRanges, NeuralController, OBSERVATION_SIZE, ReachProblem};
 use crate::interval::Interval;
 
-/// The numbers from one to another.
 pub(super) fn interval(low: f64, high: f64) -> Interval {
     Interval::new(low, high).unwrap()
 }
 
-/// One number, as exactly as it is.
 pub(super) fn point_form(number: f64) -> AffineForm {
     AffineForm::constant(Interval::point(number))
 }
 
-/// The numbers from one to another, of which `symbol` says which.
 pub(super) fn symbol_form(symbol: usize, low: f64, high: f64) -> AffineForm {
     AffineForm::symbol(symbol, interval(low, high))
 }
 
-/// Bounds are those that are expected: never inside them, and never farther outside than `slack`.
+/// Asserts that bounds enclose the expected ones by at most `slack`.
 #[track_caller]
 pub(super) fn assert_bounds(found: Interval, [low, high]: [f64; 2], slack: f64) {
     let is_near = found.low() >= low - slack && found.high() <= high + slack;
-    // What is expected was rounded as well.
     let holds = found.low() <= low + slack * 1e-3 && found.high() >= high - slack * 1e-3;
     assert!(is_near && holds, "{found:?} for {low} to {high}");
 }
 
-/// An affine function of what is observed.
 pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
     ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
 }
 
-/// An actor that asks for an affine function of what it observes, and has no network.
+/// Creates a controller without a network that commands an affine function of its observation.
 pub(super) fn affine_controller(of: [f64; OBSERVATION_SIZE], constant: f64) -> NeuralController {
     NeuralController {
         inputs: vec![affine_input(of, constant)],
@@ -50,12 +45,10 @@ pub(super) fn affine_controller(of: [f64; OBSERVATION_SIZE], constant: f64) -> N
     }
 }
 
-/// An actor that asks for the same whatever it observes.
 pub(super) fn constant_controller(mps2: f64) -> NeuralController {
     affine_controller([0.0; OBSERVATION_SIZE], mps2)
 }
 
-/// One start, in the order of the ranges.
 pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
     let [ahead, behind, leader, ego, follower, leader_brake, follower_brake, onset] = point.map(Interval::point);
     InitialRanges {
@@ -70,7 +63,7 @@ pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
     }
 }
 
-/// A second in steps of 0.1 s, with a decision at each, nobody behind, and exact observations.
+/// Creates a problem of one second in steps of 0.1 s, with a decision at each, no follower, and exact observations.
 pub(super) fn default_problem(actor: &NeuralController, ranges: InitialRanges) -> ReachProblem<'_> {
     ReachProblem {
         controller: actor,

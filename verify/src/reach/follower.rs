@@ -1,22 +1,23 @@
-//! Who drives behind: one that holds its speed until a latched emergency brake fires, or one that follows by a law.
+//! Followers: one with a latched emergency brake, or one with a control law.
 //!
 //! # Latched
-//! See [`braking`](super::braking) and [`drive`](super::drive).
+//! See [`braking`](super::braking) and [`propagate`](super::propagate).
 //!
-//! # By a law
-//! At every step, not only where the ego decides, it asks for an acceleration that depends on its own speed v, on that of the ego w, and on the
-//! gap s between them. It is cut to what the vehicle can do, from -b (of the ranges) up to a largest acceleration, and held over the step.
+//! # Control law
+//! At every step, not only at decisions, the law commands an acceleration from the own speed v, the ego's speed w, and
+//! the gap s between them. It is clipped to the vehicle's limits, from -b (of the ranges) up to a largest acceleration,
+//! and held over the step.
 //!
-//! - `idm` (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), equations 3 and 4): A (1 - (v/v₀)⁴ - (s*/s)²) with
-//!   s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
-//! - `acc-aeb`: -b at a step at whose begin s < θ (v - w), and else the smaller of k_v (u - v) and k_g (s - s₀ - T v) + k_v (w - v), cut to its
-//!   comfort limits, where u is its speed at the first such step. Until then it has only braked, so that u is from 0 to v(0), and v(0) where the
-//!   brake does not fire at the start.
+//! - `idm` (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), equations 3 and 4): A (1 - (v/v₀)⁴ - (s*/s)²)
+//!   with s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
+//! - `acc-aeb`: -b in a step that begins with s < θ (v - w). Otherwise the smaller of k_v (u - v) and k_g (s - s₀ - T
+//!   v) + k_v (w - v), clipped to its comfort limits, with u its speed at the first such step. It only brakes before,
+//!   so u is from 0 to v(0), and v(0) unless the brake fires at the start.
 //!
-//! The law is evaluated in forms, so that the follower of a member remembers which ego it followed: a sum costs nothing, a product or a bend the
-//! second order of the width. It sees everything within 10⁻⁹ of the truth, since that is what it sees in double precision. What all that adds
-//! within a decision interval belongs to no symbol; at the decision it becomes symbols, like what is uncertain about the ego. Where the emergency
-//! brake of `acc-aeb` may fire or not, the acceleration is any number in between.
+//! The law is evaluated in affine forms, which keep the correlation of follower and ego: a sum loses nothing, a product
+//! or a bend the second order of the width. Inputs are within 10⁻⁹ of the truth, the rounding of double precision. New
+//! uncertainty within a decision interval belongs to no symbol; it becomes symbols at the decision, as for the ego. If
+//! the emergency brake of `acc-aeb` may fire or not, the acceleration is any number in between.
 
 use std::fmt;
 
@@ -30,25 +31,25 @@ use super::relax::{reciprocal, relu, relu_squared};
 use crate::Rejection;
 use crate::interval::Interval;
 
-/// A gap below this counts as this, in metres, for who drives `idm`.
+/// Smallest gap of `idm`, in metres; smaller ones count as this.
 const MIN_GAP_M: f64 = 0.01;
 
-/// More than a simulator in double precision is off, within a kilometre of its origin, in what it shows to who follows, in m and m/s.
+/// Upper bound of the double-precision error of the law's inputs within a kilometre of the origin, in m and m/s.
 const OBSERVATION_ROUNDING: f64 = 1e-9;
 
-/// Who drives behind.
+/// A model of the follower.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FollowerModel {
-    /// It holds its speed until its time to collision falls below this, in seconds, and then brakes to standstill.
+    /// Holds its speed until its time to collision falls below a threshold, and then brakes to standstill.
     Latched {
-        /// θ.
+        /// θ, in seconds.
         ttc_s: f64,
     },
-    /// It follows by a law.
+    /// Follows a control law.
     ByLaw(FollowerLaw),
 }
 
-/// A law by which somebody follows, in SI units.
+/// A control law of a follower, in SI units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FollowerLaw {
@@ -58,7 +59,7 @@ pub enum FollowerLaw {
     AccAeb(AccAebLaw),
 }
 
-/// Numbers of the Intelligent Driver Model.
+/// Parameters of the Intelligent Driver Model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdmLaw {
@@ -72,11 +73,11 @@ pub struct IdmLaw {
     pub accel_mps2: f64,
     /// B, in m/s².
     pub comfortable_brake_mps2: f64,
-    /// Most that the vehicle accelerates at, in m/s².
+    /// Largest acceleration of the vehicle, in m/s².
     pub max_accel_mps2: f64,
 }
 
-/// Numbers of adaptive cruise control with an emergency brake.
+/// Parameters of adaptive cruise control with an emergency brake.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccAebLaw {
@@ -90,11 +91,11 @@ pub struct AccAebLaw {
     pub gap_gain_per_s2: f64,
     /// k_v, in 1/s.
     pub speed_gain_per_s: f64,
-    /// Hardest braking but for the emergency brake, in m/s².
+    /// Hardest braking without the emergency brake, in m/s².
     pub comfort_brake_mps2: f64,
-    /// Hardest acceleration, in m/s².
+    /// Hardest acceleration of the law, in m/s².
     pub comfort_accel_mps2: f64,
-    /// Most that the vehicle accelerates at, in m/s².
+    /// Largest acceleration of the vehicle, in m/s².
     pub max_accel_mps2: f64,
 }
 
@@ -131,7 +132,7 @@ impl fmt::Display for FollowerLaw {
 
 impl FollowerLaw {
     /// # Errors
-    /// [`Rejection`] if a number of it is negative or infinite, or 0 where it divides.
+    /// [`Rejection`] if a parameter is negative or infinite, or a divisor is 0.
     pub(super) fn validate(self) -> Result<Self, Rejection> {
         let (numbers, divisors): (Vec<f64>, Vec<f64>) = match self {
             Self::Idm(law) => (
@@ -160,7 +161,6 @@ impl FollowerLaw {
         }
     }
 
-    /// Most that the vehicle accelerates at, in m/s².
     #[must_use]
     pub(crate) fn max_accel_mps2(&self) -> f64 {
         match self {
@@ -170,23 +170,20 @@ impl FollowerLaw {
     }
 }
 
-/// A follower by a law, behind all egos of a set.
 pub(super) struct LawFollower<'a> {
     law: &'a FollowerLaw,
-    /// u of `acc-aeb`, b, and the gap at the start.
+    /// u of `acc-aeb`, b, and the initial gap.
     set_speed: AffineForm,
     brake: AffineForm,
     start_gap: &'a AffineForm,
     step: Interval,
 }
 
-/// What a law sees at an instant.
 pub(super) struct LawInput {
     gap: AffineForm,
     speed: AffineForm,
-    /// v - w.
     closing: AffineForm,
-    /// No speed that is seen is smaller, in m/s: nobody reverses, but what is seen may be off.
+    /// Smallest observed speed in m/s: no vehicle reverses, but observations have errors.
     min_speed_mps: f64,
 }
 
@@ -195,7 +192,6 @@ impl LawInput {
         Self::with_errors([gap, speed, closing], [0.0; 3])
     }
 
-    /// The same of gap, speed and v - w that may be off by so much more.
     pub(super) fn with_errors(mut seen: [AffineForm; 3], errors: [f64; 3]) -> Self {
         seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(OBSERVATION_ROUNDING + error));
         let ([gap, speed, closing], [_, of_speed, _]) = (seen, errors);
@@ -218,12 +214,10 @@ impl<'a> LawFollower<'a> {
         Self { law, set_speed, brake: get(BoxDimension::FollowerBrakeMps2), start_gap, step }
     }
 
-    /// The gap to an ego.
     pub(super) fn gap(&self, ego: &VehicleState, own: &VehicleState) -> AffineForm {
         self.start_gap.clone().plus(&ego.distance).minus(&own.distance)
     }
 
-    /// A follower a step later, and the acceleration that it asks for.
     pub(super) fn advance(&self, own: &VehicleState, ego: &VehicleState) -> (VehicleState, AffineForm) {
         let acceleration = self.acceleration(&self.law_input(ego, own));
         (step_follower(own, &acceleration, self.step), acceleration)
@@ -251,22 +245,21 @@ impl<'a> LawFollower<'a> {
         LawInput::new(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
     }
 
-    /// What the vehicle does of what is asked for.
     fn clamp_to_limits(&self, wanted: &AffineForm) -> AffineForm {
         clamp_to_limits(wanted, &self.brake, self.law.max_accel_mps2())
     }
 }
 
 impl IdmLaw {
-    /// What a vehicle does of what it asks for that brakes at up to `brake`.
+    /// Returns the acceleration of a vehicle that brakes at up to `brake`: the narrower of form and interval.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
         let (acceleration, plain) = self.acceleration_bounds(sight, brake);
-        // Of a gap that may be next to nothing a line says less than plain numbers do.
+        // For a gap near zero a line is wider than an interval.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
         if is_wider { AffineForm::constant(plain) } else { acceleration }
     }
 
-    /// The same, as a form and by plain numbers.
+    /// Returns the acceleration as a form and as an interval.
     pub(super) fn acceleration_bounds(&self, sight: &LawInput, brake: &AffineForm) -> (AffineForm, Interval) {
         let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
         (
@@ -283,7 +276,7 @@ impl IdmLaw {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
         if gap.range().low() <= MIN_GAP_M {
-            // It wants at most A, and is not let brake harder than it can.
+            // It commands at most A and brakes at most at its limit.
             return AffineForm::constant((-brake.range()).hull(accel));
         }
         let mut wants = speed.scaled(point(self.time_headway_s));
@@ -294,14 +287,13 @@ impl IdmLaw {
         let of_desired = speed.scaled(Interval::ONE.over(point(self.desired_speed_mps)));
         let mut fourth = relu_squared(&relu_squared(&of_desired));
         if *least_mps < 0.0 {
-            // Of a speed below 0 it is not 0.
             fourth.shift(Interval::ZERO.hull(point(*least_mps).over(point(self.desired_speed_mps)).sqr().sqr()));
         }
         let taken = fourth.plus(&relu_squared(&share));
         AffineForm::constant(accel).minus(&taken.scaled(accel))
     }
 
-    /// The same of numbers that have nothing to do with each other.
+    /// Returns the desired acceleration in interval arithmetic, without correlations.
     fn desired_acceleration_interval(
         &self,
         LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput,
@@ -314,7 +306,6 @@ impl IdmLaw {
         point(self.accel_mps2) * (Interval::ONE - fourth - share.sqr())
     }
 
-    /// 1 / (2 √(A B)).
     fn inverse_twice_geometric_mean(&self) -> Interval {
         let mean = (Interval::point(self.accel_mps2) * Interval::point(self.comfortable_brake_mps2)).sqrt();
         Interval::ONE.over(Interval::point(2.0) * mean)
@@ -322,14 +313,13 @@ impl IdmLaw {
 }
 
 impl AccAebLaw {
-    /// Below 0 the emergency brake fires.
     fn guard(&self, LawInput { gap, closing, .. }: &LawInput) -> AffineForm {
         let mut guard = gap.clone();
         guard.add_scaled(closing, -Interval::point(self.ttc_s));
         guard
     }
 
-    /// What it asks for where the emergency brake does not fire.
+    /// Returns the command without the emergency brake.
     fn acc_acceleration(&self, LawInput { gap, speed, closing, .. }: &LawInput, set_speed: &AffineForm) -> AffineForm {
         let point = Interval::point;
         let gain = point(self.speed_gain_per_s);
@@ -345,29 +335,24 @@ impl AccAebLaw {
     }
 }
 
-/// What a vehicle does of what is asked for, that brakes at up to `brake` and accelerates at up to a number.
 fn clamp_to_limits(wanted: &AffineForm, brake: &AffineForm, max_accel_mps2: f64) -> AffineForm {
     let most = AffineForm::constant(Interval::point(max_accel_mps2));
     min_form(&max_form(wanted, &brake.scaled(Interval::point(-1.0))), &most)
 }
 
-/// The larger of two: b + max(0, a - b).
 fn max_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
     let beyond = a.clone().minus(b);
     if beyond.range().low() >= 0.0 { a.clone() } else { b.clone().plus(&relu(&beyond)) }
 }
 
-/// The smaller of two.
 fn min_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
     let negative = |form: &AffineForm| form.scaled(Interval::point(-1.0));
     negative(&max_form(&negative(a), &negative(b)))
 }
 
-/// A follower a step later, if it asks for an acceleration: distance and speed then, and the acceleration that is seen of it.
 fn step_follower(from: &VehicleState, wanted: &AffineForm, step: Interval) -> VehicleState {
     let later = advance_vehicle(from, wanted, step);
     let acceleration = if from.speed.is_zero() {
-        // Who stands accelerates at max(0, u).
         relu(wanted)
     } else if from.speed.range().low() > 0.0 || wanted.range().low() >= 0.0 {
         wanted.clone()

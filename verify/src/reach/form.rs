@@ -1,28 +1,28 @@
-//! Affine forms: numbers that remember what they depend on.
+//! Affine forms: numbers that keep their correlations.
 //!
-//! A form is the set of numbers c + Σ aᵢ εᵢ + ρ with εᵢ and ρ/rest in [-1, 1]. The symbols εᵢ are shared between forms, so
-//! that what two forms have in common cancels when one is subtracted from the other; `rest` is shared with nobody.
+//! A form is the set of numbers c + Σ aᵢ εᵢ + ρ with εᵢ and ρ/rest in [-1, 1]. Forms share the symbols εᵢ, so common
+//! parts of two forms cancel in their difference; `rest` is not shared.
 //!
 //! # Rounding
-//! An operation that changes terms computes each of them with at most three roundings. Each rounding of a result r errs by at
-//! most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times 4u goes into `rest`, twice what is
-//! needed, which also pays for rounding that very sum. Sums of n ≤ 8500 numbers that are not negative err by less than
-//! 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
+//! An operation that changes terms computes each of them with at most three roundings. Each rounding of a result r errs
+//! by at most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times 4u goes into
+//! `rest`, twice the required amount, which also covers rounding that sum. Sums of n ≤ 8500 numbers that are not
+//! negative err by less than 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
 
 use crate::interval::Interval;
 
-/// More than the relative error of a sum of 8500 products, (8500 + 2) 2⁻⁵³.
+/// Upper bound of the relative error of a sum of 8500 products, (8500 + 2) 2⁻⁵³.
 pub(super) const SUM_REL_ERROR: f64 = 1e-12;
 
-/// An upper bound of a number that is not negative and was computed with at most five roundings.
+/// Bounds a number that is not negative and was computed with at most five roundings.
 pub(super) fn round_up(computed: f64) -> f64 {
     computed * (1.0 + 1e-15) + 1e-300
 }
 
-/// What is not worth a symbol.
+/// Largest rest that gets no symbol.
 const NEGLIGIBLE_REST: f64 = 1e-9;
 
-/// c + Σ aᵢ εᵢ + ρ.
+/// An affine form c + Σ aᵢ εᵢ + ρ.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AffineForm {
     centre: f64,
@@ -31,13 +31,13 @@ pub struct AffineForm {
 }
 
 impl AffineForm {
-    /// The whole line.
+    /// Returns the whole line.
     #[must_use]
     pub fn entire() -> Self {
         Self { centre: 0.0, terms: Vec::new(), rest: f64::INFINITY }
     }
 
-    /// Any member of an interval, for each use another one.
+    /// Creates an uncorrelated form of an interval.
     #[must_use]
     pub fn constant(value: Interval) -> Self {
         let mut form = Self::default();
@@ -45,13 +45,13 @@ impl AffineForm {
         form
     }
 
-    /// The same member of an interval wherever `symbol` is used.
+    /// Creates a form in which `symbol` selects the member of an interval.
     #[must_use]
     pub fn symbol(symbol: usize, value: Interval) -> Self {
         Self::constant(value).with_rest_as_symbol(symbol)
     }
 
-    /// The same set with `rest` as a term of its own, unless it is next to nothing: `symbol` must be used by no other form.
+    /// Turns `rest` into a term, unless it is negligible; no other form may use `symbol`.
     #[must_use]
     pub fn with_rest_as_symbol(mut self, symbol: usize) -> Self {
         if self.rest > NEGLIGIBLE_REST {
@@ -62,31 +62,31 @@ impl AffineForm {
         self
     }
 
-    /// c.
+    /// Returns c.
     #[must_use]
     pub fn centre(&self) -> f64 {
         self.centre
     }
 
-    /// The aᵢ, as far as they are stored; the others are 0.
+    /// Returns the stored aᵢ; the others are 0.
     #[must_use]
     pub fn terms(&self) -> &[f64] {
         &self.terms
     }
 
-    /// What no symbol accounts for.
+    /// Returns the radius of ρ, which belongs to no symbol.
     #[must_use]
     pub fn rest(&self) -> f64 {
         self.rest
     }
 
-    /// Largest distance from c.
+    /// Returns the largest distance from c.
     #[must_use]
     pub fn radius(&self) -> f64 {
         round_up((self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest) * (1.0 + SUM_REL_ERROR))
     }
 
-    /// All its members.
+    /// Returns the interval of all members.
     #[must_use]
     pub fn range(&self) -> Interval {
         if *self == Self::default() {
@@ -95,18 +95,18 @@ impl AffineForm {
         Interval::point(self.centre) + Interval::around_zero(self.radius())
     }
 
-    /// Whether it is exactly zero.
+    /// True if the form is exactly zero.
     #[must_use]
     pub fn is_zero(&self) -> bool {
         self.centre == 0.0 && self.rest == 0.0 && self.terms.iter().all(|&term| term == 0.0)
     }
 
-    /// Adds what may be any number from -`by` to `by`.
+    /// Adds any number from -`by` to `by`.
     pub fn widen(&mut self, by: f64) {
         self.rest = round_up(self.rest + by);
     }
 
-    /// Adds a member of an interval.
+    /// Adds an interval.
     pub fn shift(&mut self, by: Interval) {
         let (middle, radius) = by.middle_and_radius();
         let centre = self.centre + middle;
@@ -117,7 +117,7 @@ impl AffineForm {
         self.centre = centre;
     }
 
-    /// Adds another form times a number.
+    /// Adds a multiple of another form.
     pub fn add_scaled(&mut self, other: &Self, factor: Interval) {
         if other.is_zero() {
             return;
@@ -141,7 +141,7 @@ impl AffineForm {
         self.widen(more);
     }
 
-    /// The form times a number.
+    /// Returns a multiple of the form.
     #[must_use]
     pub fn scaled(&self, factor: Interval) -> Self {
         let mut scaled = Self::default();
@@ -149,22 +149,22 @@ impl AffineForm {
         scaled
     }
 
-    /// The sum.
+    /// Returns the sum.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         self.add_scaled(other, Interval::point(1.0));
         self
     }
 
-    /// The difference.
+    /// Returns the difference.
     #[must_use]
     pub fn minus(mut self, other: &Self) -> Self {
         self.add_scaled(other, Interval::point(-1.0));
         self
     }
 
-    /// A form that holds what either holds, for the same values of the symbols. Of each term it keeps what the two have in common, so
-    /// that its range is no wider than the ranges of both together.
+    /// Returns a form that encloses both for common symbol values. Each term keeps its common part, so the range does
+    /// not exceed the hull of both ranges.
     #[must_use]
     pub fn join(&self, other: &Self) -> Self {
         if self == other {
@@ -178,7 +178,7 @@ impl AffineForm {
         joined
     }
 
-    /// Puts other terms in the place of those from a symbol on, and adds what may be any number from -`by` to `by`.
+    /// Replaces the terms from a symbol on, and adds any number from -`by` to `by`.
     pub(super) fn replace_terms(&mut self, from: usize, terms: impl Iterator<Item = f64>, by: f64) {
         self.terms.resize(from, 0.0);
         self.terms.extend(terms);
@@ -187,7 +187,7 @@ impl AffineForm {
         }
     }
 
-    /// The product: (c + α)(d + β) = c (d + β) + d α + α β, where |α β| is at most the product of the radii.
+    /// Returns the product: (c + α)(d + β) = c (d + β) + d α + α β, where |α β| is at most the product of the radii.
     #[must_use]
     pub fn times(&self, other: &Self) -> Self {
         let mut product = other.scaled(Interval::point(self.centre));

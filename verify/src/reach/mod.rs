@@ -1,35 +1,41 @@
-//! The closed loop of a learned policy, from every start of a box.
+//! Reachability of a closed loop with a learned policy, from every initial state of a box.
 //!
-//! Behind a leader that brakes drives an ego whose accelerations a network decides, or how far they depart from a law; behind it, perhaps, a follower with a latched
-//! emergency brake, or one that follows by a law. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
-//! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
-//! file of the network and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`activation`]
-//! what is between its layers, [`braking`], [`led`] and [`drive`] the vehicles. What is uncertain is always enlarged, never dropped:
+//! Behind a leader that brakes drives an ego. A network decides its acceleration, or its residual over a base
+//! controller. Behind the ego there may be a follower with a latched emergency brake or a control law. A *reach*
+//! statement bisects a box of initial states repeatedly. It claims of some cells that no member ever collides, of
+//! others that they hold a member that does. The check derives both again from the network file and the cuts alone.
+//! [`form`] has the arithmetic, [`relax`] its functions, [`controller`] bounds the network, [`activation`] its
+//! activation functions, [`braking`], [`leader`] and [`propagate`] the vehicles. Uncertainty is always enlarged, never
+//! dropped. Enclosures and their losses:
 //!
-//! | what | how it is enclosed | lost |
-//! |---|---|---|
-//! | start | one symbol for each range, for the whole run | nothing |
-//! | rectifier that may be active or not | line and excess, a symbol within the decision | (h · -l)/(h - l) at most |
-//! | other functions between layers | likewise, of each its own [line](activation) | second order in the width, where they are smooth |
-//! | tanh of the answer | chord and its largest distance on either side | second order in the width |
-//! | cut of inputs and of the acceleration at their limits | two rectifiers | nothing while no member is cut |
-//! | single and double precision | bounds of each sum, from the weights | about 10⁻⁵ m/s² |
-//! | leader that brakes as it likes | two symbols for the time between two decisions | what it did within the last step, at each decision anew |
-//! | products (braking rate and time) | product of the radii | second order |
-//! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
-//! | who follows by a law | the [law](follower), step by step | second order in the width; more where its emergency brake may fire |
-//! | an ego that departs from a law | [law and departure](departure), step by step | second order in the width; more where the action may leave its dead zone or not |
-//! | which instant the follower fires at | a run for each decision interval in which it may, the instant a symbol | little |
-//! | what decisions long past were off by | symbols that act alike become one | next to nothing |
-//! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
+//! - initial state: one symbol for each range, for the whole run; no loss;
+//! - ReLU that may be active or not: line and excess, a symbol within the decision; at most (h · -l)/(h - l);
+//! - other activation functions: likewise, with their own [line](activation); second order in the width if smooth;
+//! - tanh of the output: chord and its largest distance on either side; second order in the width;
+//! - clipping of inputs and of the acceleration: two ReLUs; no loss while no member is clipped;
+//! - single and double precision: bounds of each sum, from the weights; about 10⁻⁵ m/s²;
+//! - leader with bounded braking: two symbols per decision interval; its action within the last step, at each decision;
+//! - products (braking rate and time): product of the radii; second order;
+//! - moving or standing: one set each, joined at each decision; some centimetres;
+//! - follower with a law: the [law](follower), per step; second order in the width, more if its emergency brake may
+//!   fire;
+//! - residual policy: [law and residual](residual), per step; second order in the width, more at the edge of the dead
+//!   zone;
+//! - firing instant of the follower: a run for each decision interval in which it may fire, the instant a symbol;
+//!   little;
+//! - old noise symbols: merged (Girard order reduction of the zonotope); almost nothing;
+//! - inside a decision interval: m (D h)²/8 off the smaller gap at its ends; about 2 cm.
 //!
 //! # What is not covered
-//! The estimator: the claim is for observations within stated errors of the truth, at each decision anew and in any combination.
-//! Noise on accelerations, delays and lags: the claim is for vehicles that have none. Whether the file drives the
-//! simulator as said here: tests compare. Whether the file of a network from outside says what the source file and its mapping mean: that
-//! is as crumple has read them, an assumption of the claim; who has the source can have it read again (`crumple check --policy`). Whether the vehicle can do what the policy asks for: whoever draws up a box compares, a
-//! certificate does not know the vehicle. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
-//! simulator in double precision rounds within a kilometre of its origin, but for who stands or brakes at an instant that rounding decides.
+//! - The estimator: observations are within stated errors of the true state, at each decision anew and in any
+//!   combination.
+//! - Noise on accelerations, delays and lags: the vehicles have none.
+//! - Agreement of the simulator with this semantics: tests compare.
+//! - Agreement of an imported network with its source: an assumption; `crumple check --policy` reads the source again.
+//! - Feasibility of commanded accelerations: the certificate holds no limits of the vehicle; compared when the box is
+//!   made.
+//! - Rounding of a simulator: motion is that of real numbers. Observation errors of 10⁻⁹ cover double precision within
+//!   a kilometre of the origin, except if rounding decides which vehicle stands or brakes at an instant.
 
 pub mod activation;
 pub mod bounds;
@@ -71,72 +77,71 @@ pub use propagate::{ReachProblem, ReachTube, reach, reach_with_tube};
 pub use ranges::{BoxDimension, InitialRanges};
 pub use residual::ResidualPolicy;
 
-/// Most bytes that all threads together take for what is between two layers.
+/// Memory limit of all threads for the data between two layers, in bytes.
 const MAX_BYTES: usize = 256 << 20;
-/// Most cells of a partition, and most cuts of one cell.
+/// Maximum number of cells of a partition, and of cuts of one cell.
 const MAX_CELLS: usize = 2_000_000;
 const MAX_CUTS: usize = 48;
-/// Most steps of a run.
 const MAX_STEPS: u32 = 100_000;
 
 const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
 
-/// What becomes of a box under a policy.
+/// A claim about a box of initial states under a policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReachClaim {
-    /// The policy file, expected beside the certificate.
+    /// File name of the policy, in the certificate's folder.
     pub policy_file: String,
-    /// Its SHA-256, in hexadecimal.
+    /// SHA-256 of the policy file, in hexadecimal.
     pub policy_sha256: String,
-    /// The file that it was read from, if it is a network from outside.
+    /// Source file of an imported network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<NetworkFileSource>,
     /// h, the time between two instants, in seconds.
     pub step_s: f64,
     /// N, the number of steps.
     pub steps: u32,
-    /// θ of a follower that holds its speed until its latched emergency brake fires, in seconds; null if it follows by a law, or
-    /// nobody is behind.
+    /// θ of a follower with a latched emergency brake, in seconds; null for one with a law, or without a follower.
     pub follower_ttc_s: Option<f64>,
-    /// By which law somebody follows; absent if nobody does. Then `follower_brake_mps2` of the box is the hardest that it brakes.
+    /// Law of the follower, if it has one. `follower_brake_mps2` of the box is then its hardest braking.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub follower_law: Option<Box<FollowerLaw>>,
-    /// b of a leader that brakes as it likes: over each step it accelerates at any rate from -b to 0, in m/s², until it stands.
-    /// `leader_brake_mps2` and `onset_steps` of the box are 0 then. Absent if it brakes as these say.
+    /// b of a leader with bounded braking, which holds any acceleration from -b to 0 over each step until it stands, in
+    /// m/s². `leader_brake_mps2` and `onset_steps` of the box are then 0. Absent for a leader that follows these two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader_brakes_at_most_mps2: Option<f64>,
-    /// By how much each observed number may differ from the truth at a decision: gaps ahead and behind in metres, speeds ahead,
-    /// own and behind in m/s, accelerations ahead, own and behind in m/s².
+    /// Largest error of each observed number at a decision: gaps ahead and behind in metres, speeds ahead, own and
+    /// behind in m/s, accelerations ahead, own and behind in m/s².
     pub observation_error: [f64; OBSERVATION_SIZE],
     /// The box.
     pub ranges: InitialRanges,
-    /// How it is cut: a cut is followed by all of its lower half, then all of its upper half.
+    /// Partition of the box: a cut is followed by all of its lower half, then all of its upper half.
     #[serde(deserialize_with = "bounded::deserialize_list::<MAX_CELLS, _, _>")]
     pub partition: Vec<PartitionCell>,
-    /// Share of the box's volume in which nobody touches. Version 1 took each cut for half of what was cut.
+    /// Share of the box's volume without collisions. Version 1 took each cut for half of what was cut.
     pub verified_share_at_least: f64,
-    /// Share of the box's volume, likewise, in cells with a point from which somebody touches.
+    /// Share of the box's volume, likewise, in cells with a member that collides.
     pub falsified_share_at_least: f64,
-    /// No gap of a verified member is ever smaller, in metres.
+    /// Lower bound of the gaps of verified members, in metres.
     pub min_gap_m_at_least: f64,
 }
 
-/// A box of the partition.
+/// A cell of the partition.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PartitionCell {
-    /// Cut in two in the middle of a range.
+    /// Bisected in a dimension.
     Cut(BoxDimension),
-    /// No member ever touches.
+    /// No member ever collides.
     Verified,
-    /// This member does, in the order of the ranges; if the leader brakes as it likes, one that brakes at this rate from this instant on.
+    /// The given member collides, in the order of the ranges; for a leader with bounded braking it has this rate and
+    /// onset.
     Falsified([f64; 8]),
     /// Nothing is claimed.
     Undecided,
 }
 
-/// Why contact is not excluded.
+/// Reason for which a collision is not excluded.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Undecided {
@@ -145,35 +150,35 @@ pub enum Undecided {
     MayCollide {
         /// 0 for the gap ahead, 1 for the one behind.
         pair: usize,
-        /// By when.
+        /// Step by which it may close.
         step: u32,
-        /// What is proved of the gap, in metres.
+        /// Proved lower bound of the gap, in metres.
         gap_m: f64,
     },
-    /// Bounds have become too wide to go on.
+    /// The bounds have become too wide.
     #[error("bounds are too wide at step {step}")]
     TooWide {
-        /// When.
+        /// Step at which they did.
         step: u32,
     },
     /// The follower may fire in too many intervals.
     #[error("too many cases have to be told apart at step {step}")]
     TooManySets {
-        /// When.
+        /// Step of the interval.
         step: u32,
     },
 }
 
-/// What is known of a box.
+/// The result of the analysis of a box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReachResult {
-    /// Lower bounds of the gaps ahead and behind up to where it was given up, in metres.
+    /// Lower bounds of the gaps ahead and behind until the analysis ended, in metres.
     pub gaps_m: [f64; 2],
-    /// Why contact is not excluded; none if it is.
+    /// Reason for which a collision is not excluded; `None` if it is.
     pub undecided: Option<Undecided>,
-    /// Whether every member surely touches.
+    /// True if every member surely collides.
     pub surely_collides: bool,
-    /// How much of what is in doubt each dimension accounts for, in its unit.
+    /// Contribution of each dimension to the undecided gap, in metres.
     pub sensitivity: [f64; 8],
 }
 
@@ -183,10 +188,10 @@ impl ReachResult {
 }
 
 impl ReachClaim {
-    /// What is driven, from one of the boxes.
+    /// Returns the reachability problem of the whole box.
     ///
     /// # Errors
-    /// [`Rejection`] if the claim makes no sense, or the actor decides at no instants.
+    /// [`Rejection`] if the claim is invalid, or the controller's decisions do not fall on instants.
     pub fn problem<'a>(&self, actor: &'a NeuralController) -> Result<ReachProblem<'a>, Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
@@ -227,7 +232,7 @@ impl ReachClaim {
                 return Err(Rejection::invalid(field, "is negative or infinite"));
             }
         }
-        // One rate and one onset say nothing of a leader that brakes as it likes: they must not look as if they did.
+        // Rate and onset have no meaning for a leader with bounded braking and must not suggest one.
         let unused = [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].into_iter();
         let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
         if let Some(dimension) = unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO) {
@@ -247,10 +252,10 @@ impl ReachClaim {
         })
     }
 
-    /// Who drives behind.
+    /// Returns the follower model.
     ///
     /// # Errors
-    /// [`Rejection`] if two are stated, or one that makes no sense.
+    /// [`Rejection`] if two are stated, or an invalid one.
     fn follower_model(&self) -> Result<Option<FollowerModel>, Rejection> {
         match (self.follower_ttc_s, self.follower_law.as_deref()) {
             (Some(_), Some(_)) => Err(Rejection::invalid("follower_law", "and `follower_ttc_s` are two followers")),
@@ -259,14 +264,14 @@ impl ReachClaim {
         }
     }
 
-    /// N h, to the nanosecond: the claim is about no later time.
+    /// Returns N h, rounded to the nanosecond; the claim covers no later time.
     #[must_use]
     pub(crate) fn horizon_s(&self) -> f64 {
         steps_to_seconds(self.step_s, self.steps)
     }
 
-    /// The cells that are not cut, with their ranges and lower bounds of their shares of the volume, exact where every cut was
-    /// one in equal halves.
+    /// Returns the uncut cells with their ranges and lower bounds of their volume shares, exact if every cut is in
+    /// equal halves.
     ///
     /// # Errors
     /// [`Rejection`] if the cuts do not make a partition.
@@ -296,7 +301,7 @@ impl ReachClaim {
     }
 }
 
-/// What version 1 states of shares may exceed their volume by this much: it counted cuts, and the middle of a range is rounded.
+/// Tolerance of version 1 shares above their volume: they counted cuts, and the middle of a range is rounded.
 const V1_SHARE_TOLERANCE: f64 = 1e-9;
 
 pub(crate) fn check(
@@ -309,7 +314,7 @@ pub(crate) fn check(
     let scene = claim.problem(&actor)?;
     let leaves = claim.leaves()?;
     let verdicts = check_leaves(&scene, &leaves, work);
-    // Whether it was too much does not depend on which thread was first to notice.
+    // The verdict does not depend on which thread first exceeded the budget.
     work.charge_or_reject(0)?;
     let [verified_share, falsified_share] = claim.volume_shares()?;
     let mut smallest_gap_m = f64::INFINITY;
@@ -338,7 +343,7 @@ pub(crate) fn check(
     })
 }
 
-/// The actor of a file, if it is the one that is meant and was read from what it is said to be.
+/// Loads the controller of a file and checks its digest and source.
 pub(crate) fn load_controller(
     file: Option<&[u8]>,
     digest: &str,
@@ -354,14 +359,14 @@ pub(crate) fn load_controller(
     if actor.source.as_ref() == source { Ok(actor) } else { Err(wrong("was read from another file than `source`")) }
 }
 
-/// The name of the file of an actor, beside a certificate.
+/// Returns the name of a controller file in the certificate's folder.
 #[must_use]
 pub fn controller_file_name(digest: &str, is_from_outside: bool) -> String {
     let kind = if is_from_outside { "network" } else { "policy" };
     format!("{kind}-{}.safetensors", digest.get(..12).unwrap_or_default())
 }
 
-/// For each leaf the smallest gap that is proved, or what stands against it; on all cores, in order.
+/// Returns for each leaf the smallest proved gap or the problem, in order; runs on all cores.
 fn check_leaves(
     scene: &ReachProblem<'_>,
     leaves: &[(PartitionCell, InitialRanges, f64)],

@@ -1,19 +1,18 @@
-//! Networks from outside, as crumple has read them: what the text in the file says of the network.
+//! Imported networks: the JSON text in the file that describes the network.
 //!
-//! Such a file says the same as the file that it was read from (`source`) and a controller file beside it; that it does is crumple's word,
-//! unless somebody reads the source again. Its text, in JSON, with nothing left out and no field that is not told here:
+//! The file must agree with its source file (`source`) and controller file. That is an assumption, unless the source is
+//! read again. The text omits nothing and has no other fields:
 //!
-//! | field | what |
-//! |---|---|
-//! | `version` | 1 |
-//! | `source` | `format` and `sha256` of the file that was read |
-//! | `inputs` | what is seen, in order: `quantity` or `constant`, then `offset`, `scale`, `low`, `high`, and perhaps `absent` |
-//! | `steps` | what is done, in order: `{"linear": outputs}`, `"relu"`, `{"leaky-relu": slope}`, `{"elu": alpha}`, `"tanh"`, `"sigmoid"`, `"add"`, `"multiply"`, `"divide"`, `"clip"` |
-//! | `output` | `answer`, `scale_mps2`, `offset_mps2`, `low_mps2`, `high_mps2` |
-//! | `empty_gap_m` | the gap to the vehicle that stands in for one that is not there; it drives as fast as the own one |
-//! | `decision_interval_s` | time between decisions |
+//! - `version`: 1;
+//! - `source`: `format` and `sha256` of the source file;
+//! - `inputs`: in order, `quantity` or `constant`, then `offset`, `scale`, `low`, `high`, and optionally `absent`;
+//! - `steps`: in order, `{"linear": outputs}`, `"relu"`, `{"leaky-relu": slope}`, `{"elu": alpha}`, `"tanh"`,
+//!   `"sigmoid"`, `"add"`, `"multiply"`, `"divide"`, `"clip"`;
+//! - `output`: `answer`, `scale_mps2`, `offset_mps2`, `low_mps2`, `high_mps2`;
+//! - `empty_gap_m`: gap to the substitute of an absent vehicle, which has the ego's speed;
+//! - `decision_interval_s`: time between decisions.
 //!
-//! Tensors, of single precision: `steps.I.weight` (one row an input) and `steps.I.bias` of products, `steps.I.operand` of
+//! Single-precision tensors: `steps.I.weight` (one row per input) and `steps.I.bias` of products, `steps.I.operand` of
 //! sums, products and quotients with constants, `steps.I.low` and `steps.I.high` of clips.
 
 use serde::Deserialize;
@@ -25,14 +24,10 @@ use super::controller::{
 use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::is_sha256;
 
-/// The only version of the text that describes a network.
 const VERSION: u32 = 1;
-/// Its place in the metadata.
 const METADATA_KEY: &str = "crumple_network";
-/// Most steps that are read.
 const MAX_STEPS: usize = 256;
 
-/// The text that describes a network.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NetworkFileHeader {
@@ -57,7 +52,6 @@ struct NetworkFileInput {
     absent: Option<f64>,
 }
 
-/// Those quantities that are affine functions of what is observed.
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
 enum NetworkFileQuantity {
@@ -101,9 +95,8 @@ struct NetworkFileOutput {
 }
 
 impl NetworkFileQuantity {
-    /// What each observed number is multiplied with.
     fn coefficients(self) -> [f64; OBSERVATION_SIZE] {
-        // Gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
+        // Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
         match self {
             Self::GapAheadM => [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             Self::GapBehindM => [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -146,7 +139,7 @@ impl NetworkFileInput {
             (Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)), None)
                 if absent.is_none() =>
             {
-                // There always is a vehicle ahead.
+                // A vehicle ahead is always present.
                 let absent = matches!(quantity, NetworkFileQuantity::IsBehind).then_some(0.0);
                 (quantity.coefficients(), 1.0, absent)
             }
@@ -185,7 +178,6 @@ impl NetworkFileHeader {
     }
 }
 
-/// The network that a text describes, of the tensors of a file.
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
     let header: NetworkFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
@@ -199,7 +191,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         let step = done.read_layer(index, width, file)?;
         match &step {
             NetworkLayer::Linear(layer) => width = layer.outputs,
-            // It leaves a symbol of each number at most.
+            // It adds at most one symbol per number.
             NetworkLayer::Activation(_) => numbers += width,
         }
         if numbers > MAX_NUMBERS {
@@ -224,7 +216,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         decision_interval_s: header.decision_interval_s,
         source: Some(header.source),
     };
-    // Multiplying and adding in double precision keeps order: what the largest answers do not leave, none does. A sum may round up.
+    // Double-precision arithmetic is monotone, so the largest output decides for all. A sum may round up.
     let is_last = |each: &Activation| matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. });
     if let (Some(NetworkLayer::Activation(each)), Ok(largest)) = (actor.layers.last(), actor.max_output_magnitude())
         && is_last(each)
@@ -239,7 +231,7 @@ impl NetworkFileStep {
     fn read_layer(&self, index: usize, width: usize, file: &mut SafetensorsFile<'_>) -> Result<NetworkLayer, String> {
         let wrong = |problem: &str| Err(format!("{METADATA_KEY}: steps[{index}]: {problem}"));
         let mut tensor = |name: &str, shape: &[usize]| file.take_tensor(&format!("steps.{index}.{name}"), shape);
-        // A number of the network: one of single precision.
+        // Must be a single-precision number, like those of the network.
         let is_single = |number: f64| number.is_finite() && f64::from(number as f32) == number;
         Ok(NetworkLayer::Activation(match *self {
             Self::Linear(outputs) => {

@@ -1,4 +1,4 @@
-//! crumple's own policies: what the text in the file says of the network.
+//! crumple's own policies: the JSON text in the file that describes the network.
 
 use serde::Deserialize;
 
@@ -8,16 +8,12 @@ use super::residual::ResidualPolicy;
 use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::UniqueKeys;
 
-/// The only version of the text that describes a policy.
 const VERSION: u32 = 1;
-/// Its place in the metadata.
 const METADATA_KEY: &str = "crumple_policy";
-/// What a policy may have looked through in training.
 const ESTIMATORS: [&str; 2] = ["kalman", "truth"];
-/// Deepest network that is read.
 const MAX_LAYERS: usize = 16;
 
-/// The text that describes a policy; all of its fields are read, as the simulator wants them.
+/// The description of a policy; all of its fields are read, as in the simulator.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PolicyFileHeader {
@@ -72,7 +68,7 @@ struct PolicyFileResidual {
     idm: PolicyFileIdm,
 }
 
-/// What is not stated is as the simulator has it.
+/// Defaults are those of the simulator.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct PolicyFileIdm {
@@ -96,7 +92,6 @@ impl Default for PolicyFileIdm {
 }
 
 impl PolicyFileAction {
-    /// What the actions depart from, if it is a law.
     fn residual_policy(&self) -> Option<ResidualPolicy> {
         let PolicyFileResidual { dead_zone, rate_per_s, ref idm } = *self.residual_over.as_ref()?;
         let PolicyFileIdm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
@@ -134,7 +129,7 @@ impl PolicyFileHeader {
         if !positive || !offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling that makes no sense".to_owned());
         }
-        // How far apart, where there is one alone, has no meaning, and would look as if it had.
+        // The spacing of a history of length one has no meaning and must not suggest one.
         if [*history, *history_every] != [1, 1] {
             let is_not = "only a network that sees nothing but the present can be followed";
             return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
@@ -151,7 +146,6 @@ impl PolicyFileHeader {
     }
 }
 
-/// The policy that a text describes, of the tensors of a file.
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
     let header: PolicyFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
@@ -197,7 +191,7 @@ mod tests {
         serde_json::from_value(header_json()).unwrap()
     }
 
-    /// As the simulator reads it: what is left out is one, and null is no number.
+    /// Checks that an absent value means one, as in the simulator, and that null is rejected.
     #[test]
     fn a_history_is_a_number_or_left_out() {
         for field in ["history", "history_every"] {
@@ -252,7 +246,6 @@ mod tests {
         assert_eq!(check_modified(|header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVATION_SIZE]), Ok(()));
     }
 
-    /// Half of their difference and half of their sum are what the answer is stretched with.
     #[test]
     fn bounds_of_an_action_have_a_difference_and_a_sum() {
         let with = |low, high| {

@@ -1,34 +1,40 @@
-//! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
+//! Propagation of the vehicles of a box under a controller, step by step.
 //!
-//! Leader and follower brake to standstill at some time: see [`braking`](super::braking); or the leader brakes as it likes: see
-//! [`led`](super::led); or the follower drives by a law: see [`follower`](super::follower). What the ego does from one decision to the next: see [`members`](super::members),
-//! and where it departs from a law, [`course`](super::course) and [`departure`](super::departure).
+//! Leader and follower brake to standstill: see [`braking`](super::braking). A leader with bounded braking: see
+//! [`leader`](super::leader). A follower with a law: see [`follower`](super::follower). The ego between decisions: see
+//! [`ego_set`](super::ego_set), and for a residual policy [`command_profile`](super::command_profile) and
+//! [`residual`](super::residual).
 //!
 //! # Sets
-//! There is a set for each kind of ego: those that move, those that stand, those that have started again. Sets of a kind are joined
-//! at every decision, so that there are never more than three, however many members stop at however many instants.
+//! There is a set for each motion mode of the ego: moving, standing, restarted. Sets of a mode are joined at every
+//! decision. So there are never more than three, at however many instants members stop.
 //!
 //! # The follower's emergency brake
-//! It fires at the first instant at which guard = gap - θ (v_r - v_e) < 0. `travel` drives the members *whose follower has not
-//! fired*. A decision interval in which some guard may be negative, first at instant j1 and last at j2, is a window: those whose
-//! follower fires from j1 to j2 are driven by themselves from the decision before j1 on, with τ a symbol of its own. Where windows
-//! are many, neighbours become one. A set in which all guards are negative at some instant has nobody left who has not fired, and
-//! is dropped. As long as all instants of a window are in one decision interval, every observed acceleration of the follower is
-//! known; see [`window`](super::window). Nothing uses that the guard of the members that fire was not negative before: they are a subset of what is driven.
+//! It fires at the first instant with guard = gap - θ (v_r - v_e) < 0. `propagate` handles the members *whose follower
+//! has not fired*. A decision interval in which some guard may be negative, first at instant j1 and last at j2, is a
+//! window. The members whose follower fires from j1 to j2 are propagated separately from the decision before j1 on,
+//! with τ a symbol of its own. Many windows are merged with their neighbours. A set whose guards are all negative at
+//! some instant has no unfired member left and is dropped. As long as all instants of a window are in one decision
+//! interval, every observed acceleration of the follower is known; see [`window`](super::window). Sound
+//! over-approximation: the members that fire are a subset of the propagated set; that their guard was >= 0 before is
+//! not exploited.
 //!
-//! # What is observed of others
-//! Who brakes from some time on is seen to accelerate at 0 or at -b, or at the mean of both in the one step in between: at a decision before which some members begin
-//! to brake, or stop, that is two or three numbers, and not all from one to the other. An ego that [departs](super::departure) from a law answers each of them in a case of its own. What comes of the cases
-//! is joined at the next decision, and next to nothing is lost where no answer leaves the dead zone.
+//! # Observation of other vehicles
+//! A vehicle that brakes from some time on is observed at 0, at -b, or at the mean of both in the one step in between.
+//! If some members begin to brake or stop before a decision, these are two or three values, not the whole range. A
+//! [residual](super::residual) policy is evaluated for each value. The results are joined at the next decision; almost
+//! nothing is lost while no action leaves the dead zone.
 //!
-//! # Contact
-//! Gaps are compared at decisions. In between g'' ≤ m, the most the vehicle ahead accelerates (at least 0) less the least the one
-//! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable). An ego
-//! that still moves at the end has not stopped in between, unless it follows a law and may have started again: then "at least 0" is not needed for it. The gap to a follower that
-//! stands never falls, whatever bounds of the ego say, which hold members that reverse.
+//! # Collisions
+//! Gaps are compared at decisions. In between g'' ≤ m, the largest acceleration of the vehicle ahead (at least 0) less
+//! the smallest of the one behind (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see
+//! [`avoidable`](crate::avoidable). "At least 0" is dropped for an ego that still moves at the end, as it has not
+//! stopped; not for one with a law, which may have restarted. The gap to a standing follower never falls, although
+//! bounds of the ego hold members that reverse.
 //!
 //! # Standstill
-//! Once nobody moves and the actor wants nobody to, every later decision sees what this one saw, and nothing is left to do.
+//! Fixed point: if all vehicles stand and the controller commands no motion, every later step is identical, and
+//! propagation stops.
 
 use super::braking::{BrakingVehicle, VehicleState};
 use super::command_profile::CommandProfile;
@@ -43,32 +49,31 @@ use super::{BoxDimension, InitialRanges, ReachResult, Undecided};
 use crate::interval::Interval;
 use crate::work::{OpBudget, WorkLimit};
 
-/// Most windows in which the follower's brake may fire, and most decision intervals of which they are made.
+/// Maximum number of windows in which the follower's brake may fire, and of their decision intervals.
 const MAX_WINDOWS: usize = 300;
 const MAX_INTERVALS: usize = 1000;
-/// Operations for all of a decision but the network, for each symbol of the leader there, for looking at one step, and for each symbol of who
-/// follows by a law in one step.
+/// Operations per decision without the network, per symbol of the leader, per step, and per symbol of a follower with a
+/// law in one step.
 const OPS_PER_DECISION: u64 = 50_000;
 const OPS_PER_LEADER_SYMBOL: u64 = 1_000;
 const OPS_PER_STEP: u64 = 10_000;
 const OPS_PER_LAW_SYMBOL: u64 = 3_000;
-/// The places of the accelerations ahead and behind in what is observed.
 const ACCELERATION_AHEAD: usize = 5;
 const ACCELERATION_BEHIND: usize = 7;
-/// Bounds wider than this are given up, in m/s.
+/// Largest radius of speeds and commands before propagation stops.
 const MAX_RADIUS_MPS: f64 = 40.0;
 
-/// What is driven.
+/// A reachability problem.
 #[derive(Debug, Clone)]
 pub struct ReachProblem<'a> {
-    /// Who decides.
+    /// Controller of the ego.
     pub controller: &'a NeuralController,
-    /// Where everybody starts.
+    /// Initial states.
     pub ranges: InitialRanges,
-    /// Who drives behind.
+    /// Follower, if there is one.
     pub follower: Option<FollowerModel>,
-    /// b of a leader that accelerates at any rate from -b to 0, another one over each step, until it stands, in m/s²; its range of rates and
-    /// its onset then have no meaning. None for one that brakes as these say.
+    /// b of a leader that holds any acceleration from -b to 0 over each step until it stands, in m/s². Rate and onset
+    /// of `ranges` then have no meaning. `None` for a leader that follows them.
     pub leader_brakes_at_most_mps2: Option<f64>,
     /// Largest error of each observed number.
     pub observation_error: [f64; OBSERVATION_SIZE],
@@ -76,24 +81,23 @@ pub struct ReachProblem<'a> {
     pub step_s: f64,
     /// N, a multiple of `decision_steps`.
     pub steps: u32,
-    /// D.
+    /// D, the number of steps between decisions.
     pub decision_steps: u32,
-    /// Whether to stop as soon as contact cannot be excluded.
+    /// True to stop as soon as a collision cannot be excluded.
     pub stop_when_undecided: bool,
 }
 
-/// A set of egos at an instant that is a decision's, with what they observe, and the gaps ahead and behind.
 #[derive(Debug, Clone)]
 struct StateSet {
     members: EgoSet,
     observation: [AffineForm; OBSERVATION_SIZE],
     gaps: [AffineForm; 2],
-    /// The accelerations ahead and behind that are observed, one by one, where each is looked at by itself.
+    /// Alternative accelerations ahead and behind, if each is evaluated separately.
     acceleration_cases: [Vec<AffineForm>; 2],
 }
 
 impl StateSet {
-    /// The same egos, once for each pair of accelerations ahead and behind that they may observe.
+    /// Returns the set once for each pair of accelerations ahead and behind.
     fn split_cases(&self) -> Vec<Self> {
         let mut cases = vec![self.clone()];
         for (accelerations, number) in self
@@ -113,7 +117,6 @@ impl StateSet {
     }
 }
 
-/// A box on its way: who leads, where everybody starts, and what is known of the gaps.
 struct ReachAnalysis<'a> {
     scene: &'a ReachProblem<'a>,
     budget: &'a OpBudget,
@@ -122,26 +125,24 @@ struct ReachAnalysis<'a> {
     gaps: [AffineForm; 2],
     result: ReachResult,
     window_count: usize,
-    /// As far as anybody asks for it, and unless part of it is missing because all members of a set had touched.
+    /// Reach tube, if requested and complete: a set whose members all collide leaves a hole.
     tube: Option<ReachTube>,
 }
 
-/// For each decision, bounds of the eight numbers that are observed.
+/// Bounds of the eight observed numbers for each decision.
 pub type ReachTube = Vec<[Interval; OBSERVATION_SIZE]>;
 
-/// Bounds of what becomes of all members of a box.
+/// Bounds the motion of all members of a box.
 #[must_use]
 pub fn reach(scene: &ReachProblem<'_>) -> ReachResult {
     reach_with_budget(scene, &OpBudget::new(WorkLimit::UNLIMITED))
 }
 
-/// The same, given up where it takes too much work.
 pub(super) fn reach_with_budget(scene: &ReachProblem<'_>, work: &OpBudget) -> ReachResult {
     analyze(scene, work, None).0
 }
 
-/// The same, and bounds of all that is observed on the way, the last instant included, unless it was given up or surely
-/// ended in contact.
+/// Bounds the motion and returns the reach tube up to the last instant, unless it ended early or in a sure collision.
 #[must_use]
 pub fn reach_with_tube(scene: &ReachProblem<'_>) -> (ReachResult, Option<ReachTube>) {
     analyze(scene, &OpBudget::new(WorkLimit::UNLIMITED), Some(ReachTube::new()))
@@ -176,7 +177,6 @@ fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -
 }
 
 impl ReachProblem<'_> {
-    /// θ of a follower with a latched emergency brake, in seconds.
     fn latched_ttc_s(&self) -> Option<f64> {
         match self.follower {
             Some(FollowerModel::Latched { ttc_s }) => Some(ttc_s),
@@ -184,7 +184,6 @@ impl ReachProblem<'_> {
         }
     }
 
-    /// By which law somebody follows.
     fn follower_law(&self) -> Option<&FollowerLaw> {
         match &self.follower {
             Some(FollowerModel::ByLaw(law)) => Some(law),
@@ -194,7 +193,6 @@ impl ReachProblem<'_> {
 }
 
 impl ReachAnalysis<'_> {
-    /// The follower whose brake fires at an instant of a window.
     fn latched_follower(&self, [first, last]: [f64; 2]) -> BrakingVehicle {
         let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension));
         let window = Interval::new(first, last).unwrap_or(Interval::ENTIRE);
@@ -211,7 +209,7 @@ impl ReachAnalysis<'_> {
         follower
     }
 
-    /// Drives to the end. Whether all members surely touch; none once it was given up.
+    /// Propagates to the end. Returns true if all members surely collide, `None` if it ended early.
     fn propagate(
         &mut self,
         mut k: u32,
@@ -279,7 +277,7 @@ impl ReachAnalysis<'_> {
         Some(self.propagate_fired(windows)? && all_touch)
     }
 
-    /// Drives those whose follower fires in some windows. Whether all members surely touch; none once it was given up.
+    /// Propagates the members whose follower fires in some windows. Returns as [`propagate`](Self::propagate).
     fn propagate_fired(&mut self, windows: Vec<FiringWindow>) -> Option<bool> {
         let mut all_touch = true;
         for window in merge_windows(windows, self.scene) {
@@ -294,7 +292,7 @@ impl ReachAnalysis<'_> {
         Some(all_touch)
     }
 
-    /// What a set does until the next decision; none where it is given up.
+    /// Returns the commands of a set until the next decision, or `None` if it is too wide.
     fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<CommandProfile> {
         let of_leader = OPS_PER_LEADER_SYMBOL * self.leader.symbol_count() as u64;
         self.budget.charge(OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps));
@@ -311,7 +309,6 @@ impl ReachAnalysis<'_> {
         None
     }
 
-    /// What a set does that departs from a law, as far as an action says.
     fn residual_profile(
         &self,
         k: u32,
@@ -339,7 +336,7 @@ impl ReachAnalysis<'_> {
     }
 
     fn are_others_at_rest(&self, k: u32, follower: Option<&BrakingVehicle>) -> bool {
-        // Who follows by a law may creep for ever.
+        // A follower with a law may creep for ever.
         let has_stood =
             follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.follower_law().is_none();
         has_stood && self.leader.has_stood(k, self.step)
@@ -354,7 +351,7 @@ impl ReachAnalysis<'_> {
         }
     }
 
-    /// Egos at instant k with what they observe, and the gaps.
+    /// Returns egos at instant k with observation and gaps.
     fn observe(&self, k: u32, members: EgoSet, follower: Option<&BrakingVehicle>) -> StateSet {
         let leader = self.leader.state_at(k, self.step);
         let ego = members.ego.clone();
@@ -385,8 +382,7 @@ impl ReachAnalysis<'_> {
         }
     }
 
-    /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and
-    /// whether it surely does.
+    /// Returns the instants of a decision interval at which the brake may fire, and whether it surely does.
     fn firing_instants(
         &self,
         k: u32,
@@ -413,7 +409,7 @@ impl ReachAnalysis<'_> {
         first.map(|first| ([first, last], false))
     }
 
-    /// Who follows by a law, at the next decision, and a bound of the gap until then, in metres.
+    /// Returns a follower with a law at the next decision, and a bound of the gap until then, in metres.
     fn advance_follower(&self, members: &EgoSet, course: &CommandProfile) -> Option<(VehicleState, f64)> {
         let start = members.follower.as_ref()?;
         self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps));
@@ -424,7 +420,6 @@ impl ReachAnalysis<'_> {
         for j in 1..=self.scene.decision_steps {
             let ego_later = course.ego_after(members, self.step, j);
             let (later, acceleration) = behind.advance(&own, &ego);
-            // As in `compare`, over one step.
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
             let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
             least_m = least_m.min((ends - m * eighth).low());
@@ -433,7 +428,8 @@ impl ReachAnalysis<'_> {
         Some((own, least_m))
     }
 
-    /// Takes note of the gaps over a decision interval, the one to who follows by a law among them; whether all members surely touch.
+    /// Records the gaps over a decision interval, `driven_m` for a follower with a law. Returns true if all members
+    /// surely collide.
     fn record_gaps(
         &mut self,
         k: u32,
@@ -451,10 +447,10 @@ impl ReachAnalysis<'_> {
             let least = before[pair].range().min(now.gaps[pair].range());
             (least - m * eighth).low()
         };
-        // Nobody is behind the ego, or somebody who brakes at most as hard as stated.
+        // There is no follower, or one that brakes at most as hard as stated.
         let moves = course.is_moving_throughout(&now.members.ego.speed);
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
-        // Nobody reverses: the gap to a follower that stands never falls.
+        // No vehicle reverses: the gap to a standing follower never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
         let latched_m = latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
         let mut touches = false;
@@ -468,7 +464,7 @@ impl ReachAnalysis<'_> {
         touches
     }
 
-    /// Takes note of the first doubt, and of how much each dimension has to do with it.
+    /// Records the first undecided result, and the sensitivity to each dimension.
     fn record_undecided(&mut self, doubt: Undecided, about: &AffineForm) {
         if self.result.undecided.is_none() {
             self.result.undecided = Some(doubt);

@@ -1,28 +1,28 @@
-//! Boxes of starts, and how they are cut.
+//! Boxes of initial states, and their bisection.
 
 use serde::{Deserialize, Serialize};
 
 use crate::interval::Interval;
 
-/// Where everybody starts, how fast, and how hard and when leader and follower brake. The claim is about each member.
+/// Ranges of initial gaps and speeds, and of the braking of leader and follower. The claim is about each member.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InitialRanges {
-    /// Bumper to bumper at the start, in metres.
+    /// Initial gap ahead of the ego, in metres.
     pub gap_ahead_m: Interval,
-    /// Bumper to bumper at the start, in metres; without a meaning if nobody is behind, like all that is the follower's.
+    /// Initial gap behind the ego, in metres; meaningless without a follower, like all its ranges.
     pub gap_behind_m: Interval,
-    /// At the start, in m/s.
+    /// Initial speed of the leader, in m/s.
     pub leader_speed_mps: Interval,
-    /// At the start, in m/s.
+    /// Initial speed of the ego, in m/s.
     pub ego_speed_mps: Interval,
-    /// At the start, in m/s.
+    /// Initial speed of the follower, in m/s.
     pub follower_speed_mps: Interval,
-    /// How hard the leader brakes, in m/s².
+    /// Deceleration of the leader, in m/s².
     pub leader_brake_mps2: Interval,
-    /// How hard the follower's emergency brake brakes, and the hardest that one who follows by a law does, in m/s².
+    /// Deceleration of the follower's emergency brake, or the hardest of its law, in m/s².
     pub follower_brake_mps2: Interval,
-    /// When the leader begins to brake, in steps, not necessarily whole ones.
+    /// Begin of the leader's braking, in steps, not necessarily whole ones.
     pub onset_steps: Interval,
 }
 
@@ -44,7 +44,7 @@ pub enum BoxDimension {
 }
 
 impl BoxDimension {
-    /// All of them, in the order of the fields of [`InitialRanges`].
+    /// All dimensions, in the order of the fields of [`InitialRanges`].
     pub const ALL: [Self; 8] = [
         Self::GapAheadM,
         Self::GapBehindM,
@@ -56,7 +56,7 @@ impl BoxDimension {
         Self::OnsetSteps,
     ];
 
-    /// The field of [`InitialRanges`] that it is.
+    /// Returns the name of the field in [`InitialRanges`].
     #[must_use]
     pub const fn field_name(self) -> &'static str {
         match self {
@@ -73,14 +73,14 @@ impl BoxDimension {
 }
 
 impl InitialRanges {
-    /// One range.
+    /// Returns one range.
     #[must_use]
     pub fn get(&self, dimension: BoxDimension) -> Interval {
         let mut copy = *self;
         *copy.get_mut(dimension)
     }
 
-    /// One range, to be changed.
+    /// Returns one range for modification.
     pub fn get_mut(&mut self, dimension: BoxDimension) -> &mut Interval {
         match dimension {
             BoxDimension::GapAheadM => &mut self.gap_ahead_m,
@@ -94,7 +94,7 @@ impl InitialRanges {
         }
     }
 
-    /// Cut in two in the middle of a dimension; none if there is no number in between.
+    /// Bisects the box in the middle of a dimension, or returns `None` if no number lies in between.
     #[must_use]
     pub fn bisect(&self, dimension: BoxDimension) -> Option<[Self; 2]> {
         let range = self.get(dimension);
@@ -108,7 +108,7 @@ impl InitialRanges {
         Some(halves)
     }
 
-    /// The box that holds one point, in the order of [`BoxDimension::ALL`]; none if the point is not in this box.
+    /// Returns the box of one point, in the order of [`BoxDimension::ALL`], or `None` if the point is not in this box.
     #[must_use]
     pub fn at_point(&self, point: &[f64; 8]) -> Option<Self> {
         let mut at = *self;

@@ -1,23 +1,22 @@
-//! Functions of affine forms: a straight line and how far the function may be from it.
+//! Functions of affine forms: a straight line and the largest deviation from it.
 //!
-//! Over [l, h] each function f is replaced by s x + [m, M] with a slope s near the chord's and m ≤ f(x) - s x ≤ M. The slope is
-//! a plain number that need not be right: m and M are bounds for the slope that was taken.
+//! Over [l, h] a line s x + [m, M] with a slope s near the chord's and m ≤ f(x) - s x ≤ M replaces each function f. The
+//! slope need not be exact: m and M are bounds for the chosen slope.
 //!
-//! - f convex: f - s x is largest at an end, and lies above its tangent at any x₀, whose least value is at an end. x₀ is taken
-//!   where f' is about s, so that the tangent is nearly level.
+//! - f convex: f - s x is largest at an end, and lies above its tangent at any x₀, whose least value is at an end. x₀
+//!   is chosen where f' is about s, so that the tangent is nearly level.
 //! - tanh is odd, convex below 0 and concave above, so each half is bounded like that.
-//! - x, α (eˣ - 1) below 0, is convex for 0 ≤ α ≤ 1; 0 is below it where α ≤ s ≤ 1.
+//! - x, α (eˣ - 1) below 0, is convex for 0 ≤ α ≤ 1; 0 is below it if α ≤ s ≤ 1.
 //!
 //! # exp and tanh
-//! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and falls),
-//! and e⁻ʸ is that squared ten times; tanh z = (1 - e⁻²ᶻ) / (1 + e⁻²ᶻ). Beyond z = 20 tanh is within 2⁻⁵³ of 1.
+//! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and
+//! falls), and e⁻ʸ is that squared ten times; tanh z = (1 - e⁻²ᶻ) / (1 + e⁻²ᶻ). Beyond z = 20 tanh is within 2⁻⁵³ of 1.
 
 use super::form::{AffineForm, round_up};
 use crate::interval::Interval;
 
 const ONE: Interval = Interval::ONE;
 
-/// s x + [low, high].
 pub(super) fn linear_enclosure(x: &AffineForm, slope: f64, low: f64, high: f64) -> AffineForm {
     let Some(off) = Interval::new(low, high) else { return AffineForm::entire() };
     let mut line = if slope == 0.0 { AffineForm::default() } else { x.scaled(Interval::point(slope)) };
@@ -25,13 +24,13 @@ pub(super) fn linear_enclosure(x: &AffineForm, slope: f64, low: f64, high: f64) 
     line
 }
 
-/// max(0, x).
+/// Returns max(0, x).
 #[must_use]
 pub fn relu(x: &AffineForm) -> AffineForm {
     relu_above(x, f64::NEG_INFINITY)
 }
 
-/// max(0, x) for those x that are at least `floor`, which is not positive; anything for the others.
+/// Returns max(0, x) for members x of at least `floor`, which is not positive; unspecified for the others.
 #[must_use]
 pub(super) fn relu_above(x: &AffineForm, floor: f64) -> AffineForm {
     let (low, high) = (x.range().low().max(floor), x.range().high());
@@ -45,13 +44,14 @@ pub(super) fn relu_above(x: &AffineForm, floor: f64) -> AffineForm {
     linear_enclosure(x, slope, 0.0, excess)
 }
 
-/// For l < 0 < h a slope s in [0, 1], and M with 0 ≤ max(0, x) - s x ≤ M: by convexity the larger of -s l and (1 - s) h.
+/// Returns for l < 0 < h a slope s in [0, 1], and M with 0 ≤ max(0, x) - s x ≤ M: by convexity the larger of -s l and
+/// (1 - s) h.
 pub(super) fn relu_relaxation(low: f64, high: f64) -> (f64, f64) {
     let slope = (high / (high - low)).clamp(0.0, 1.0);
     (slope, round_up((-slope * low).max((1.0 - slope) * high)))
 }
 
-/// max(0, x)².
+/// Returns max(0, x)².
 #[must_use]
 pub fn relu_squared(x: &AffineForm) -> AffineForm {
     if x.range().high() <= 0.0 {
@@ -61,7 +61,7 @@ pub fn relu_squared(x: &AffineForm) -> AffineForm {
     relax_convex(x, |x| rectified(x).sqr(), |x| rectified(x) + rectified(x), |slope| slope / 2.0)
 }
 
-/// 1 / x; the whole line unless x is positive.
+/// Returns 1 / x; the whole line unless x is positive.
 #[must_use]
 pub fn reciprocal(x: &AffineForm) -> AffineForm {
     if x.range().low() <= 0.0 {
@@ -82,7 +82,7 @@ fn relax_convex(
     linear_enclosure(x, slope, tangent_lower_bound(value, derivative, slope, touch(slope), [low, high]), highest)
 }
 
-/// A slope near the chord's, within limits, and the most that a convex function exceeds s x by: that at one of the ends.
+/// Returns a slope near the chord's, within limits, and the maximum of f - s x for convex f, which is at an end.
 fn chord([low, high]: [f64; 2], value: impl Fn(Interval) -> Interval, [least, most]: [f64; 2]) -> (f64, f64) {
     let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
     let chord = (at_high.low() - at_low.low()) / (high - low);
@@ -91,7 +91,7 @@ fn chord([low, high]: [f64; 2], value: impl Fn(Interval) -> Interval, [least, mo
     (slope, above(low, at_low).max(above(high, at_high)))
 }
 
-/// A lower bound of f(x) - s x over [l, h] for convex f, from the tangent near `touch`.
+/// Bounds f(x) - s x over [l, h] from below for convex f, by the tangent near `touch`.
 fn tangent_lower_bound(
     value: impl Fn(Interval) -> Interval,
     derivative: impl Fn(Interval) -> Interval,
@@ -105,14 +105,14 @@ fn tangent_lower_bound(
     (value(touch) - Interval::point(slope) * touch + left.min(right)).low()
 }
 
-/// The hyperbolic tangent.
+/// Returns the hyperbolic tangent.
 #[must_use]
 pub fn hyperbolic_tangent(z: &AffineForm) -> AffineForm {
     let (slope, off) = tanh_relaxation(z.range().low(), z.range().high());
     linear_enclosure(z, slope, off.low(), off.high())
 }
 
-/// A slope s, and bounds of tanh z - s z over [l, h].
+/// Returns a slope s, and bounds of tanh z - s z over [l, h].
 pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     if !(low.is_finite() && high.is_finite()) {
         return (0.0, (-ONE).hull(ONE));
@@ -121,7 +121,7 @@ pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     let chord = (at_high.low() - at_low.low()) / (high - low);
     let slope = if chord.is_finite() { chord.clamp(0.0, 1.0) } else { 0.0 };
     let touch = (1.0 - slope).sqrt().min(1.0 - 1e-15).atanh();
-    // An upper bound of tanh z - s z for a ≤ z ≤ b, both not negative; the negative of what a tangent gives for -tanh.
+    // An upper bound of tanh z - s z for 0 ≤ a ≤ z ≤ b; the negative of the tangent bound of -tanh.
     let most = |a: f64, b: f64| -> f64 {
         let steepness = |z: Interval| tanh(z.low()).sqr() - ONE;
         -tangent_lower_bound(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
@@ -134,19 +134,18 @@ pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     if low < 0.0 {
         bounds = bounds.hull(Interval::point(-most((-high).max(0.0), -low)));
     }
-    // A line that leaves what tanh can be says less than that.
+    // A line that exceeds the range of tanh is worse than a constant.
     let reach = slope * (0.5 * high - 0.5 * low) + 0.5 * (bounds.high() - bounds.low());
     if reach < 1.0 { (slope, bounds) } else { (0.0, at_low.hull(at_high)) }
 }
 
-/// For l < 0 a slope s, and bounds of f(x) - s x over [l, h] for f that is x, and α (eˣ - 1) below 0.
+/// Returns for l < 0 a slope s, and bounds of f(x) - s x over [l, h] for the ELU f.
 pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
     if !(low.is_finite() && high.is_finite()) {
         return (0.0, Interval::ENTIRE);
     }
     let value = |x: Interval| elu(alpha, x.low());
     if !(0.0..=1.0).contains(&alpha) {
-        // It turns at 0 at most.
         let ends = value(Interval::point(low)).hull(value(Interval::point(high)));
         return (0.0, if high > 0.0 { ends.hull(Interval::ZERO) } else { ends });
     }
@@ -154,7 +153,7 @@ pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval)
     let least = if slope >= alpha {
         0.0
     } else {
-        // Where α eˣ is the slope. Above 0 f - s x grows from what it is at 0.
+        // The point where α eˣ is the slope. Above 0, f - s x grows from its value at 0.
         let touch = (slope / alpha).ln().clamp(-40.0, 0.0);
         let steepness = |x: Interval| Interval::point(alpha) * exp(x.low());
         tangent_lower_bound(value, steepness, slope, touch, [low, high.min(0.0)])
@@ -162,17 +161,15 @@ pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval)
     (slope, Interval::new(least, highest).unwrap_or(Interval::ENTIRE))
 }
 
-/// x, and α (eˣ - 1) below 0.
 fn elu(alpha: f64, x: f64) -> Interval {
     if x >= 0.0 { Interval::point(x) } else { Interval::point(alpha) * (exp(x) - ONE) }
 }
 
-/// eˣ for x ≤ 0.
 fn exp(x: f64) -> Interval {
     if x < -40.0 { Interval::ZERO.hull(exp_neg(40.0)) } else { exp_neg(-x) }
 }
 
-/// tanh of a number.
+/// Returns tanh of a number.
 #[must_use]
 pub fn tanh(z: f64) -> Interval {
     if z < 0.0 {
@@ -185,11 +182,11 @@ pub fn tanh(z: f64) -> Interval {
     (ONE - e).over(ONE + e)
 }
 
-/// e⁻ʸ for 0 ≤ y ≤ 40.
+/// Returns e⁻ʸ for 0 ≤ y ≤ 40.
 #[must_use]
 pub(crate) fn exp_neg(y: f64) -> Interval {
     let t = Interval::point(y / 1024.0);
-    // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the same cut off one earlier.
+    // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the sum of one degree less.
     let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);
     (0..10).fold(sum(7).hull(sum(8)), |power, _| power.sqr())
 }

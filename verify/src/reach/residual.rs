@@ -1,26 +1,26 @@
-//! An ego that departs from a law of driving: what it answers is how far, not what it accelerates at.
+//! An ego with a residual policy: the network's action blends the command of a base controller with a bound.
 //!
-//! At every step, not only where the network decides, the ego asks for what the law says of its own speed v, that of the leader w, and the gap s
-//! between them, cut to the bounds l and h of the policy's action; the law is `idm`, as for who [follows](super::follower) by one. From that
-//! the action a, from -1 to 1, which is held until the next decision, departs by
+//! At every step, not only at decisions, the base controller commands an acceleration from the own speed v, the
+//! leader's speed w, and the gap s between them, clipped to the bounds l and h of the policy. It is `idm`, as for a
+//! [follower](super::follower). The action a, from -1 to 1 and held until the next decision, changes it by
 //!
 //! ```text
-//! d = max(0, (|a| - z) / (1 - z))    towards l where a < 0 and towards h else:    (1 - d) law + d l,    (1 - d) law + d h
+//! d = max(0, (|a| - z) / (1 - z))    towards l for a < 0, else h:    (1 - d) law + d l,    (1 - d) law + d h
 //! ```
 //!
-//! with z the dead zone. With p = max(0, (a - z) / (1 - z)) and q = max(0, (-a - z) / (1 - z)), of which one is always 0, that is
-//! law + p (h - law) + q (l - law), which is evaluated in forms: two bends and two products. Where no member leaves the dead zone nothing is lost but
-//! by the law, and where all depart entirely the law does not count. Bounds of what p, q and the law are by themselves give bounds as well, and where these are
-//! the tighter ones they are taken: between them and l and h lies what a product of wide forms does not know.
+//! with z the dead zone. With p = max(0, (a - z) / (1 - z)) and q = max(0, (-a - z) / (1 - z)), of which one is always
+//! 0, that is law + p (h - law) + q (l - law). It is evaluated in affine forms: two bends and two products. While no
+//! member leaves the dead zone only the law loses; with d = 1 for all members the law does not count. Interval bounds
+//! of p, q and the law are taken if they are tighter, since a product of wide forms ignores [l, h].
 //!
-//! # What is seen
-//! The law sees the gap, its own speed and that of the leader anew at every step, each within the stated error of the truth, as the network
-//! does at decisions, and besides within the 10⁻⁹ that double precision is off.
+//! # Observation
+//! The law observes gap, own speed and leader speed anew at every step, each within the stated error, as the network
+//! does at decisions, and within the 10⁻⁹ of double precision.
 //!
-//! # Departures that take time
-//! They come and go at r per second at most. Where r h ≥ 2 for steps of h seconds one step is enough for any of them, since none is larger
-//! than from -1 to 1, and d is what the action says, but for 10⁻¹⁵ that double precision is off. Others are refused: d would be a part of the state. Who bounds
-//! them all the same is told any acceleration from l to h.
+//! # Rate limit
+//! d changes by r per second at most. With r h ≥ 2 for steps of h seconds one step completes any change, since none is
+//! larger than from -1 to 1, and d follows the action but for 10⁻¹⁵ of double precision. Slower policies are rejected,
+//! because d would be part of the state. Bounds for them are computed with any acceleration from l to h.
 
 use std::fmt;
 
@@ -30,27 +30,24 @@ use super::form::AffineForm;
 use super::relax::relu;
 use crate::interval::Interval;
 
-/// Widest dead zone, as the simulator has it.
 const MAX_DEAD_ZONE: f64 = 0.99;
-/// Slowest and fastest departures, likewise, in 1/s.
 const RATE_RANGE_PER_S: [f64; 2] = [0.1, 1000.0];
-/// The largest change of a departure: from one bound to the other.
 const MAX_RESIDUAL_CHANGE: f64 = 2.0;
-/// More than double precision is off by in what follows from law and action, as a share of the largest acceleration there is.
+/// Upper bound of the double-precision error of law and residual, as a share of the largest acceleration.
 const REL_ROUNDING_ERROR: f64 = 1e-14;
 
-/// Plain numbers have to be narrower than a form by this factor to take its place: an ego that forgets what its acceleration depends on no longer knows that it makes
-/// up for what it did before.
+/// An interval hull replaces an affine form only if it is < 0.9 as wide: the hull loses correlations with earlier
+/// steps.
 const MAX_RELATIVE_WIDTH: f64 = 0.9;
 
-/// How actions depart from a law, in SI units.
+/// A residual policy over a base controller, in SI units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ResidualPolicy {
-    /// z: actions up to this, either way, follow the law.
+    /// z: actions up to this magnitude leave the base controller unchanged.
     pub dead_zone: f64,
-    /// r: how fast departures come and go, in 1/s.
+    /// r: rate limit of the residual, in 1/s.
     pub rate_per_s: f64,
-    /// The law. Most that its vehicle accelerates at is the highest acceleration of the policy's.
+    /// Base controller. Its largest acceleration is the upper bound of the policy.
     pub idm: IdmLaw,
 }
 
@@ -68,7 +65,7 @@ impl fmt::Display for ResidualPolicy {
 
 impl ResidualPolicy {
     /// # Errors
-    /// The field, if a number of it is outside the range in which the simulator takes it.
+    /// Names the first parameter outside the simulator's range.
     pub(super) fn check(&self) -> Result<(), String> {
         let Self { dead_zone, rate_per_s, idm } = *self;
         let numbers = [
@@ -86,13 +83,13 @@ impl ResidualPolicy {
         }
     }
 
-    /// Whether each departure is complete after one step.
+    /// True if each change of the residual is complete after one step.
     #[must_use]
     pub(crate) fn is_complete_in_one_step(&self, step_s: f64) -> bool {
         self.rate_per_s * step_s >= MAX_RESIDUAL_CHANGE
     }
 
-    /// How far actions depart upwards and downwards: p and q.
+    /// Returns the residual shares p and q of an action.
     fn residual_shares(&self, action: &AffineForm) -> [AffineForm; 2] {
         let zone = Interval::point(self.dead_zone);
         let left = Interval::ONE - zone;
@@ -103,7 +100,7 @@ impl ResidualPolicy {
         })
     }
 
-    /// What is asked for at actions and at what is seen, between two bounds, in m/s².
+    /// Returns the commanded acceleration between the bounds, in m/s².
     pub(super) fn acceleration(&self, departs: &Residual, sight: &LawInput) -> AffineForm {
         let Residual { up, down, bounds_mps2: [low, high] } = departs;
         let [least, most] = [low, high].map(|bound| AffineForm::constant(Interval::point(*bound)));
@@ -121,13 +118,12 @@ impl ResidualPolicy {
     }
 }
 
-/// A form, unless plain numbers say so much more that it is worth forgetting what they depend on.
+/// Returns a form, or the interval if it is so much tighter that losing correlations pays.
 fn tighter_form(form: AffineForm, plain: Interval) -> AffineForm {
     let is_worth_it = plain.high() - plain.low() < MAX_RELATIVE_WIDTH * 2.0 * form.radius();
     if is_worth_it { AffineForm::constant(plain) } else { form }
 }
 
-/// How far actions depart, for as long as they are held.
 pub(super) struct Residual {
     up: AffineForm,
     down: AffineForm,
@@ -140,7 +136,7 @@ impl Residual {
         Self { up, down, bounds_mps2 }
     }
 
-    /// The same of numbers that have nothing to do with each other. It grows with what the law says and with p, and falls with q.
+    /// Bounds the command in interval arithmetic. It grows with the law and with p, and falls with q.
     fn interval_bounds(&self, law: Interval) -> Interval {
         let [low, high] = self.bounds_mps2.map(Interval::point);
         let law = law.max(low).min(high);
@@ -153,7 +149,7 @@ impl Residual {
         };
         let upwards = towards(high, least, up.low()).hull(towards(high, most, up.high()));
         let downwards = towards(low, least, down.high()).hull(towards(low, most, down.low()));
-        // Of p and q one is always 0.
+        // One of p and q is always 0.
         let plain = match (self.up.is_zero(), self.down.is_zero()) {
             (true, _) => downwards,
             (false, true) => upwards,
@@ -163,7 +159,7 @@ impl Residual {
     }
 }
 
-/// By how much what the law sees may be off: gap, own speed, and the difference of speeds.
+/// Returns the errors of the law's inputs: gap, own speed, and difference of speeds.
 pub(super) fn law_input_errors(observation_error: &[f64; OBSERVATION_SIZE]) -> [f64; 3] {
     let [gap, _, ahead, own, ..] = *observation_error;
     [gap, own, own + ahead]

@@ -1,10 +1,10 @@
-//! The file of a network: eight bytes that say how long the header is, a header in JSON, and then little-endian numbers.
+//! The file of a network: eight bytes with the length of the header, a JSON header, and little-endian numbers.
 //!
-//! The header lists tensors by name with their type, shape and place, and holds in its metadata a JSON text that says what the
-//! network sees and what is done with the answer: that of one of crumple's [own policies](super::policy_file), or of a
-//! [network from outside](super::network_file). What the simulator refuses is refused here too, or a certificate would
-//! speak of what nobody can drive with: other versions, unknown fields, names that occur twice, tensors that are missing, superfluous,
-//! overlapping or not of the described shape, bytes that belong to none, numbers that are not finite.
+//! The header lists tensors by name with type, shape and offsets. Its metadata holds a JSON text that describes one of
+//! crumple's [own policies](super::policy_file) or an [imported network](super::network_file). The reader rejects what
+//! the simulator rejects, so that every accepted certificate is about a usable file: other versions, unknown fields,
+//! duplicate names, tensors that are missing, superfluous, overlapping or not of the described shape, unused bytes, and
+//! numbers that are not finite.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,19 +15,17 @@ use serde::de::{Deserializer, Error, MapAccess, Visitor};
 use super::controller::{NetworkLayer, NeuralController};
 use super::{network_file, policy_file};
 
-/// Widest layer that is read, and most numbers between the layers of a network: bounds on rounding rely on them.
+/// Maximum width of a layer, and of numbers between layers: bounds on rounding rely on them.
 pub(super) const MAX_LAYER_WIDTH: usize = 4096;
 pub(super) const MAX_NUMBERS: usize = 8192;
-/// Longest header, in bytes: what is read of it takes some twenty times as many.
+/// Maximum size of a header in bytes; reading it takes about twenty times as much memory.
 const MAX_HEADER_BYTES: usize = 1 << 20;
 
-/// The header of the file.
 struct SafetensorsHeader {
     description: Metadata,
     tensors: BTreeMap<String, TensorInfo>,
 }
 
-/// Where a tensor is.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TensorInfo {
@@ -36,7 +34,7 @@ struct TensorInfo {
     data_offsets: [usize; 2],
 }
 
-/// One of the two is there.
+/// Metadata, with exactly one of the two.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Metadata {
@@ -44,7 +42,6 @@ struct Metadata {
     crumple_network: Option<String>,
 }
 
-/// The tensors of a file that nobody has asked for yet.
 pub(super) struct SafetensorsFile<'a> {
     tensors: BTreeMap<String, TensorInfo>,
     data: &'a [u8],
@@ -83,7 +80,7 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
 }
 
 impl SafetensorsFile<'_> {
-    /// Whether tensors lie one after the other, without a gap, and up to the end.
+    /// Checks that tensors lie one after the other, without a gap, and up to the end.
     fn check_offsets(&self) -> Result<(), String> {
         let mut places: Vec<[usize; 2]> = self.tensors.values().map(|entry| entry.data_offsets).collect();
         places.sort_unstable();
@@ -92,7 +89,7 @@ impl SafetensorsFile<'_> {
         if is_whole { Ok(()) } else { Err("has tensors that overlap, or bytes that belong to none".to_owned()) }
     }
 
-    /// The numbers of a tensor of single-precision numbers, all finite; nobody gets them again.
+    /// Takes the numbers of a single-precision tensor, all finite; each can be taken once.
     pub(super) fn take_tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
         let entry = self.tensors.remove(name).ok_or_else(|| format!("has no tensor {name}"))?;
         let [from, to] = entry.data_offsets;
@@ -113,7 +110,7 @@ impl NeuralController {
     /// Reads the file of a policy or of a network.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of the problem.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (length, rest) = bytes.split_first_chunk::<8>().ok_or("is too short")?;
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
@@ -139,9 +136,8 @@ impl NeuralController {
         }
     }
 
-    /// A bound of the answer's size; or else the first layer in which a number could leave single precision, by the bound |h W + b| <=
-    /// |h| |W| + |b|, which holds for every partial sum too. Everything that is said of the network's rounding is said of sums
-    /// that do not.
+    /// Bounds the magnitude of the output, or returns the first layer in which a number could leave single precision.
+    /// The bound |h W + b| <= |h| |W| + |b| holds for every partial sum too. All rounding bounds assume it.
     pub(super) fn max_output_magnitude(&self) -> Result<f64, usize> {
         // Half of the range is left for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
@@ -181,7 +177,6 @@ mod tests {
     use super::*;
     use crate::reach::{Activation, ControllerInput, LinearLayer, OBSERVATION_SIZE};
 
-    /// A network of two numbers, of a size up to 2 and 3.
     fn two_input_controller(steps: Vec<NetworkLayer>, answer: usize) -> NeuralController {
         let input = |low, high| ControllerInput {
             coefficients: [0.0; OBSERVATION_SIZE],
@@ -229,7 +224,6 @@ mod tests {
         assert_eq!(two_input_controller(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
     }
 
-    /// Half of the range of single precision, and no more; the layer that may leave it is named from 0.
     #[test]
     fn the_layer_that_may_leave_single_precision_is_named() {
         let half = 0.5 * f64::from(f32::MAX);
@@ -256,7 +250,6 @@ mod tests {
         assert_eq!(far.max_output_magnitude(), Err(0));
     }
 
-    /// Numbers of single precision in the order that was asked for, all finite, and each but once.
     #[test]
     fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
         let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {

@@ -40,7 +40,6 @@ fn a_claim_is_about_as_many_steps_as_it_has() {
     assert_eq!(claim(Vec::new()).horizon_s(), 15.0);
 }
 
-/// Steps that are no time, or no finite one, are refused for that, and those that do not make up a decision for this.
 #[test]
 fn steps_are_positive_and_divide_the_time_between_decisions() {
     let actor = constant_controller(0.0);
@@ -51,7 +50,7 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
     assert!(of(0.03).ends_with("does not divide the time between decisions") && of(0.05).is_empty());
 }
 
-/// A cell is cut at most so often, be it always the lower half or always the upper one.
+/// The limit holds for repeated lower and for repeated upper halves.
 #[test]
 fn a_cell_is_cut_no_more_often_than_may_be() {
     let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
@@ -73,7 +72,7 @@ fn a_partition_of_too_many_cells_is_refused_as_such() {
     assert!(problem(claim(vec![PartitionCell::Undecided; 2]).leaves()).ends_with("is one cell too many"));
 }
 
-/// A point that touches shows something of the cell that it is in, and of no other.
+/// A colliding point falsifies only its own cell.
 #[test]
 fn a_point_is_one_of_its_cell() {
     let actor = constant_controller(0.0);

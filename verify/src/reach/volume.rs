@@ -1,18 +1,17 @@
-//! Which share of a box's volume its parts have: counting cuts would do if every cut were one in equal halves, and the middle of a range
-//! of a few floating-point numbers is far from that.
+//! Volume shares of the cells of a box. Counting cuts is not enough: in a range of a few floating-point numbers the
+//! middle is rounded.
 
 use super::{InitialRanges, PartitionCell, ReachClaim};
 use crate::Rejection;
 use crate::interval::Interval;
 
 impl ReachClaim {
-    /// Lower bounds of the shares of the box's volume that are said to be verified, and that are in cells said to be falsified.
+    /// Returns lower bounds of the volume shares of verified and of falsified cells.
     ///
     /// # Errors
     /// [`Rejection`] if the cuts do not make a partition.
     pub fn volume_shares(&self) -> Result<[f64; 2], Rejection> {
         let leaves = self.leaves()?;
-        // All of the box, whatever rounding has taken from its parts.
         if leaves.iter().all(|(cell, ..)| *cell == PartitionCell::Verified) {
             return Ok([1.0, 0.0]);
         }
@@ -25,10 +24,9 @@ impl ReachClaim {
     }
 }
 
-/// A lower bound of the share of the volume of what was cut that one part has, if the whole has `share`. Cuts are in the middle but
-/// for its rounding, which in a range of a few floating-point numbers is all there is.
+/// Bounds from below the volume share of a part of a bisected cell with share `share`, rounding of the middle included.
 pub(super) fn part_share(share: f64, part: Interval, whole: Interval) -> f64 {
-    // The width as a rounded number and what rounding has lost, which together are exact.
+    // Exact width: the rounded number and its rounding error.
     let width = |range: Interval| {
         let (high, low) = (range.high(), -range.low());
         let sum = high + low;
@@ -43,7 +41,7 @@ pub(super) fn part_share(share: f64, part: Interval, whole: Interval) -> f64 {
     (Interval::point(share) * size(part).over(size(whole))).low().clamp(0.0, share)
 }
 
-/// A lower bound of the sum of two shares, exact where the sum does not round.
+/// Adds two shares, rounded down unless exact.
 fn add_shares(a: f64, b: f64) -> f64 {
     let sum = a + b;
     let of_b = sum - a;

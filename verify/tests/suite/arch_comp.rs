@@ -1,11 +1,7 @@
-//! The adaptive cruise control benchmark of ARCH-COMP (category AINNCS): a public problem with other dynamics.
+//! The adaptive cruise control benchmark of ARCH-COMP, category AINNCS; see [`crumple_verify::cruise`].
 //!
-//! x' = v, v' = γ, γ' = -2 γ + 2 a - 0.0001 v² for the lead and the own car; the lead car brakes at a = -2; the own car's a comes
-//! from a network of five hidden layers of twenty rectifiers that sees (30, 1.4, v_ego, D_rel, v_rel) every 0.1 s. From x_lead in
-//! [90, 110], v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30, 30.2], γ = 0, show D_rel ≥ 10 + 1.4 v_ego for 5 s.
-//!
-//! The benchmark's network is not ours to ship: one is fitted here, by least squares on its last layer, to
-//! a = 0.05 (D_rel - 30 - 1.4 v_ego) + 0.7 v_rel between -3 and 1, a calm driver with 20 m to spare.
+//! The benchmark's network is not ours to distribute. A network of five hidden layers of twenty ReLUs is fitted here
+//! instead, by least squares on its last layer, to a = 0.05 (D_rel - 30 - 1.4 v_ego) + 0.7 v_rel between -3 and 1.
 
 use crumple_verify::cruise::{CruiseBoundsError, compute_bounds};
 use crumple_verify::reach::controller::interleave_relu;
@@ -37,7 +33,6 @@ fn observation(v_ego: f64, d_rel: f64, v_rel: f64) -> Vec<f64> {
     vec![30.0, 1.4, v_ego, d_rel, v_rel]
 }
 
-/// Random hidden layers in single precision, and the last layer that fits the law best.
 fn fit_network() -> Vec<NetworkLayer> {
     let mut state = 7;
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0];
@@ -115,7 +110,6 @@ fn controller(steps: Vec<NetworkLayer>) -> NeuralController {
     }
 }
 
-/// A plain simulation with a fine step: the least margin, and x_ego at the end.
 fn simulate(steps: &[NetworkLayer], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f64) {
     let (mut lead, mut ego) = ([x_lead, v_lead, 0.0], [x_ego, v_ego, 0.0]);
     let margin = |lead: [f64; 3], ego: [f64; 3]| lead[0] - ego[0] - 10.0 - 1.4 * ego[1];
@@ -125,7 +119,6 @@ fn simulate(steps: &[NetworkLayer], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) ->
             a = network_outputs(steps, observation(ego[1], lead[0] - ego[0], lead[1] - ego[1]))[0];
         }
         for (car, a) in [(&mut lead, -2.0), (&mut ego, a)] {
-            // The midpoint rule.
             let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - DRAG * v * v];
             let half = rate(*car);
             let middle: [f64; 3] = std::array::from_fn(|i| car[i] + 5e-4 * half[i]);
@@ -137,7 +130,6 @@ fn simulate(steps: &[NetworkLayer], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) ->
     (least, ego[0])
 }
 
-/// Corners of the box and members of it.
 fn initial_states(numbers: &mut XorShiftRng) -> Vec<[f64; 4]> {
     let ends = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
     let corners = (0..16_usize).map(|corner| std::array::from_fn(|i| ends[i][corner >> i & 1]));
@@ -157,13 +149,11 @@ fn the_whole_box_is_safe() {
     assert!(found.margin_m > 0.0 && found.margin_m <= least && least - found.margin_m < 4.0, "{found:?} {least}");
 }
 
-/// Whatever a network does, with whatever functions between its layers.
 #[test]
 fn bounds_hold_for_any_network() {
     let mut bounded = 0;
     for seed in 0..60 {
         let steps = any_layers(5, seed);
-        // It may be driven out of all bounds.
         let Ok(found) = compute_bounds(&controller(steps.clone()), 3) else { continue };
         bounded += 1;
         for start in initial_states(&mut XorShiftRng(seed | 1)) {
@@ -197,7 +187,6 @@ fn other_problems_are_refused() {
     assert!(changed(|_| ()).is_ok());
 }
 
-/// A calm constant, as a file: whatever it sees it brakes at 3 m/s².
 fn braking_network_file() -> Vec<u8> {
     let input = |of: &str, what: Value| json!({ (of): what, "offset": 0.0, "scale": 1.0, "low": -1e6, "high": 1e6 });
     let text = json!({
@@ -265,7 +254,7 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     for (change, said) in more {
         assert_eq!(checked(change).unwrap_err().to_string(), said);
     }
-    // As many cells as there may be: too much work for this limit, and nothing wrong with them.
+    // The maximum number of cells exceeds this limit but is valid.
     let limit = WorkLimit::from_operations(1_000_000);
     let most = certificate_for(&file, |claim| claim.cells = 10_000);
     assert_eq!(check_with(&most, Some(&file), limit), Err(Rejection::BudgetExceeded { limit }));

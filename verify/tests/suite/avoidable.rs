@@ -1,4 +1,4 @@
-//! What is accepted as avoidable was avoided, in every member.
+//! Every member of an accepted avoidable claim avoids the collision.
 
 use crate::support;
 use crate::support::{SUBSTEPS, pick_member, scenes, simulate_scene};
@@ -13,7 +13,6 @@ fn certificate(scene: &Scene, witness: Vec<Vec<ConstantPiece<f64>>>) -> Certific
     }))
 }
 
-/// Two cars of which the second is followed by a truck; everybody at 20 m/s and the leader brakes after 1 s.
 fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
     let point = Interval::point;
     let ego = |x: f64| SceneEgo {
@@ -89,7 +88,7 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     assert!(matches!(touching, Rejection::MayCollide { front_vehicle: 0, step: 0, .. }), "{touching}");
 }
 
-/// Without a follower that reacts the smallest gap is a closed form: here the parabola's vertex, inside a step.
+/// Without a follower the smallest gap is a closed form: here the parabola's vertex, inside a step.
 #[test]
 fn a_near_miss_inside_a_step_is_seen() {
     let scene = |gap: f64| Scene {
@@ -121,7 +120,7 @@ fn a_near_miss_inside_a_step_is_seen() {
     assert!(check(&certificate(&scene(0.5), witness)).is_err());
 }
 
-/// What holds afterwards is decided by two comparisons: of the stopping distance with the gap, of speeds with each other.
+/// Two comparisons decide: stopping distance and gap, and the speeds.
 #[test]
 fn afterwards_is_as_a_closed_form_says() {
     let afterwards = |gap_m: f64, leader_mps: f64, ego_mps: f64| {
@@ -148,7 +147,7 @@ fn afterwards_is_as_a_closed_form_says() {
             other => panic!("{other:?}"),
         }
     };
-    // After a second of the same speed the gap is what it was: v²/10 has to be less.
+    // A second at equal speeds keeps the gap: v²/10 must be less.
     assert_eq!(afterwards(10.01, 10.0, 10.0), SafetyAfterHorizon::ForAnyLeader);
     assert_eq!(afterwards(9.99, 10.0, 10.0), SafetyAfterHorizon::UnlessLeaderBrakes);
     // 1 m/s faster, and 1 m further: v - u is 4 m/s, and 1.6 m are covered.
@@ -156,7 +155,6 @@ fn afterwards_is_as_a_closed_form_says() {
     assert_eq!(afterwards(1.59 + 4.0, 6.0, 10.0), SafetyAfterHorizon::Unproved);
 }
 
-/// A scene and a witness of two pieces.
 fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<ConstantPiece<f64>>>)> {
     (scenes(egos), prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos)).prop_map(|(scene, levels)| {
         let of = |(ego, (first, then)): (&SceneEgo, (f64, f64))| {
@@ -178,8 +176,8 @@ fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
     witness.iter().map(of).collect()
 }
 
-/// The smallest gap of a member if the scene goes on: the leader stops at once or holds its speed, and the others brake to a stop or to
-/// the slowest of all.
+/// Returns the smallest gap of a member after the horizon. The leader stops at once or holds its speed; the others
+/// brake to a stop or to the slowest speed.
 fn min_gap_after_horizon_m(
     scene: &Scene,
     profiles: &[Vec<f64>],
@@ -232,14 +230,14 @@ proptest! {
                 prop_assert!(smallest_gap_m <= least_m + 1e-9);
                 if afterwards != SafetyAfterHorizon::Unproved {
                     let kept_m = min_gap_after_horizon_m(&scene, &profiles, afterwards, &mut || picks.next().unwrap().round());
-                    // Braking ends with a substep, not when the speed is reached.
+                    // Braking ends with a substep, not at the target speed.
                     let late_m = 9.0 * (scene.step_s / SUBSTEPS as f64).powi(2);
                     prop_assert!(kept_m > -late_m, "{afterwards}: {kept_m}");
                 }
             }
             Ok(other) => prop_assert!(false, "{other}"),
             Err(Rejection::MayCollide { gap_m, .. }) => {
-                // For a point nothing is lost but the bow inside a step: at most the larger acceleration over h² / 8.
+                // For a point the only loss is the bow inside a step: at most the larger acceleration over h² / 8.
                 let is_point = scene.leader.position_m.low() == scene.leader.position_m.high();
                 prop_assume!(is_point);
                 let bow_m = 20.0 * scene.step_s * scene.step_s / 8.0;
@@ -250,7 +248,7 @@ proptest! {
     }
 }
 
-/// Ten steps at the same speeds, nobody on the egos' side in a hurry: what holds afterwards is for the follower to spoil.
+/// Checks ten steps at constant speeds, in which only the follower limits the safety afterwards.
 fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, SafetyAfterHorizon) {
     let point = Interval::point;
     let scene = Scene {
@@ -285,13 +283,13 @@ fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) ->
     }
 }
 
-/// A brake that has fired and whose reaction is over will stop it; any other brake may not come.
+/// A brake that has fired and whose reaction is over stops the vehicle; any other brake may never fire.
 #[test]
 fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
     use SafetyAfterHorizon::{ForAnyLeader, UnlessLeaderBrakes, Unproved};
     let followed_afterwards =
         |gap_m, mps, ttc_s, reaction_steps| check_with_follower(gap_m, mps, ttc_s, reaction_steps).1;
-    // It never fires: slower than all it stays behind as long as nobody brakes, and faster, or as fast but for rounding, it may not.
+    // It never fires: only a slower follower stays behind while no vehicle brakes; equal speed fails by rounding.
     for (mps, expected) in [(9.0, UnlessLeaderBrakes), (10.0, Unproved), (11.0, Unproved)] {
         for reaction_steps in [0, 3, u32::MAX] {
             assert_eq!(followed_afterwards(1000.0, mps, 0.0, reaction_steps), expected, "{mps} {reaction_steps}");
@@ -307,7 +305,7 @@ fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
     assert_eq!(followed_afterwards(4.0 - 0.75 + 6.74, 12.0, 100.0, 6), UnlessLeaderBrakes);
 }
 
-/// Whenever in a step the follower began to brake, a gap has been smaller by b h²/8 than at both ends.
+/// The follower may begin to brake anywhere in a step: a gap may be smaller by b h²/8 than at both ends.
 #[test]
 fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
     for (gap_m, mps) in [(5.0, 9.0), (5.0, 10.0), (1.0, 9.5)] {
@@ -317,7 +315,7 @@ fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
     }
 }
 
-/// At the least numbers there are a bound may round to zero: that is contact.
+/// A bound of subnormal gaps may round to zero, which is a collision.
 #[test]
 fn a_gap_that_is_proved_is_more_than_nothing() {
     let (mut touching, mut clear) = (0, 0);

@@ -1,4 +1,4 @@
-//! Files: what is read, what is refused, and what survives a change of one number.
+//! Files: accepted and rejected ones, and mutations.
 
 use std::process::Command;
 
@@ -11,9 +11,8 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use serde_json::{Value, json};
 
-/// A car between a standing leader and a follower that brakes late, over a small box.
 fn unavoidable_file() -> Value {
-    // What random guesses prove, with the boxes and the follower that make most fields matter.
+    // Picks a random proof whose boxes and follower use most fields.
     let mut runner = TestRunner::deterministic();
     let is_rich = |scene: &Scene, branches: &[Branch]| {
         let uses = |used: &dyn Fn(&Branch) -> bool| branches.iter().any(used);
@@ -56,7 +55,6 @@ fn avoidable_file() -> Value {
     })
 }
 
-/// Whether what an accepted certificate states holds where it is tried.
 fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
     let corners = [0.0, 0.5, 1.0];
     match &certificate.statement {
@@ -96,7 +94,7 @@ fn what_survives_a_change_is_true() {
     }
 }
 
-/// The mutants reach every field: a check that looked away from one would be seen above.
+/// The mutants reach every field, so the tests above would notice an unchecked one.
 #[test]
 fn mutants_change_every_number_once_or_more() {
     let original = avoidable_file();
@@ -175,7 +173,6 @@ fn exit_codes() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
-/// Any JSON, of any shape.
 fn any_json() -> impl Strategy<Value = Value> {
     let number = prop_oneof![
         any::<f64>().prop_map(|x| json!(x)),
@@ -196,7 +193,6 @@ fn any_json() -> impl Strategy<Value = Value> {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(3000))]
 
-    /// Anything anywhere in a file: an answer, never a panic.
     #[test]
     fn no_file_brings_the_check_down(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any_json()), 1..4), which in any::<bool>(),
@@ -213,7 +209,6 @@ proptest! {
         }
     }
 
-    /// Numbers of any size, which JSON can hold: what is accepted is true.
     #[test]
     fn huge_and_tiny_numbers_prove_nothing_false(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<f64>()), 1..4), which in any::<bool>(),
@@ -231,7 +226,7 @@ proptest! {
                 Statement::Unavoidable(claim) => &claim.scene,
                 _ => panic!("a statement about no scene"),
             };
-            // The plain simulation overflows where the check does not.
+            // The plain simulation overflows before the check does.
             let position_m = scene.leader.position_m;
             prop_assume!(position_m.high().abs() < 1e9 && scene.egos[0].position_m.high().abs() < 1e9);
             prop_assert!(is_confirmed_by_simulation(&certificate), "{}", file);

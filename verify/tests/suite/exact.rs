@@ -1,4 +1,4 @@
-//! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
+//! Comparison of reach bounds with an independent exact simulation of members, to the last bit.
 
 use crumple_verify::reach::{FollowerModel, NeuralController, PartitionCell, ReachProblem, ReachTube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
@@ -12,7 +12,7 @@ use crate::support::closed_loop::{InitialState, XorShiftRng, simulate};
 use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
 use crate::support::networks::{any_network, residual_network};
 
-/// Errors of what is observed: each the largest there is, to one side or the other, or none.
+/// Generates observation errors: each the largest, to one side or the other, or none.
 fn random_errors(scene: &ReachProblem<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
     let largest = scene.observation_error;
     move |decision| {
@@ -21,7 +21,7 @@ fn random_errors(scene: &ReachProblem<'_>, seed: u64) -> impl Fn(usize) -> [f64;
     }
 }
 
-/// How a leader brakes that may brake at so much: any rate at each step, or all or nothing for a while.
+/// Generates bounded braking: a random rate at each step, or all or nothing for a while.
 fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     move |k| {
         let held = if seed.is_multiple_of(2) { 1 } else { 37 };
@@ -30,7 +30,6 @@ fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     }
 }
 
-/// A member of a scene, driven to the end.
 fn simulate_member(
     scene: &ReachProblem<'_>,
     start: InitialState,
@@ -40,7 +39,7 @@ fn simulate_member(
     simulate_exactly(scene, start, random_errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
 }
 
-/// Whether a run is where the bounds have it, with nothing to spare.
+/// Checks that a run is within the bounds, without tolerance.
 fn is_bounded(
     tube: Option<&ReachTube>,
     gaps_m: Option<[f64; 2]>,
@@ -63,7 +62,7 @@ fn is_bounded(
 }
 
 prop_compose! {
-    /// Errors of observation: none, next to none, or centimetres.
+    /// Generates error bounds: none, 1e-9 of a unit, or centimetres.
     fn any_errors()(size in prop::sample::select(vec![0.0, 1e-9, 0.02]), shares in prop::array::uniform8(0.0..1.0_f64)) -> [f64; 8] {
         shares.map(|share| size * share)
     }
@@ -72,8 +71,8 @@ prop_compose! {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(96))]
 
-    /// Whatever a network does, whatever it is told within the errors, however the leader brakes: everything is inside the bounds at every
-    /// decision, and no gap is below its bound at any half step. Boxes, and single starts, of which bounds are tightest.
+    /// Checks observations at every decision and gaps at every half step, for boxes and for single initial states,
+    /// whose bounds are tightest.
     #[test]
     fn bounds_hold_to_the_last_bit(
         ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), is_point: bool,
@@ -106,7 +105,7 @@ proptest! {
     }
 }
 
-/// What is claimed of paper-1 and paper-2: no gap of a member is below the one that is stated, at any half step.
+/// Checks the gaps of members of paper-1 and paper-2 at any half step.
 #[test]
 fn committed_claims_are_true_of_their_members() {
     let mut numbers = XorShiftRng(77);
@@ -123,13 +122,11 @@ fn committed_claims_are_true_of_their_members() {
             let start = box_member(&ranges, std::array::from_fn(|_| numbers.next_unit()));
             let run = simulate_member(&scene, start, numbers.0).unwrap();
             is_bounded(None, Some([claim.min_gap_m_at_least; 2]), &run).unwrap();
-            // Not idle: another policy would not do.
             assert!(!run.1[0].min(&run.1[1]).is_at_least(claim.min_gap_m_at_least + 10.0));
         }
     }
 }
 
-/// Both simulations of the tests say the same, but for single precision.
 #[test]
 fn two_derivations_agree() {
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();

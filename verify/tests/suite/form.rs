@@ -1,4 +1,4 @@
-//! No operation on affine forms loses a member, by comparison with rational arithmetic.
+//! Operations on affine forms keep every member, compared with rational arithmetic.
 
 use crumple_verify::Interval;
 use crumple_verify::reach::form::AffineForm;
@@ -6,25 +6,22 @@ use num_rational::BigRational;
 use num_traits::{FromPrimitive, One, Signed};
 use proptest::prelude::*;
 
-/// Symbols that forms share.
 const SYMBOLS: usize = 3;
 
 fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
-/// Large and small enough for sums and products to be rounded, and often zero or one.
+/// Generates numbers of magnitudes at which sums and products round, and often zero or one.
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![2 => -10.0..10.0_f64, 1 => -1e-9..1e-9_f64, 1 => -1e9..1e9_f64, 2 => Just(0.0), 1 => Just(1.0)]
 }
 
-/// From -1 to 1, the ends often.
 fn unit() -> impl Strategy<Value = f64> {
     prop_oneof![2 => -1.0..1.0_f64, 1 => Just(1.0), 1 => Just(-1.0)]
 }
 
 prop_compose! {
-    /// An interval, often a point, and one of its members.
     fn interval()(a in number(), b in number(), is_point in any::<bool>(), inside in 0.0..=1.0_f64) -> (Interval, f64) {
         let (low, high) = if is_point { (a, a) } else { (a.min(b), a.max(b)) };
         (Interval::new(low, high).unwrap(), (low + inside * (high - low)).clamp(low, high))
@@ -32,7 +29,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// A form with some of the symbols, and where its `rest` is.
+    /// Generates a form with some of the symbols, and a position of its `rest`.
     fn form()(
         centre in number(),
         terms in prop::collection::vec(number(), 0..=SYMBOLS),
@@ -50,18 +47,15 @@ prop_compose! {
     }
 }
 
-/// What a form is for some values of its symbols, but for `rest`.
 fn without_rest(form: &AffineForm, symbols: &[f64; SYMBOLS]) -> BigRational {
     let terms = form.terms().iter().zip(symbols).map(|(&term, &symbol)| rational(term) * rational(symbol));
     terms.fold(rational(form.centre()), |sum, term| sum + term)
 }
 
-/// The member of a form for some values of its symbols and of what is left.
 fn member((form, place): &(AffineForm, f64), symbols: &[f64; SYMBOLS]) -> BigRational {
     without_rest(form, symbols) + rational(form.rest()) * rational(*place)
 }
 
-/// Whether a form holds a number for these values of the symbols.
 fn holds(form: &AffineForm, symbols: &[f64; SYMBOLS], value: &BigRational) -> bool {
     (value - without_rest(form, symbols)).abs() <= rational(form.rest())
 }
@@ -102,7 +96,7 @@ proptest! {
         prop_assert!(!x.is_zero() || of_x == rational(0.0));
     }
 
-    /// What holds two forms keeps what they have in common, reaches no farther than they do, and is as far from either as the other.
+    /// A joined form keeps common parts, stays in the hull, and is as far from either form as from the other.
     #[test]
     fn what_is_joined_reaches_no_farther((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
         let joined = x.join(&y).range();
@@ -120,7 +114,7 @@ proptest! {
         prop_assert!((joined.rest() - x.rest() - 0.5 * by).abs() <= 1e-10 * size);
     }
 
-    /// Half a unit in the last place for each product and each sum, at least.
+    /// Checks for at least half a unit in the last place per product and sum.
     #[test]
     fn small_numbers_round_as_well(c in 1e-4..1e-2_f64, d in 1e-4..1e-2_f64, factor in 1e-3..0.5_f64) {
         let mut sum = AffineForm::constant(Interval::point(c));
@@ -129,21 +123,20 @@ proptest! {
         prop_assert!(sum.rest() >= least && sum.rest() <= 5.0 * least);
     }
 
-    /// What a form has in common with itself is not lost: bounds are no wider than rounding asks for.
+    /// Common parts cancel: bounds are as tight as rounding permits.
     #[test]
     fn what_is_shared_cancels((x, _) in form(), symbols in prop::array::uniform3(unit())) {
         let rests = rational(x.rest()) * rational(2.0);
         let rounding = rational(1e-14) * (rational(x.centre().abs()) + rational(x.radius())) + rational(1e-290);
         let difference = x.clone().minus(&x);
         prop_assert!(rational(difference.radius()) <= rests.clone() * (BigRational::one() + rational(1e-9)) + rounding.clone());
-        // A single number is itself.
         prop_assert_eq!(AffineForm::constant(Interval::point(x.centre())).rest(), 0.0);
         prop_assert_eq!(x.join(&x), x.clone());
-        // A symbol may take over what nobody shares: the set stays the same.
+        // A symbol may replace the rest: the set stays the same.
         let settled = x.clone().with_rest_as_symbol(SYMBOLS);
         prop_assert!((settled.radius() - x.radius()).abs() <= 1e-14 * x.radius());
         prop_assert!(settled.rest() == 0.0 || settled.rest() <= 1e-9 && settled == x);
-        // The ends of the range are those of the sum.
+        // The radius is the sum of the magnitudes.
         let reach = rational(x.radius());
         prop_assert!((without_rest(&x, &symbols) - rational(x.centre())).abs() <= reach);
         let terms = x.terms().iter().fold(rational(x.rest()), |sum, &term| sum + rational(term).abs());

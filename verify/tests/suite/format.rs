@@ -1,4 +1,4 @@
-//! Version 2 of the file: one text for one statement, and what a statement is bound to. `docs/certificates.md` specifies it.
+//! Version 2 of the file, specified in `docs/certificates.md`: canonical text and binding of a statement.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,6 @@ fn sha256(text: &str) -> String {
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A car 1 m behind a standing vehicle, as in the documentation, bound to a text.
 fn unavoidable() -> Certificate {
     let text = "name = \"by hand\"\n";
     let scene = json!({
@@ -31,7 +30,6 @@ fn unavoidable() -> Certificate {
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
-/// 250 runs in blocks of 100.
 fn rate() -> Certificate {
     let text = "name = \"paper\"\n";
     let entries = [
@@ -64,7 +62,6 @@ fn rate() -> Certificate {
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
-/// The text with one passage changed, read and checked.
 fn check_replaced(certificate: &Certificate, from: &str, to: &str) -> Result<ProvedClaim, String> {
     let text = certificate.to_canonical_json();
     assert!(text.contains(from), "{from} in {text}");
@@ -258,7 +255,6 @@ fn how_far_a_claim_reaches_is_said() {
     assert!(rate().caveat().unwrap().contains("the maker's word"));
 }
 
-/// 250 draws in blocks of 100, that tell two controllers apart.
 fn comparison() -> Certificate {
     let mut certificate = rate();
     let Statement::Rate(RateClaim { mut registration, .. }) = certificate.statement else { panic!("a rate") };
@@ -313,7 +309,7 @@ fn reach() -> Certificate {
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
-/// What is said of a certificate that was changed; its registration, if it has one, is registered anew.
+/// Checks a modified certificate, with a renewed registration digest.
 fn check_mutated(mut certificate: Certificate, change: impl FnOnce(&mut Certificate)) -> String {
     change(&mut certificate);
     match &mut certificate.statement {
@@ -444,7 +440,7 @@ fn how_long_a_claim_holds_is_said_in_seconds() {
     assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
     let (horizon_s, text) = said(&kernel());
     assert!(horizon_s == Some(f64::INFINITY) && text.contains("for ever"), "{text}");
-    // A profile may say what holds after it.
+    // A witness may establish safety after it.
     let Statement::Unavoidable(UnavoidableClaim { mut scene, .. }) = unavoidable().statement else { panic!() };
     scene.steps = 25;
     let avoidable = AvoidableClaim { scene, witness: Vec::new(), min_gap_m_at_least: None };
@@ -453,7 +449,6 @@ fn how_long_a_claim_holds_is_said_in_seconds() {
     assert!(text.contains("for 2.5 s from the start\n"), "{text}");
 }
 
-/// A name in a file is what its kind is called in words and results, too.
 #[test]
 fn statements_are_called_what_they_are_called_in_files() {
     let Statement::Unavoidable(UnavoidableClaim { scene, branches }) = unavoidable().statement else { panic!() };
@@ -494,7 +489,6 @@ fn a_policy_is_looked_for_beside_its_certificate() {
     assert_eq!(network.read_policy(&path, Some(&other)).as_deref(), Some(&b"another one"[..]));
     assert_eq!(reach().read_policy(&path, None), None, "there is none");
     assert_eq!(kernel().read_policy(&path, Some(&other)), None, "it needs none");
-    // A name leads nowhere else.
     let mut astray = cruise();
     let Statement::AdaptiveCruise(claim) = &mut astray.statement else { panic!() };
     claim.policy_file = format!("/nowhere/{name}");

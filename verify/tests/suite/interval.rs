@@ -1,4 +1,4 @@
-//! No operation loses a member, by comparison with rational arithmetic.
+//! Interval operations keep every member, compared with rational arithmetic.
 
 use crumple_verify::Interval;
 use num_rational::BigRational;
@@ -9,7 +9,6 @@ fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
-/// Whether an interval holds a rational number; infinite ends hold everything.
 fn holds(interval: Interval, value: &BigRational) -> bool {
     (interval.low() == f64::NEG_INFINITY || rational(interval.low()) <= *value)
         && (interval.high() == f64::INFINITY || rational(interval.high()) >= *value)
@@ -21,7 +20,6 @@ fn number() -> impl Strategy<Value = f64> {
 }
 
 prop_compose! {
-    /// An interval and two of its members.
     fn interval()(a in number(), b in number(), inside in 0.0..=1.0_f64) -> (Interval, [f64; 2]) {
         let (low, high) = (a.min(b), a.max(b));
         let member = (low + inside * (high / 2.0 - low / 2.0) * 2.0).clamp(low, high);
@@ -81,7 +79,7 @@ fn what_has_no_value_is_the_whole_line() {
     assert!(everything((huge * huge) - (huge * huge)));
     assert!(everything((huge * huge) * zero) && everything(Interval::point(-1.0).sqrt()));
     assert_eq!((huge + huge).low(), f64::MAX);
-    // What is too large on one side only keeps the other.
+    // One-sided overflow keeps the other end.
     let to_huge = Interval::new(0.0, f64::MAX).unwrap();
     assert_eq!((huge * huge).low(), f64::MAX);
     assert!(

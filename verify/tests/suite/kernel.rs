@@ -1,4 +1,4 @@
-//! A kernel is accepted exactly where its closed form is right.
+//! A kernel is accepted exactly if its closed form is right.
 
 use crumple_verify::polynomial::Polynomial;
 use crumple_verify::{
@@ -23,7 +23,6 @@ fn parse_rational(text: &str) -> BigRational {
     text.parse().unwrap()
 }
 
-/// The closed form for a pair of limits.
 fn kernel(b: &str, c: &str) -> KernelClaim {
     let (b, c, half) = (parse_rational(b), parse_rational(c), parse_rational("1/2"));
     KernelClaim {
@@ -37,7 +36,6 @@ fn kernel(b: &str, c: &str) -> KernelClaim {
     }
 }
 
-/// D(v, w) as a kernel states it.
 fn demanded_gap_m(kernel: &KernelClaim, v: &BigRational, w: &BigRational) -> BigRational {
     let zero = parse_rational("0");
     match &kernel.catching_up_squared {
@@ -98,7 +96,7 @@ fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder()
     assert_eq!(check_kernel(&none).unwrap_err().to_string(), "`margin_m` must be positive");
 }
 
-/// Numbers are read up to a length, and no further: what a stranger wrote must not take for ever.
+/// The length limit bounds the time for untrusted files.
 #[test]
 fn numbers_of_a_hundred_characters_are_read_and_longer_ones_refused() {
     for (zeros, is_read) in [(96, true), (97, true), (98, false)] {
@@ -109,7 +107,7 @@ fn numbers_of_a_hundred_characters_are_read_and_longer_ones_refused() {
     }
 }
 
-/// The argument's conclusion, tried out by brute force over time with exact numbers.
+/// Tests the conclusion by brute force over time with exact numbers.
 #[test]
 fn the_demanded_gap_is_the_largest_closing_distance() {
     let distance = |u: &BigRational, rate: &BigRational, t: &BigRational| {

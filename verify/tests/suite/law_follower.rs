@@ -1,4 +1,4 @@
-//! What is claimed of a follower that drives by a law is true of each member.
+//! Bounds of followers with a control law hold for each member.
 
 use crumple_verify::reach::{
     AccAebLaw, FollowerLaw, FollowerModel, IdmLaw, InitialRanges, NeuralController, ReachProblem, reach,
@@ -13,7 +13,6 @@ use crate::reach::{
 use crate::support::closed_loop::simulate;
 use crate::support::networks::{any_network, native_network};
 
-/// As crumple's own, at the wheel of the paper's car.
 pub const IDM: FollowerLaw = FollowerLaw::Idm(IdmLaw {
     desired_speed_mps: 120.0 / 3.6,
     time_headway_s: 1.6,
@@ -33,7 +32,7 @@ pub const ACC_AEB: FollowerLaw = FollowerLaw::AccAeb(AccAebLaw {
     max_accel_mps2: 3.0,
 });
 
-/// Laws with other numbers, some of them 0 where they may be.
+/// Generates laws, some with zero parameters.
 pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
     let rate = || prop_oneof![4 => 0.1..4.0_f64, 1 => 4.0..30.0_f64];
     let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, rate(), rate(), 0.0..3.0_f64);
@@ -84,13 +83,13 @@ fn with_law_follower<'a>(actor: &'a NeuralController, ranges: InitialRanges, law
 proptest! {
     #![proptest_config(crumple_cases::with_cases(300))]
 
-    /// Whatever a network does and whoever follows, through stops, brakes that fire and let go, and contacts: every number that is observed
-    /// is inside the bounds at every decision, and no gap is ever below its bound.
+    /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops, firing
+    /// and releasing brakes, and collisions.
     #[test]
     fn bounds_hold_whoever_follows(
         ranges in any_ranges(), law in any_law(), seed: u64, gain in prop::option::of(0.2..1.2_f64),
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
-        // Stops within a step, and a brake that lets go, matter in long steps.
+        // Stops within a step, and a brake that releases, matter in long steps.
         step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
@@ -104,8 +103,8 @@ proptest! {
     }
 }
 
-/// A box around scenario 1 with a follower that drives idm: bounds that are not idle. And one that drives acc-aeb with a longer headway and no emergency
-/// brake; where that may fire nobody knows at which steps it does.
+/// Non-vacuous bounds around scenario 1 for idm, and for acc-aeb with a longer headway and no emergency brake, whose
+/// firing instant would be uncertain.
 #[test]
 fn verified_boxes_survive_search() {
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();

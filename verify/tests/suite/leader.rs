@@ -1,4 +1,4 @@
-//! What is claimed of a leader that brakes as it likes is true however it brakes.
+//! Bounds of leaders with bounded braking hold for any braking.
 
 use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, reach, reach_with_tube,
@@ -13,18 +13,13 @@ use crate::reach::{
 use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
 use crate::support::networks::{any_network, native_network};
 
-/// How a leader brakes, as a share of its limit, step by step.
+/// A share of the braking limit for each step. `Observed` brakes in the step before a decision, or in all others.
 #[derive(Debug, Clone)]
 enum BrakingPattern {
-    /// Always as hard.
     Constant(f64),
-    /// From a step on as hard as it may.
     FullFrom(u32),
-    /// Anything at each step.
     Random(u64),
-    /// All or nothing, so many steps each.
     Pulses(u32),
-    /// As hard as it may in the step before a decision alone, which is the one that is observed; or in all but those.
     Observed { every: u32, is_shown: bool },
 }
 
@@ -52,7 +47,6 @@ fn any_braking_pattern() -> impl Strategy<Value = BrakingPattern> {
     ]
 }
 
-/// A box of which no script is left.
 pub fn unscripted(ranges: InitialRanges) -> InitialRanges {
     InitialRanges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
 }
@@ -61,7 +55,6 @@ fn with_bounded_leader<'a>(actor: &'a NeuralController, ranges: InitialRanges, l
     ReachProblem { leader_brakes_at_most_mps2: Some(limit_mps2), ..paper_problem(actor, unscripted(ranges)) }
 }
 
-/// Limits that stop a leader soon, late, or never.
 fn any_limit() -> impl Strategy<Value = f64> {
     prop_oneof![Just(0.0), 0.0..0.2_f64, 0.0..9.0_f64]
 }
@@ -69,8 +62,8 @@ fn any_limit() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(300))]
 
-    /// Whatever a network does and however the leader brakes, through stops, fires and contacts: every number that is observed is
-    /// inside the bounds at every decision, and no gap is ever below its bound.
+    /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops, firings
+    /// and collisions.
     #[test]
     fn bounds_hold_however_the_leader_brakes(
         ranges in any_ranges(), limit_mps2 in any_limit(), seed: u64, gain in prop::option::of(0.2..1.2_f64),
@@ -90,7 +83,6 @@ proptest! {
         }
     }
 
-    /// Who may not brake holds its speed: the same to the last bit as of one whose script is to brake at 0.
     #[test]
     fn a_limit_of_nothing_says_what_a_script_of_nothing_says(ranges in any_ranges(), seed: u64, has_follower: bool) {
         let actor = any_network(seed);
@@ -99,7 +91,6 @@ proptest! {
             ReachProblem { follower, steps: 300, stop_when_undecided: false, ..paper_problem(&actor, unscripted(ranges)) };
         let within = ReachProblem { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
         prop_assert_eq!(reach_with_tube(&scripted), reach_with_tube(&within));
-        // And next to nothing next to the same.
         let nearly = reach(&ReachProblem { leader_brakes_at_most_mps2: Some(1e-13), ..scripted.clone() });
         let exactly = reach(&scripted);
         if exactly.undecided.is_none() && nearly.undecided.is_none() {
@@ -108,7 +99,6 @@ proptest! {
         }
     }
 
-    /// A leader within a limit is one within any larger one.
     #[test]
     fn a_larger_limit_proves_no_more(ranges in any_ranges(), seed: u64, limits in prop::array::uniform2(any_limit())) {
         let actor = native_network(&[12, 9], 0.3, seed);
@@ -123,7 +113,7 @@ proptest! {
     }
 }
 
-/// The leader that comes as close to contact as hill climbing over its braking finds; the smallest gap.
+/// Searches for the braking with the smallest gap by hill climbing; returns the gap.
 fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f64 {
     const PIECES: usize = 30;
     let limit_mps2 = scene.leader_brakes_at_most_mps2.unwrap();
@@ -155,11 +145,10 @@ fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f
     best_m
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 
-    /// No braking that a search finds falsifies what is verified of the reference policy, and the bounds are close to the gaps found.
+    /// No braking that a search finds falsifies the verified box, and the bounds are close to the gaps found.
     #[test]
     #[ignore = "tier 2: four searches"]
     fn verified_boxes_survive_the_worst_leader_that_is_found() {
@@ -176,7 +165,8 @@ mod tier_2 {
     }
 }
 
-/// How far search gets where nothing is proved: `cargo test -p crumple-verify --release -- --ignored --nocapture worst_leader_at`.
+/// Measures the search without a proof: `cargo test -p crumple-verify --release -- --ignored --nocapture
+/// worst_leader_at`.
 #[test]
 #[ignore = "takes a minute; for the table of corpora/boxes/README.md"]
 fn worst_leader_at_each_limit() {
@@ -187,7 +177,6 @@ fn worst_leader_at_each_limit() {
     }
 }
 
-/// A claim about a leader that brakes at 0 to 0.05 m/s² as it likes.
 fn bounded_leader_claim() -> ReachClaim {
     ReachClaim {
         leader_brakes_at_most_mps2: Some(0.05),
@@ -223,12 +212,10 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     let text = serde_json::to_string(&certificate(genuine.clone())).unwrap();
     assert_eq!(Certificate::from_json(&text).unwrap(), certificate(genuine.clone()));
 
-    // More than is proved.
     for limit_mps2 in [4.0, 30.0, 1e9, 1e300] {
         let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
         assert!(matches!(check_claim(forged), Err(Rejection::Leaf { leaf: 0, .. })), "{limit_mps2}");
     }
-    // A limit that is none, and a script beside it.
     for limit_mps2 in [-0.0001, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
         let field = "leader_brakes_at_most_mps2".to_owned();
@@ -244,7 +231,7 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         let field = format!("ranges.{}", dimension.field_name());
         assert!(matches!(check_claim(forged), Err(Rejection::Invalid { field: found, .. }) if found == field));
     }
-    // The assumption left out, doubled, or that of a script in its place; and it in the place of that of a script.
+    // The assumption missing, doubled, or exchanged with that of a script.
     let with = |claim: &ReachClaim, assumptions: Vec<Assumption>| {
         check_with(
             &Certificate { assumptions, ..certificate(claim.clone()) },
@@ -269,7 +256,6 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     assert!(with(&plain, scripted).is_ok(), "that of a leader that holds its speed is another claim, and true");
 }
 
-/// A cell is falsified by one start and one of the leaders that are spoken of.
 #[test]
 fn a_start_with_a_leader_within_the_limit_falsifies() {
     let ranges = unscripted(InitialRanges { gap_behind_m: Interval::point(16.0), ..paper_box(0.05, 0.0) });

@@ -1,4 +1,4 @@
-//! What the checker promises, by subject: one program, so that it is linked once.
+//! Tests of the checker by subject, in one program that is linked once.
 #![allow(
     missing_docs,
     unreachable_pub,

@@ -1,4 +1,4 @@
-//! Boxes of motion hold every member, and are no larger than they need be.
+//! Boxes of motion hold every member tightly.
 
 use crate::support::{advance, pick_member, profiles, scenes, simulate_scene};
 use crumple_verify::{Interval, motion};
@@ -10,7 +10,6 @@ fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
-/// Distance and speed in rational arithmetic.
 fn rational_distance_and_speed(v: f64, a: f64, t: f64) -> (BigRational, BigRational) {
     let (v, a, t) = (rational(v), rational(a), rational(t));
     let end = &v + &a * &t;
@@ -40,7 +39,7 @@ proptest! {
         prop_assert!((after.low() - low[1]).abs() < 1e-10 && (after.high() - high[1]).abs() < 1e-10);
     }
 
-    /// Speeds that reach zero exactly, or nearly, at the end: rounding must not choose the wrong formula.
+    /// Rounding must not select the wrong formula for speeds that reach zero near the end.
     #[test]
     fn a_stop_at_the_very_end_of_the_step(b in 1..80_u32, t in 1..50_u32, off in -3..=3_i32) {
         let (b, t) = (f64::from(b) / 10.0, f64::from(t) / 10.0);

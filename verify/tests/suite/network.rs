@@ -1,4 +1,4 @@
-//! What a network may answer, against the formulas of `reach::actor` written out number by number.
+//! Network bounds, compared with the formulas of `reach::controller` written out number by number.
 
 use crumple_verify::Interval;
 use crumple_verify::reach::controller::{interleave_relu, network_output};
@@ -6,7 +6,6 @@ use crumple_verify::reach::form::AffineForm;
 use crumple_verify::reach::{LinearLayer, OBSERVATION_SIZE};
 use proptest::prelude::*;
 
-/// Symbols that the observations share.
 const SYMBOLS: usize = 3;
 
 /// c + Σ Λᵢ (yᵢ - middle of yᵢ) + Σ Eⱼ ηⱼ + ρ.
@@ -22,7 +21,6 @@ fn abs_sum(values: &[f64]) -> f64 {
     values.iter().map(|value| value.abs()).sum()
 }
 
-/// Σ |Λᵢ| times something of each observation.
 fn weighted_sum(
     slopes: &[f64; OBSERVATION_SIZE],
     seen: &[AffineForm; OBSERVATION_SIZE],
@@ -31,13 +29,12 @@ fn weighted_sum(
     slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
 }
 
-/// Σ Λᵢ aᵢₛ for each symbol.
 fn terms(slopes: &[f64; OBSERVATION_SIZE], seen: &[AffineForm; OBSERVATION_SIZE]) -> [f64; SYMBOLS] {
     let of = |form: &AffineForm, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
     std::array::from_fn(|symbol| slopes.iter().zip(seen).map(|(slope, seen)| slope * of(seen, symbol)).sum())
 }
 
-/// h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
+/// Computes h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
 fn apply_linear(
     numbers: &[NumberBounds],
     layer: &LinearLayer,
@@ -65,7 +62,7 @@ fn apply_linear(
     (0..layer.outputs).map(of_output).collect()
 }
 
-/// max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
+/// Applies max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
 fn apply_relu(numbers: &mut [NumberBounds], seen: &[AffineForm; OBSERVATION_SIZE]) {
     let mut columns = numbers.iter().map(|number| number.excess.len()).max().unwrap_or(0);
     for number in numbers {
@@ -116,7 +113,6 @@ fn layer(inputs: usize, outputs: usize) -> impl Strategy<Value = LinearLayer> {
     })
 }
 
-/// Two layers of a few rectifiers and one number at the end.
 fn layers() -> impl Strategy<Value = Vec<LinearLayer>> {
     (1..6_usize, 1..6_usize).prop_flat_map(|(first, second)| {
         (layer(OBSERVATION_SIZE, first), layer(first, second), layer(second, 1)).prop_map(|(a, b, c)| vec![a, b, c])
@@ -126,8 +122,8 @@ fn layers() -> impl Strategy<Value = Vec<LinearLayer>> {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(1000))]
 
-    /// Centre, terms and rest are those of the formulas; rounding is allowed for in full, and with hardly anything on top. It
-    /// is a millionth of what it is added to, so that no sample of what the network does would miss it.
+    /// Compares centre, terms and rest with the formulas. Rounding is a millionth of its sum, so sampling would not
+    /// notice an error in it.
     #[test]
     fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVATION_SIZE), layers in layers()) {
         let seen: [AffineForm; OBSERVATION_SIZE] = seen.try_into().unwrap();

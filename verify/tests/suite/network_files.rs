@@ -1,4 +1,4 @@
-//! The files of networks from outside: what is read back, what is refused, and what a statement about one has to say.
+//! Files of imported networks: reading, rejection, and claims about them.
 
 use crumple_verify::reach::{
     InitialRanges, NetworkFileFormat, NetworkFileSource, NeuralController, PartitionCell, ReachClaim,
@@ -21,7 +21,6 @@ fn what_is_written_is_read() {
     }
 }
 
-/// The same file with another text.
 fn with_text(file: &[u8], change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
     let length = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
     let mut header: serde_json::Value = serde_json::from_slice(&file[8..8 + length]).unwrap();
@@ -60,7 +59,7 @@ fn what_makes_no_sense_is_refused() {
         let error = NeuralController::from_bytes(&with_text(&file, change)).unwrap_err();
         assert!(error.contains(said), "{said}: {error}");
     }
-    // A product less: its tensors are left over.
+    // One product less leaves its tensors unused.
     let fewer = with_text(&file, |text| drop(text["steps"].as_array_mut().unwrap().remove(0)));
     assert!(NeuralController::from_bytes(&fewer).is_err());
 }
@@ -69,7 +68,7 @@ fn digest(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Nothing happens: the leader is far away and does not brake.
+/// Returns a claim without interaction: the leader is far away and does not brake.
 fn claim(file: &[u8]) -> ReachClaim {
     let at = Interval::point;
     ReachClaim {
@@ -120,7 +119,6 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
     let mut silent = genuine.clone();
     silent.assumptions.retain(|assumption| *assumption != Assumption::NetworkAsRead);
     assert!(matches!(check_with(&silent, Some(&file), WorkLimit::default()), Err(Rejection::Assumptions { .. })));
-    // As one of crumple's own, or of another file.
     let mut sources =
         [None, Some(NetworkFileSource { format: NetworkFileFormat::StableBaselines, sha256: "0".repeat(64) })].to_vec();
     sources.push(Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "1".repeat(64) }));
@@ -129,7 +127,6 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
         let refused = check_with(&other, Some(&file), WorkLimit::default());
         assert!(matches!(refused, Err(Rejection::Policy { .. })), "{refused:?}");
     }
-    // Any byte of it.
     for place in (0..file.len()).step_by(7) {
         let mut changed = file.clone();
         changed[place] ^= 1;
@@ -137,7 +134,6 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
     }
 }
 
-/// A network that sees so many constants, with steps and tensors of its own.
 fn constant_network(
     constants: usize,
     steps: Value,
@@ -166,7 +162,7 @@ fn a_network_is_as_large_as_is_allowed_and_no_larger() {
     for (inputs, steps) in [(0, 0), (4097, 0), (1, 257), (1, 258), (4096, 2), (32, 256), (33, 256)] {
         assert_eq!(constant_network(inputs, relus(steps), &[]).map(|_| ()), too_large, "{inputs} {steps}");
     }
-    // The widest product, into it and out of it.
+    // The widest product, as inputs and as outputs.
     let zeros = vec![0.0; 4096];
     let product = |inputs: usize, outputs: usize| {
         let weight = ("steps.0.weight".to_owned(), vec![inputs, outputs], &zeros[..inputs * outputs]);
@@ -188,7 +184,7 @@ fn a_network_is_as_large_as_is_allowed_and_no_larger() {
 fn numbers_of_functions_are_of_single_precision() {
     for name in ["leaky-relu", "elu"] {
         for number in [0.125, 0.0, f64::from(0.1_f32), f64::from(f32::MAX)] {
-            // What it makes of 1 must stay in single precision as well.
+            // The value at 1 must stay in single precision as well.
             let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
             let expected = if number > 1.0 { Err("can leave single precision in layer 0".to_owned()) } else { Ok(()) };
             assert_eq!(read, expected, "{name} {number}");
@@ -201,7 +197,7 @@ fn numbers_of_functions_are_of_single_precision() {
     }
 }
 
-/// What stands in for one who is not there is for what is seen of one who may not be: there always is somebody ahead.
+/// Only inputs about the follower may have a substitute: a leader is always present.
 #[test]
 fn what_stands_in_is_for_who_may_be_absent() {
     let read = |described: Value| {
@@ -253,7 +249,7 @@ fn an_input_has_a_scale_and_limits_in_order() {
     }
 }
 
-/// An answer that lies between -0.5 and 0.25 before it is stretched, to 1 m/s² to either side of an offset.
+/// Checks an output in [-0.5, 0.25], scaled to 1 m/s² to either side of an offset.
 #[test]
 fn an_answer_is_cut_where_it_could_leave_its_bounds() {
     let numbers = [-0.5, 0.25];
@@ -277,7 +273,6 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
         assert_eq!(is_cut(scale, [2.0, 4.0], json!(["clip"])), Ok(false), "{scale}");
         assert_eq!(is_cut(scale, [2.0, 4.0_f64.next_down()], json!(["clip"])), Ok(true), "{scale}");
         assert_eq!(is_cut(scale, [2.0_f64.next_up(), 4.0], json!(["clip"])), Ok(true), "{scale}");
-        // The last function has to be the one that bounds.
         assert_eq!(is_cut(scale, [-9.0, 9.0], json!(["clip", "relu"])), Ok(true), "{scale}");
     }
     for bounded in ["tanh", "sigmoid"] {

@@ -1,4 +1,4 @@
-//! Rates and comparisons are shown exactly where the binomial tail says so.
+//! Rates and comparisons are accepted exactly if the binomial tail permits.
 
 use std::collections::BTreeMap;
 
@@ -125,7 +125,7 @@ fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
     }
 }
 
-/// 1 - p is 1 then, and what is above it is above 1: no factor makes the product less.
+/// 1 - p rounds to 1, and its upper bound exceeds 1: no factor reduces the product.
 #[test]
 fn a_rate_next_to_nothing_has_all_of_the_tail() {
     for runs in 1..9 {

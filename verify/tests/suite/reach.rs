@@ -1,4 +1,4 @@
-//! What reach statements say of a box is true of each of its members.
+//! Reach statements about a box hold for each of its members.
 
 use crumple_verify::reach::controller::network_output;
 use crumple_verify::reach::form::AffineForm;
@@ -23,14 +23,12 @@ pub fn reference_policy_bytes() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
 }
 
-/// The paper's follower.
 pub const LATCHED: FollowerModel = FollowerModel::Latched { ttc_s: 1.4 };
 
 fn between(low: f64, high: f64) -> Interval {
     Interval::new(low, high).unwrap()
 }
 
-/// The paper's scenario 1 with ranges.
 pub fn paper_box(gap_m: f64, brake_mps2: f64) -> InitialRanges {
     let at = Interval::point;
     InitialRanges {
@@ -66,7 +64,6 @@ pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> InitialState {
     })
 }
 
-/// The reference policy with each hidden unit there several times, of which each copy counts as much less.
 fn widen_network(actor: &NeuralController, copies: usize) -> NeuralController {
     let last = actor.layers.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
     let widen = |(index, step): (usize, &NetworkLayer)| {
@@ -88,7 +85,7 @@ pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
 }
 
 prop_compose! {
-    /// A box somewhere, in some dimensions a single number.
+    /// Generates a box with a single number in some dimensions.
     pub fn any_ranges()(
         low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64), size in 0.001..0.1_f64,
     ) -> InitialRanges {
@@ -98,7 +95,6 @@ prop_compose! {
             let from = scales[i] * low[i];
             *ranges.get_mut(dimension) = between(from, from + size * scales[i] * width[i].max(0.0));
         }
-        // An instant, more often than chance would have it.
         if width[7] < 0.0 {
             ranges.onset_steps = between(ranges.onset_steps.low().round(), ranges.onset_steps.low().round());
         }
@@ -109,7 +105,7 @@ prop_compose! {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(1000))]
 
-    /// What a network of any shape and functions answers to any member of a set of inputs is where the form of its answer has it.
+    /// Checks the output of random networks and inputs against the affine form.
     #[test]
     fn a_network_s_answers_are_in_its_bounds(
         seed: u64, radii in prop::array::uniform8(0.0..0.5_f64),
@@ -118,7 +114,6 @@ proptest! {
         let mut numbers = XorShiftRng(seed | 1);
         let actor = any_network(seed);
         let inputs = actor.inputs.len();
-        // Numbers that share eight symbols.
         let centre: Vec<f64> = (0..inputs).map(|_| numbers.next_signed()).collect();
         let share: Vec<[f64; 8]> =
             (0..inputs).map(|i| std::array::from_fn(|_| radii[i % 8] * numbers.next_signed())).collect();
@@ -131,7 +126,7 @@ proptest! {
         let answer = network_output(&actor.layers, &forms);
         for at in at {
             let of = |i: usize| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>();
-            // What it sees is of single precision: its rounding is not part of these forms.
+            // Inputs are in single precision: their rounding is not part of these forms.
             let seen: Vec<f64> = (0..inputs).map(of).collect();
             let exact = network_outputs(&actor.layers, seen)[0];
             let expected = answer.centre() + answer.terms().iter().zip(&at).map(|(term, at)| term * at).sum::<f64>();
@@ -140,7 +135,7 @@ proptest! {
     }
 }
 
-/// A run, as it was observed at each decision and with its smallest gaps, is within the bounds of its scene; `whose` names it.
+/// Checks that observations and smallest gaps of a run are within the bounds; `whose` names it.
 pub fn is_bounded(
     scene: &ReachProblem<'_>,
     (reached, tube): &(ReachResult, Option<ReachTube>),
@@ -170,14 +165,13 @@ pub fn is_bounded(
 proptest! {
     #![proptest_config(crumple_cases::with_cases(200))]
 
-    /// Whatever a network does, with and without a follower, through stops, fires and contacts: every number that is observed
-    /// is inside the bounds at every decision, and no gap is ever below its bound.
+    /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops, firings
+    /// and collisions.
     #[test]
     fn bounds_hold_whatever_happens(
         ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), has_follower: bool,
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
     ) {
-        // One of crumple's own, or any.
         let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
         let scene = ReachProblem {
             follower: has_follower.then_some(LATCHED), stop_when_undecided: false, steps: 400, decision_steps: every,
@@ -192,7 +186,8 @@ proptest! {
     }
 }
 
-/// An ego that stands from the start is among those whose follower fires: here it rolls up to two millimetres from it.
+/// An ego that stands from the start may trigger the follower's brake: here the follower rolls up to two millimetres
+/// from it.
 #[test]
 fn who_stands_is_not_forgotten() {
     let actor = native_network(&[12, 9], 0.2, 0);
@@ -207,7 +202,7 @@ fn who_stands_is_not_forgotten() {
     assert!(!reach(&scene).surely_collides);
 }
 
-/// Starts that come as close to contact as hill climbing finds; the smallest gap.
+/// Searches for the initial state with the smallest gap by hill climbing; returns the gap.
 pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
     let mut numbers = XorShiftRng(seed);
     let gap = |place: [f64; 8]| {
@@ -234,7 +229,6 @@ pub fn min_gap_under_attack(scene: &ReachProblem<'_>, random: usize, adversarial
     best.1
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
 mod tier_2 {
     use super::*;
 
@@ -260,7 +254,7 @@ mod tier_2 {
     }
 }
 
-/// A statement about a leader that brakes at up to 30 m/s², much too hard for half of the box.
+/// Returns a claim about a leader that brakes at up to 30 m/s², too hard for half of the box.
 pub fn claim() -> ReachClaim {
     let mut ranges = paper_box(0.05, 0.0);
     (ranges.gap_behind_m, ranges.leader_brake_mps2) = (between(16.0, 16.0), between(2.95, 29.95));
@@ -309,7 +303,7 @@ fn a_claim_is_derived_again() {
     let bytes = reference_policy_bytes();
     match check_with(&certificate(claim()), Some(&bytes), WorkLimit::default()) {
         Ok(ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. }) => {
-            // Volumes: the middle of a range is rounded.
+            // The middle of a range is rounded.
             assert!(
                 (0.0..1e-12).contains(&(1.0 / 64.0 - verified_share))
                     && (0.0..1e-12).contains(&(0.5 - falsified_share))
@@ -323,7 +317,8 @@ fn a_claim_is_derived_again() {
     assert_eq!(Certificate::from_json(&text).unwrap(), certificate(claim()));
 }
 
-/// Five cuts of five ranges of three numbers each: a 32nd of the box, 3.12 %, by the count of cuts, and a 243rd, 0.41 %, of its volume.
+/// Five cuts of five ranges of three numbers each: a 32nd of the box by cuts, 3.12 %, and a 243rd of its volume, 0.41
+/// %.
 #[test]
 fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd() {
     let bytes = reference_policy_bytes();
@@ -339,7 +334,7 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
         let low = ranges.get(dimension).low();
         *ranges.get_mut(dimension) = between(low, low.next_up().next_up().next_up());
     }
-    // Where the smaller part of each is: the middle is rounded to the one side or the other.
+    // The middle rounds to one side or the other; this names the smaller part.
     let partition = |is_low_smaller: [bool; 5]| {
         let after = is_low_smaller.iter().rev().filter(|is_low| **is_low).map(|_| PartitionCell::Undecided);
         let (mut cells, after): (Vec<PartitionCell>, Vec<PartitionCell>) = (Vec::new(), after.collect());
@@ -376,7 +371,7 @@ fn one_changed_weight_is_another_policy() {
     bytes[last] ^= 1;
     let changed = check_with(&certificate(claim()), Some(&bytes), WorkLimit::default());
     assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
-    // With its own digest the statement is derived for the changed network: no longer true if the change is large.
+    // With its own digest the claim is checked for the changed network: false if the change is large.
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     let Some(NetworkLayer::Linear(last)) = actor.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_)))
     else {
@@ -392,7 +387,6 @@ fn one_changed_weight_is_another_policy() {
     ));
 }
 
-/// Every number changed by little and by much: what is still accepted survives an attack.
 #[test]
 fn what_survives_a_change_is_true() {
     let bytes = reference_policy_bytes();
@@ -450,7 +444,7 @@ fn why_a_box_is_undecided_is_said() {
     assert!(matches!(reach(&paper_problem(&actor, wide)).undecided, Some(Undecided::TooWide { step: 0 })));
 }
 
-/// A policy that decides at every step stops at hundreds of instants, of which none may open a case of its own.
+/// A policy that decides at every step stops at hundreds of instants, none of which may add a set.
 #[test]
 fn a_decision_at_every_step_is_bounded_as_well() {
     let reference = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
@@ -484,7 +478,7 @@ fn a_decision_at_every_step_is_bounded_as_well() {
     }
 }
 
-/// One box of the reference policy, and of a network four times as wide; times are for optimised builds and idle machines.
+/// Times are for optimised builds on idle machines.
 #[test]
 fn a_box_takes_a_fraction_of_a_second() {
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
@@ -498,13 +492,12 @@ fn a_box_takes_a_fraction_of_a_second() {
         };
         let least = (0..3).map(timed).min().unwrap();
         println!("{name}: {least:?}");
-        // Ten times what it takes on an idle machine.
+        // Ten times the idle time.
         assert!(least.as_secs() < 5, "{name}: {least:?}");
     }
 }
 
 proptest! {
-    /// Each function of a form holds the function's value for the same symbols.
     #[test]
     fn functions_of_forms_hold_the_values(
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
@@ -532,13 +525,14 @@ proptest! {
     }
 }
 
-/// How far search gets where nothing is proved: `cargo test -p crumple-verify --release -- --ignored --nocapture worst_errors_at`.
+/// Measures the search without a proof: `cargo test -p crumple-verify --release -- --ignored --nocapture
+/// worst_errors_at`.
 #[test]
 #[ignore = "takes minutes; for the table of corpora/boxes/README.md"]
 fn worst_errors_at_each_size() {
     const BLOCK: u32 = 5;
     let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
-    // As `cargo run -p crumple-experiments -- filter_errors paper-1` prints them.
+    // Output of `cargo run -p crumple-experiments -- filter_errors paper-1`.
     let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
     let mut ranges = paper_box(0.7, 0.2);
     (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));
@@ -553,7 +547,7 @@ fn worst_errors_at_each_size() {
             let (_, least) = simulate_with_errors(&scene, start, scripted_braking(&start), error);
             least[0].min(least[1])
         };
-        // Errors that last, first; then each for half a second.
+        // First constant errors, then changes of each half second.
         let mut best = ([0.5; 8], vec![[1.0; 8]; 30], f64::INFINITY);
         for pattern in 0..256_u32 {
             let signs = vec![std::array::from_fn(|i| if pattern >> i & 1 == 1 { 1.0 } else { -1.0 }); 30];

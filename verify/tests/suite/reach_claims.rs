@@ -1,4 +1,4 @@
-//! Reach statements that make no sense are refused, each with the name of what is wrong.
+//! Invalid reach statements are rejected with the name of the invalid field.
 
 use crumple_verify::reach::{
     AccAebLaw, BoxDimension, FollowerLaw, IdmLaw, InitialRanges, LinearLayer, NativePolicy, NeuralController,
@@ -99,7 +99,7 @@ fn what_makes_no_sense_is_named() {
     }
 }
 
-/// A dead unit with weights near the end of single precision: nothing in real numbers, infinity times nothing in the engine.
+/// A dead unit with near-maximal weights: zero in real numbers, infinity times zero in the engine.
 #[test]
 fn a_network_that_can_overflow_is_refused() {
     let mut bytes =
@@ -114,7 +114,6 @@ fn a_network_that_can_overflow_is_refused() {
     assert_eq!(NeuralController::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
 }
 
-/// The volume of a part, not the number of cuts: in a range of a few floating-point numbers the middle is rounded.
 #[test]
 fn shares_are_volumes_and_not_counts_of_cuts() {
     let ulps = |n: u64| f64::from_bits(16.0_f64.to_bits() + n);
@@ -142,7 +141,6 @@ fn shares_are_volumes_and_not_counts_of_cuts() {
     );
 }
 
-/// A policy file with another header.
 fn with_header(change: impl Fn(&mut String, &mut String)) -> Vec<u8> {
     let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
     let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
@@ -161,12 +159,11 @@ fn replace(text: &mut String, from: &str, to: &str) {
     *text = text.replacen(from, to, 1);
 }
 
-/// Lets actions depart from a law.
 fn insert_residual(text: &mut String, how: &str) {
     replace(text, "\"low_mps2\":-7.5", &format!("\"low_mps2\":-7.5,\"departs_from\":{{{how}}}"));
 }
 
-/// Of a law that is read it is known what drives: numbers that are not stated are the simulator's.
+/// Absent parameters are those of the simulator.
 #[test]
 fn a_policy_that_departs_from_a_law_is_read_with_it() {
     let how = |how: &str| NeuralController::from_bytes(&with_header(|text, _| insert_residual(text, how))).unwrap();
@@ -178,7 +175,7 @@ fn a_policy_that_departs_from_a_law_is_read_with_it() {
     let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
     let idm = IdmLaw { time_headway_s: 1.3, ..idm };
     assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..departure }));
-    // A step of 0.01 s is enough for all of the way at 200 1/s, and not at 199.
+    // A step of 0.01 s completes any change at 200 1/s, but not at 199.
     assert!(claim().problem(&actor).is_ok());
     let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
     let refused = claim().problem(&slow).unwrap_err();

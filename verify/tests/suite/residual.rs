@@ -1,4 +1,4 @@
-//! What is claimed of an ego that departs from a law is true of each member.
+//! Bounds of an ego with a residual policy hold for each member.
 
 use crumple_verify::reach::{
     BoxDimension, FollowerLaw, FollowerModel, IdmLaw, NetworkLayer, NeuralController, PartitionCell, ReachClaim,
@@ -16,7 +16,7 @@ use crate::reach::{
 use crate::support::closed_loop::{XorShiftRng, scripted_braking, simulate, simulate_with_errors};
 use crate::support::networks::residual_network;
 
-/// Departures from any `idm`, at once or, some of them, slowly.
+/// Generates residual policies over any `idm`, some with a slow rate.
 pub fn any_departure() -> impl Strategy<Value = ResidualPolicy> {
     let law = any_law().prop_map(|law| match law {
         FollowerLaw::Idm(idm) => idm,
@@ -31,7 +31,6 @@ pub fn any_departure() -> impl Strategy<Value = ResidualPolicy> {
     })
 }
 
-/// As crumple's own.
 fn native_idm() -> IdmLaw {
     match IDM {
         FollowerLaw::Idm(idm) => idm,
@@ -42,8 +41,8 @@ fn native_idm() -> IdmLaw {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(300))]
 
-    /// Whatever actions a network chooses, within the dead zone, beyond it and on both sides, whoever follows and however the leader brakes,
-    /// through stops and contacts: every number that is observed is inside the bounds at every decision, and no gap is ever below its bound.
+    /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops and
+    /// collisions.
     #[test]
     fn bounds_hold_however_an_ego_departs(
         ranges in any_ranges(), departure in any_departure(), seed: u64, gain in 0.2..3.0_f64,
@@ -72,7 +71,6 @@ proptest! {
     }
 }
 
-/// An actor whose action is the same whatever it sees.
 fn constant_action_controller(action: f64, departure: ResidualPolicy) -> NeuralController {
     let mut actor = residual_network(&[], 0.0, 1, Some(departure));
     let Some(NetworkLayer::Linear(layer)) = actor.layers.first_mut() else { panic!("a layer") };
@@ -81,7 +79,7 @@ fn constant_action_controller(action: f64, departure: ResidualPolicy) -> NeuralC
     actor
 }
 
-/// Boxes around scenario 1, behind a leader that brakes at 0.7 m/s²: bounds that are not idle.
+/// Non-vacuous bounds around scenario 1, behind a leader that brakes at 0.7 m/s².
 #[test]
 fn verified_boxes_survive_search() {
     let departure = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
@@ -99,12 +97,11 @@ fn verified_boxes_survive_search() {
     }
 }
 
-/// The file of the committed policy that departs from `idm`.
 fn road_policy_bytes() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/road.safetensors")).unwrap()
 }
 
-/// A claim about a policy is one about its law, which the statement does not hold: the check reads it, and says it with the scope.
+/// The check reads the base controller, which the statement omits, and adds it to the scope.
 #[test]
 fn what_is_departed_from_is_said_with_the_scope() {
     let bytes = road_policy_bytes();
@@ -130,11 +127,12 @@ fn what_is_departed_from_is_said_with_the_scope() {
     ] {
         assert!(scope.contains(&said) && !plain.contains(&said), "{said}: {scope}");
     }
-    // Of another policy with the same claim it does not: the digest decides.
+    // The digest rejects another policy with this claim.
     assert!(check_with(&certificate, Some(&reference_policy_bytes()), WorkLimit::default()).is_err());
 }
 
-/// The committed policy that departs from `idm`, around scenario 1: bounds that are not idle, through the leader's onset, the follower's brake and everybody's stops.
+/// Non-vacuous bounds for a committed policy over `idm`, through the leader's onset, the follower's brake and all
+/// stops.
 #[test]
 fn a_box_of_a_learned_policy_survives_search() {
     let actor = NeuralController::from_bytes(&road_policy_bytes()).unwrap();
@@ -149,7 +147,7 @@ fn a_box_of_a_learned_policy_survives_search() {
     assert!(found_m >= proved_m && proved_m > found_m - 0.1, "{found_m} {proved_m}");
 }
 
-/// An ego that stood, started within a decision interval and brakes again is not one that stands from then on.
+/// An ego that restarts within a decision interval and brakes again is not standing from then on.
 #[test]
 fn who_starts_within_an_interval_is_followed_on() {
     let departure = ResidualPolicy { dead_zone: 0.0, rate_per_s: 1000.0, idm: native_idm() };
@@ -174,7 +172,7 @@ fn who_starts_within_an_interval_is_followed_on() {
     is_bounded(&scene, &reach_with_tube(&scene), run, &start).unwrap();
 }
 
-/// What the law sees of the own speed may be below 0 where observations are off, and then it counts as it is.
+/// The law uses an observed own speed below 0 unclipped.
 #[test]
 fn a_speed_that_is_seen_below_0_counts_as_it_is() {
     let departure = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
@@ -189,7 +187,7 @@ fn a_speed_that_is_seen_below_0_counts_as_it_is() {
     let start = box_member(&ranges, [0.0; 8]);
     let error = |_| std::array::from_fn(|i| if i == 3 { -0.02 } else { 0.0 });
     let run = simulate_with_errors(&scene, start, scripted_braking(&start), error);
-    // The vehicle ahead is so much faster that the law takes a speed below 0 for a reason to keep farther away.
+    // The leader is so much faster that the law keeps farther away at a speed below 0.
     assert!(run.0[1][3] < simulate(&scene, start).0[1][3] - 1e-4);
     is_bounded(&scene, &reach_with_tube(&scene), run, &start).unwrap();
 }

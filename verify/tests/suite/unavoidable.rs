@@ -1,4 +1,4 @@
-//! What is accepted as unavoidable cannot be avoided.
+//! Collisions that are accepted as unavoidable cannot be avoided.
 
 use crate::support;
 use crate::support::{
@@ -19,7 +19,7 @@ prop_compose! {
     }
 }
 
-/// The weighted sum for one member, given by a number between 0 and 1 for each interval, and one drive of it.
+/// Returns the weighted sum for a member, given by a number in [0, 1] per interval, with its rows and firing instant.
 fn sum_m(scene: &Scene, branch: &Branch, picks: &[f64], profiles: &[Vec<f64>]) -> (f64, Vec<(f64, f64, bool)>, u32) {
     let mut picks = picks.iter().cycle();
     let member = pick_member(scene, || *picks.next().unwrap());
@@ -31,7 +31,7 @@ fn sum_m(scene: &Scene, branch: &Branch, picks: &[f64], profiles: &[Vec<f64>]) -
 proptest! {
     #![proptest_config(crumple_cases::with_cases(1500))]
 
-    /// The bound: no member and no profile has a smaller sum than the least one found, not even the worst.
+    /// No member or profile has a smaller sum than the bound, not even the worst.
     #[test]
     fn no_profile_is_below_the_bound(
         (scene, branch, _, mut profiles) in (1..4_usize).prop_flat_map(any_case),
@@ -43,7 +43,6 @@ proptest! {
             let most_m = rows.iter().filter(|row| row.2).map(|row| row.1).fold(f64::NEG_INFINITY, f64::max);
             prop_assert!(most_m >= overlap_m - 1e-6, "overlap {most_m}, {overlap_m} proved");
         }
-        // Downhill, one number after the other.
         let mut least_m = sum;
         for i in 0..picks.len() {
             let with = |end: f64| [&picks[..i], &[end], &picks[i + 1..]].concat();
@@ -75,7 +74,6 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { max_global_rejects: 1_000_000, ..crumple_cases::with_cases(6000) })]
 
-    /// The rows: whoever escapes satisfies each of them.
     #[test]
     fn every_escape_satisfies_every_row((scene, branch, member, profiles) in (1..3_usize).prop_flat_map(any_case)) {
         let drive = simulate_scene(&scene, &member, &profiles);
@@ -90,7 +88,6 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::with_cases(500) })]
 
-    /// Random multipliers prove something or nothing, never something false.
     #[test]
     fn no_profile_escapes_what_is_accepted(
         (scene, branches) in prop_oneof![3 => Just(1), 1 => Just(2)].prop_flat_map(proofs),
@@ -105,7 +102,7 @@ proptest! {
     }
 }
 
-/// Without stops and with the speed rows absent nothing is lost: the bound is what the best profile attains.
+/// Without stops and speed rows the bound is tight: the best profile attains it.
 #[test]
 fn the_bound_is_attained() {
     let scene = standing_leader(1.0);
@@ -113,11 +110,11 @@ fn the_bound_is_attained() {
     // 20 t - 4 t² - 1 at t = 0.1, and the mean of that at 0.1 and 0.2.
     assert!((proved(vec![(1, 1.0)]).unwrap() - 0.96).abs() < 1e-12);
     assert!((proved(vec![(1, 5.0), (2, 5.0)]).unwrap() - (0.96 + 2.84) / 2.0).abs() < 1e-12);
-    // q changes sign: ahead of 1 m at 0.1 s and behind 0 m (a follower would be) at 0.2 s needs another scene.
+    // A change of sign of q needs a follower: ahead of 1 m at 0.1 s, behind 0 m at 0.2 s.
     assert!(matches!(proved(vec![(0, 1.0)]), Err(Rejection::Unproved { branch: 0, sum_m }) if sum_m + 1.0 < 1e-12));
 }
 
-/// A car at 20 m/s behind a standing one; a car that can brake at 8 and accelerate at 3.
+/// Returns a car at 20 m/s behind a standing one; it can brake at 8 m/s² and accelerate at 3 m/s².
 fn standing_leader(gap_m: f64) -> Scene {
     Scene {
         step_s: 0.1,
@@ -155,8 +152,8 @@ fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
     let follower = follower_at(-2.0, 0.0);
     let scene = Scene { follower: Some(follower), ..standing_leader(1.0) };
     let branch = Branch { last: 10, front: vec![(2, 1.0)], rear: vec![(1, 3.0)], ..Branch::default() };
-    // Constant: -1 from the leader, 3 (-2 + 2) from the follower; x0 = 0; v0 (0.2 - 0.3) = -2.
-    // ∫ min(-8 q, 3 q): q from -0.1 to 0.1 over 0.1 s, then from 0.1 to 0: -(8 + 3) 0.05 · 0.1 / 2 - 8 · 0.1 · 0.1 / 2.
+    // Constant: -1 from the leader, 3 (-2 + 2) from the follower; x0 = 0; v0 (0.2 - 0.3) = -2. ∫ min(-8 q, 3 q): q from
+    // -0.1 to 0.1 over 0.1 s, then from 0.1 to 0: -(8 + 3) 0.05 · 0.1 / 2 - 8 · 0.1 · 0.1 / 2.
     let expected_m = -1.0 - 2.0 - 11.0 * 0.0025 - 0.04;
     match check_branch(&scene, &branch, 0) {
         Err(Rejection::Unproved { sum_m, .. }) => assert!((sum_m - expected_m).abs() < 1e-12, "{sum_m} {expected_m}"),
@@ -198,7 +195,6 @@ fn what_would_prove_anything_is_refused() {
     refused("`branches[2]`", &|claim| claim.branches[2].last = 11);
     refused("`branches[2]`", &|claim| claim.branches[2].last = u32::MAX);
     refused("`branches[1]`", &|claim| (claim.branches[1].first, claim.branches[1].last) = (4, 1));
-    // Multipliers.
     refused("front[1]", &|claim| claim.branches[1].front[1].0 = 1);
     refused("front[1]", &|claim| claim.branches[1].front[1].0 = 0);
     refused("front[1]", &|claim| claim.branches[1].front[1].0 = 11);
@@ -216,11 +212,9 @@ fn what_would_prove_anything_is_refused() {
     });
     refused("branches[0].between", &|claim| claim.branches[0].between = vec![vec![]]);
     refused("branches[0].speed", &|claim| claim.branches[0].speed = vec![vec![], vec![]]);
-    // Overflow proves nothing.
     refused("`branches[0]` is not proved", &|claim| claim.branches[0].front[1].1 = 1e308);
     refused("is not proved", &|claim| claim.scene.leader.position_m = Interval::new(-1.7e308, 1.7e308).unwrap());
     refused("is not proved", &|claim| claim.scene.egos[0].max_brake_mps2 = 1e308);
-    // Rows of a follower that is not there.
     for change in [
         (&|claim: &mut UnavoidableClaim| claim.branches[0].rear = vec![(1, 0.0)]) as &dyn Fn(&mut UnavoidableClaim),
         &|claim| claim.branches[0].unfired = vec![(0, 0.0)],
@@ -228,7 +222,6 @@ fn what_would_prove_anything_is_refused() {
     ] {
         assert!(matches!(result(change, None), Err(Rejection::Invalid { .. })));
     }
-    // Scenes that make no sense.
     refused("`steps`", &|claim| claim.scene.steps = 0);
     refused("`steps`", &|claim| claim.scene.steps = u32::MAX);
     for h in [0.0, -0.1, f64::NAN, f64::INFINITY] {
@@ -243,7 +236,6 @@ fn what_would_prove_anything_is_refused() {
     refused("follower.ttc_s", &|claim| claim.scene.follower.as_mut().unwrap().ttc_s = f64::NAN);
 }
 
-/// Who touches at the start touches: without motion, without a follower, whatever the rest.
 #[test]
 fn contact_at_the_start_is_unavoidable() {
     let scene = standing_leader(-0.5);
@@ -251,14 +243,14 @@ fn contact_at_the_start_is_unavoidable() {
     assert!((check_branch(&scene, &branch, 0).unwrap() - 0.5).abs() < 1e-12);
 }
 
-/// A car at 20 m/s that stands after 25 m and 2.5 s, which is when the scene ends, so far behind one that stands.
+/// Returns a car at 20 m/s that stops after 25 m and 2.5 s, the end of the scene, behind a standing one.
 fn stopping_scene(gap_m: f64, follower: Option<SceneFollower>) -> Scene {
     let mut scene = Scene { step_s: 0.5, steps: 5, follower, ..standing_leader(gap_m) };
     scene.leader.acceleration_mps2[0].0 = 5;
     scene
 }
 
-/// The row that whoever brakes fully satisfies least: where it is at the end.
+/// Returns the row that full braking satisfies least: that of the end.
 fn final_branch(first: u32) -> Branch {
     Branch { first, last: 5, front: vec![(5, 2.0)], ..Branch::default() }
 }
@@ -278,13 +270,11 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
     assert_eq!(with(30.0, stated_m), Err(Rejection::GapBound { stated_m, gap_m }));
     let said = with(30.0, 4.0).unwrap_err().to_string();
     assert_eq!(said, format!("`gap_m` is 4, and only {gap_m} m is proved"));
-    // Where it touches, no gap above 0 is kept.
     assert_eq!(with(20.0, 0.0), Ok(ProvedClaim::GapBound { gap_m: 0.0, horizon_s }));
     for stated_m in [-1e-300, -5.0, f64::NAN, f64::INFINITY] {
         let said = with(30.0, stated_m).unwrap_err().to_string();
         assert_eq!(said, "`gap_m` must be a number that is not negative", "{stated_m}");
     }
-    // Without a row of contact nothing is said of a gap.
     let speed = vec![vec![(5, 1.0)]];
     for nothing in [Branch { last: 5, ..Branch::default() }, Branch { last: 5, speed, ..Branch::default() }] {
         let refused = gap_bound(&stopping_scene(30.0, None), &[nothing], 1e9);
@@ -292,7 +282,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
     }
 }
 
-/// Who stands behind never brakes: a branch in which it does has no member, and counts for nothing.
+/// The standing follower never brakes: a branch in which it does is empty.
 #[test]
 fn a_branch_that_nobody_is_in_takes_nothing_away() {
     let follower = follower_at(-50.0, 0.0);
@@ -321,7 +311,7 @@ fn a_branch_alone_lies_within_the_instants_too() {
     }
 }
 
-/// At the least numbers there are a quotient may round to zero where the sum does not.
+/// A quotient of subnormal numbers may round to zero although the sum does not.
 #[test]
 fn an_overlap_that_is_proved_is_more_than_nothing() {
     let mut proved = 0;
@@ -341,7 +331,6 @@ fn an_overlap_that_is_proved_is_more_than_nothing() {
     assert!(proved > 100, "{proved}");
 }
 
-/// What a statement about a scene announces: instants 0 to N, each of its vehicles, in each branch.
 #[test]
 fn work_is_counted_for_every_instant_and_vehicle() {
     let follower = follower_at(-50.0, 0.0);

@@ -1,4 +1,4 @@
-//! A file keeps the checker busy no longer than is allowed, however much it announces.
+//! Files cannot exceed the operation limit of the checker, whatever their declared size.
 
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with};
 use serde_json::{Value, json};
@@ -19,7 +19,6 @@ fn policy() -> Vec<u8> {
     std::fs::read(POLICY).unwrap()
 }
 
-/// A box around the paper's scenario 1, cut and cut again, all of whose cells are said to be safe for so many steps.
 fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
     fn cells(cuts: u32) -> Vec<Value> {
         match cuts {
@@ -34,7 +33,7 @@ fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
         "ranges": {
             "gap_ahead_m": {"low": 15.99, "high": 16.01}, "gap_behind_m": 16, "leader_speed_mps": 25,
             "ego_speed_mps": 25, "follower_speed_mps": 25, "leader_brake_mps2": 3, "follower_brake_mps2": 6,
-            // The leader never brakes, so that driving never ends.
+            // The leader never brakes, so propagation never stops early.
             "onset_steps": 1e5
         },
         "partition": cells(cuts), "verified_share_at_least": 0, "falsified_share_at_least": 0, "min_gap_m_at_least": 0
@@ -43,7 +42,6 @@ fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
     certificate_from_json("reach", &[&driven[..], &["latched-follower"]].concat(), claim)
 }
 
-/// One of each other kind, all of them true.
 fn other_certificates() -> Vec<Certificate> {
     let leader = json!({"position_m": 3, "length_m": 2, "speed_mps": 0, "acceleration_mps2": [[1000, 0]]});
     let scene = |x: f64, v: f64| {
@@ -106,7 +104,7 @@ fn limits_are_said_in_whole_billions() {
     assert_eq!((WorkLimit::from_billions(3).to_billions(), WorkLimit::default().to_billions()), (3, 4000));
 }
 
-/// Who follows by a law takes operations in every step, however rarely the ego decides: some 300 000 of them here.
+/// A follower with a law costs operations in every step, about 300 000 here, however rare the decisions.
 #[test]
 fn who_follows_by_a_law_is_counted() {
     let (mut claim, limit) = (reach_certificate(0, 3000), WorkLimit::from_operations(600_000_000));
@@ -118,7 +116,6 @@ fn who_follows_by_a_law_is_counted() {
     assert!(check_with(&claim, Some(&policy()), WorkLimit::default()).is_ok());
 }
 
-/// Threads share what is allowed: where the limit lies does not depend on which of them is first.
 #[test]
 fn the_limit_is_where_it_was() {
     let (claim, policy) = (reach_certificate(3, 500), policy());
@@ -140,7 +137,6 @@ fn the_limit_is_where_it_was() {
     }
 }
 
-/// Lists and maps whose entries take more memory than text.
 #[test]
 fn no_list_is_longer_than_what_it_is_about() {
     let [avoidable, unavoidable, .., rate, _] = &other_certificates()[..] else { panic!("five kinds") };

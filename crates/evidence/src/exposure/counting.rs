@@ -1,28 +1,25 @@
-//! How often something happens of which so many were counted.
+//! Confidence intervals of an expected number of clustered events.
 
 use statrs::distribution::{ContinuousCDF, Gamma};
 
-/// Waves of episodes: how many, and how large.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EpisodeClusters {
-    /// How many.
+    /// Number of clusters.
     pub clusters: u64,
-    /// Episodes in all of them: Σ S, where S is the size of a wave.
+    /// Number of episodes: Σ S, where S is the size of a cluster.
     pub episodes: u64,
     /// Σ S².
     pub sum_of_squares: f64,
-    /// The largest S; 1 if there is no wave.
+    /// Largest S; 1 without clusters.
     pub largest: u64,
 }
 
 impl EpisodeClusters {
-    /// So many waves of one episode.
     #[must_use]
     pub(crate) fn singletons(episodes: u64) -> Self {
         Self { clusters: episodes, episodes, sum_of_squares: episodes as f64, largest: 1 }
     }
 
-    /// Waves of these sizes.
     #[must_use]
     pub(crate) fn from_sizes(sizes: &[u64]) -> Self {
         Self {
@@ -34,12 +31,11 @@ impl EpisodeClusters {
     }
 }
 
-/// Between which expected numbers of episodes what was seen lies, with a confidence.
-///
-/// Waves come independently of each other, as a Poisson process; episodes of a wave do not. With the sizes S of the waves as weights, the
-/// sum y = Σ S and its variance v = Σ S², the ends are quantiles of gamma distributions with mean and variance y and v, below, and y + M and
-/// v + M², above, where M is the largest S (Fay and Feuer, Confidence intervals for directly standardized rates, Statistics in Medicine
-/// 16, 1997). Where every wave is of one episode, that is the exact interval of Poisson's distribution (Garwood, 1936).
+/// Returns the confidence interval of the expected number of episodes. Clusters are a Poisson process; episodes of one
+/// cluster depend on each other. With the sum y = Σ S and variance v = Σ S², the lower end is a quantile of the gamma
+/// distribution with mean y and variance v, the upper end of that with y + M and v + M², where M is the largest S (Fay
+/// and Feuer, Confidence intervals for directly standardized rates, Statistics in Medicine 16, 1997). With single
+/// episodes that is the exact Poisson interval (Garwood, 1936).
 #[must_use]
 pub(crate) fn expected_count_interval(seen: EpisodeClusters, confidence: f64) -> [f64; 2] {
     let (sum, variance, largest) = (seen.episodes as f64, seen.sum_of_squares, seen.largest as f64);
@@ -55,7 +51,6 @@ pub(crate) fn expected_count_interval(seen: EpisodeClusters, confidence: f64) ->
 mod tests {
     use super::*;
 
-    /// Tabulated by Garwood; and waves of many are as uncertain as fewer waves.
     #[test]
     fn lone_waves_have_the_exact_interval_of_poisson() {
         for (count, low, high) in [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.390), (100, 81.364, 121.627)] {
@@ -70,7 +65,7 @@ mod tests {
         assert!((low - 3.0 * lone_low).abs() < 1e-9 && (high - 3.0 * lone_high).abs() < 1e-9);
     }
 
-    /// However many there are, and none is dropped: a Poisson count is about normal then.
+    /// A large Poisson count is nearly normal.
     #[test]
     fn very_many_episodes_are_not_taken_for_fewer() {
         let deviation = 1e7_f64.sqrt();

@@ -1,13 +1,13 @@
-//! Failures per episode, per hour and per 1000 km, where a space says in how much driving its episodes were seen.
+//! Failures per episode, per hour and per 1000 km, for spaces that state their exposure.
 //!
-//! Three things are uncertain. *Counting*: how often episodes come, of which N were seen. *Sampling*: the probability of a failure in the
-//! fitted space, of which a count or an estimate saw some runs. And the *data*: the fitted space is not the traffic, and other episodes
-//! would have made another. The rate per hour is the product of episodes an hour and failures an episode. Its interval without the data's
-//! uncertainty is the product of both intervals, each at 1 − α/2, which hold together at 1 − α (Bonferroni). The data's uncertainty
-//! comes of resamples of the episodes, to each of which the space is fitted again.
+//! Three sources of uncertainty: *counting*, the number N of episodes; *sampling*, the probability of a failure in the
+//! fitted space; and *data*, because other episodes would have given another space. The rate per hour is episodes per
+//! hour times failures per episode. Its interval without data uncertainty is the product of both intervals at 1 − α/2,
+//! which hold together at 1 − α (Bonferroni). Data uncertainty is the spread over spaces that are fitted to resamples
+//! of the episodes.
 //!
-//! Brakings that the space does not describe happened in the same hours. Rates per hour count them as if they failed as often as the episodes: each
-//! episode stands for (N + left out) / N brakings. Without them, a rate would be too low because a recording is bad.
+//! Rates per hour assume that brakings which the space omits fail as often as the episodes: each episode counts for
+//! (N + omitted) / N brakings. Otherwise a bad recording would lower the rate.
 
 mod counting;
 mod resample_shards;
@@ -26,14 +26,14 @@ use super::RateInterval;
 use super::rare::RareEstimate;
 use crumple_world::scenario::space::ScenarioSpace;
 
-/// Confidence of all intervals.
+/// Confidence level of all intervals.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// A figure and between which it lies.
+/// An estimate with its interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct IntervalEstimate {
-    /// The estimate.
+    /// Point estimate.
     pub estimate: f64,
     /// Lower end.
     pub lower: f64,
@@ -41,7 +41,7 @@ pub struct IntervalEstimate {
     pub upper: f64,
 }
 
-/// Failures as they would be met on the road.
+/// Rates of failures on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureRates {
@@ -53,72 +53,73 @@ pub struct FailureRates {
     pub per_1000_km: IntervalEstimate,
 }
 
-/// How often a controller fails where the space was observed.
+/// Rates of failures of a controller in the traffic that a space was fitted to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RatePerExposure {
-    /// Episodes that were seen and that the space describes.
+    /// Observed episodes that the space describes.
     pub episodes: u64,
-    /// Brakings besides that it does not describe: rates per hour and per 1000 km count them as if they failed as often.
+    /// Brakings that the space omits; rates per hour and per 1000 km assume that they fail as often.
     #[serde(default)]
     pub left_out: u64,
-    /// Waves that they belong to.
+    /// Clusters of the episodes.
     #[serde(rename = "waves")]
     pub clusters: u64,
-    /// Hours in which they were seen.
+    /// Hours of observation.
     pub hours: f64,
-    /// Kilometres.
+    /// Kilometres of observation.
     pub kilometres: f64,
-    /// Confidence of all intervals.
+    /// Confidence level of all intervals.
     pub confidence: f64,
-    /// Taking the fitted space for the truth: counting and sampling alone.
+    /// Rates with counting and sampling uncertainty only.
     pub fitted: FailureRates,
-    /// With the data's uncertainty, if it is known.
+    /// Rates with data uncertainty, if it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "with_data")]
     pub with_data_uncertainty: Option<WithDataUncertainty>,
-    /// Why it is not.
+    /// Reason why data uncertainty is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "without_data")]
     pub data_uncertainty_missing: Option<String>,
 }
 
-/// Figures with the data's uncertainty, and where the uncertainty is from.
+/// Rates with data uncertainty, and its composition.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WithDataUncertainty {
-    /// The figures.
+    /// Rates of failures.
     #[serde(rename = "figures")]
     pub rates: FailureRates,
-    /// Resamples of the episodes.
+    /// Number of resamples.
     pub resamples: u32,
-    /// Those to which no space could be fitted.
+    /// Number of resamples to which no space could be fitted.
     #[serde(rename = "unfit")]
     pub failed_fits: u32,
-    /// Runs made for each; none where each has an estimate by splitting of its own.
+    /// Number of runs per resample; `None` with an estimate by splitting in each.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub runs_each: Option<u32>,
-    /// Variances relative to the squared estimate: of the number of episodes, ...
+    /// Variance of the number of episodes, relative to the squared estimate.
     pub counting_variance: f64,
-    /// ... of the probability of a failure as the episodes differ, less what is sampling in the resamples; none without failures, ...
+    /// Relative variance of the failure probability among resamples, less their sampling variance; `None` without
+    /// failures.
     pub data_variance: Option<f64>,
-    /// ... and of the count or estimate in the fitted space; none without failures.
+    /// Relative variance of the count or estimate in the fitted space; `None` without failures.
     pub sampling_variance: Option<f64>,
 }
 
-/// What is known of the probability of a failure in the fitted space.
+/// Failure probability in the fitted space.
 #[derive(Debug, Clone, Copy)]
 pub enum FailureProbability<'a> {
-    /// Failures counted, runs that may have been failures, and all runs.
+    /// Counts of runs.
     Counted {
-        /// Failures.
+        /// Number of failures.
         failures: u64,
-        /// Runs that were cut short by others, and may have become failures.
+        /// Number of runs that ended early, which may have become failures.
         unknown: u64,
-        /// Runs.
+        /// Number of runs.
         runs: u64,
     },
-    /// An estimate by splitting.
+    /// Estimate by splitting or importance sampling.
     Estimated(&'a RareEstimate),
 }
 
@@ -126,7 +127,7 @@ impl FailureProbability<'_> {
     fn estimate(self) -> Option<f64> {
         match self {
             Self::Counted { failures, runs, .. } => (runs > 0).then(|| failures as f64 / runs as f64),
-            // Where no failure was reached, what is known of it is an upper end.
+            // Without a reached failure, only an upper end is known.
             Self::Estimated(estimate) => estimate.probability.or((estimate.independent_runs > 0).then_some(0.0)),
         }
     }
@@ -137,8 +138,7 @@ impl FailureProbability<'_> {
                 RateInterval::clopper_pearson(failures, runs, confidence).lower,
                 RateInterval::clopper_pearson(failures + unknown, runs, confidence).upper,
             ]),
-            // Repetitions that all say the same, such as that nothing or everything fails, say nothing of how far they may be off: the
-            // draws that they began with do, which are independent.
+            // Equal repetitions have no spread; the independent initial runs then bound the probability.
             Self::Estimated(estimate) => {
                 let spread = estimate.interval(confidence).filter(|[low, high]| low < high);
                 spread.or_else(|| estimate.independent_interval(confidence))
@@ -146,7 +146,6 @@ impl FailureProbability<'_> {
         }
     }
 
-    /// Variance relative to the squared estimate.
     fn relative_variance(self) -> Option<f64> {
         match self {
             Self::Counted { failures: 0, .. } => None,
@@ -157,8 +156,7 @@ impl FailureProbability<'_> {
 }
 
 impl RatePerExposure {
-    /// What a probability comes to on the road; none where the space does not say in how much driving it was seen, or nothing is
-    /// known of the probability.
+    /// Computes the rates on the road; `None` without exposure of the space or without runs.
     #[must_use]
     pub fn new(
         space: &ScenarioSpace,
@@ -171,7 +169,6 @@ impl RatePerExposure {
         let [low, high] = known.interval(CONFIDENCE)?;
         let counted = expected_count_interval(seen, 1.0 - alpha / 2.0);
         let episodes = exposure.episodes as f64;
-        // With weights as those of Fay and Feuer, the interval is as many times as long.
         let stands_for = (episodes + exposure.left_out as f64) / episodes;
         let figures = |apart: [f64; 3], jointly: [f64; 2]| {
             let [estimate, low, high] = apart;
@@ -189,7 +186,7 @@ impl RatePerExposure {
         let jointly = known.interval(1.0 - alpha / 2.0)?;
         let fitted = figures([estimate, low, high], jointly);
         let with_data = resamples.ok().and_then(|resamples| {
-            // Resamples may lie all on one side of what was fitted to all episodes, and data that are uncertain make nothing more certain.
+            // Data uncertainty never shortens the interval, even if all resamples lie on one side.
             let with = |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
             let [low, high] = with(resamples.percentile_interval(CONFIDENCE)?, [low, high]);
             Some(WithDataUncertainty {
@@ -216,7 +213,7 @@ impl RatePerExposure {
     }
 }
 
-/// The waves in which a space's episodes came; of one each where that is not known.
+/// Returns the clusters of a space's episodes; clusters of one each if unknown.
 fn episode_clusters(space: &ScenarioSpace) -> EpisodeClusters {
     let Some(observed) = &space.spec().observed else {
         return EpisodeClusters::singletons(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));

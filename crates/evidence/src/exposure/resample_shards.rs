@@ -1,19 +1,16 @@
-//! Resamples that are divided over shards.
-//!
-//! The spaces fitted to resamples come in an order that the seed alone decides, and everybody who has the space can fit them again. A shard
-//! makes the new runs in some of them, and keeps what came of each; whoever has all of that asks for the same spaces, and has the answers.
+//! Distribution of resamples over shards. The seed determines the order of the fitted spaces, which every machine can
+//! fit again. A shard simulates some of them and saves the results; the merge repeats the fits and takes these results.
 
 use std::ops::Range;
 
-/// Which of so many resamples belong to some of `all` parts of the work: those of parts that follow each other follow each other, too,
-/// however the parts are divided.
+/// Returns the resamples of consecutive parts of the work, out of `all` parts. Consecutive parts have consecutive
+/// resamples.
 pub(crate) fn resample_range(resamples: u32, parts: &Range<u64>, all: u64) -> Range<u64> {
-    // No larger than the number of resamples.
     let before = |part: u64| (u128::from(part) * u128::from(resamples)).div_ceil(u128::from(all.max(1))) as u64;
     before(parts.start)..before(parts.end)
 }
 
-/// The resamples of a shard, while they are gone through.
+/// An iteration over all resamples that evaluates those of a shard.
 pub(crate) struct ResampleShard<T> {
     range: Range<u64>,
     next: u64,
@@ -25,7 +22,7 @@ impl<T: Clone> ResampleShard<T> {
         Self { range: own, next: 0, results: Vec::new() }
     }
 
-    /// What comes of the next one: found out if it is one of its own, and `none` otherwise.
+    /// Returns the result of the next resample if it belongs to the shard, and `none` otherwise.
     pub(crate) fn next<E>(&mut self, none: T, find: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
         let is_own = self.range.contains(&self.next);
         self.next += 1;
@@ -37,18 +34,16 @@ impl<T: Clone> ResampleShard<T> {
         Ok(found)
     }
 
-    /// What came of its own, in order.
     pub(crate) fn into_results(self) -> Vec<T> {
         self.results
     }
 }
 
-/// What shards kept of their resamples, in order.
+/// Saved results of all shards, in order.
 pub(crate) struct MergedResamples<T> {
     results: std::vec::IntoIter<T>,
 }
 
-/// There are more or fewer of them than the space has.
 #[derive(Debug)]
 pub(crate) struct ResampleCountMismatch;
 
@@ -57,12 +52,10 @@ impl<T> MergedResamples<T> {
         Self { results: kept.into_iter() }
     }
 
-    /// What came of the next one.
     pub(crate) fn next(&mut self) -> Result<T, ResampleCountMismatch> {
         self.results.next().ok_or(ResampleCountMismatch)
     }
 
-    /// Whether all were asked for.
     pub(crate) fn finish(self) -> Result<(), ResampleCountMismatch> {
         if self.results.len() == 0 { Ok(()) } else { Err(ResampleCountMismatch) }
     }
@@ -74,7 +67,6 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Whatever the division, parts that follow each other have resamples that do, and together they have all.
         #[test]
         fn resamples_are_divided_as_the_parts_are(
             resamples in 0..2000_u32,

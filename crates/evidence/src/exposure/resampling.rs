@@ -1,4 +1,4 @@
-//! What the probability of a failure would have been, had other episodes been seen.
+//! Data uncertainty: failure probabilities in spaces that are fitted to resamples of the episodes.
 
 use rand::RngExt;
 use rayon::prelude::*;
@@ -9,82 +9,80 @@ use crate::rare::RareEstimate;
 use crumple_world::random::{Purpose, derived_seed, stream};
 use crumple_world::scenario::space::ScenarioSpace;
 
-/// Tells the streams of what is drawn besides the resamples from theirs.
+/// Offset that separates random streams of posterior samples from those of resamples.
 const DRAW_STREAM_OFFSET: u64 = 1 << 40;
-/// The fewest resamples from which intervals are stated. The joint ones leave 1.25 % at each end, and of n values the k-th lowest has a share of
-/// k / (n + 1) below it, so that there has to be a first: (n + 1) · 0.0125 ≥ 1.
+/// Minimum number of resamples for intervals. Joint intervals leave 1.25 % at each end, and the k-th of n sorted values
+/// has k / (n + 1) below it, so (n + 1) · 0.0125 ≥ 1.
 pub const MIN_RESAMPLES: u32 = 79;
 
-/// Why the data's uncertainty is not stated.
+/// Reason why data uncertainty is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ResamplingError {
-    /// Nobody asked.
+    /// Resampling was not requested.
     #[error("nothing was resampled")]
     NotRequested,
-    /// Fewer than percentiles take.
+    /// Too few resamples for percentiles.
     #[error("{requested} resamples are too few for an interval: {MIN_RESAMPLES} are needed")]
     TooFew {
-        /// How many were to be made.
+        /// Requested number of resamples.
         requested: u32,
     },
-    /// There is nothing to resample.
+    /// The space does not hold its data.
     #[error("the space does not hold what it was fitted to")]
     NoData,
-    /// The space is another one than what is fitted to its data: resamples would be spaces of their own kind.
+    /// The space was edited after it was fitted, so resamples would not represent it.
     #[error(
         "{what} is not what is fitted to the `observed` values that the space holds: it was changed since, and resamples would not be"
     )]
     Edited {
-        /// What was changed.
+        /// Edited part of the space.
         what: String,
     },
-    /// Too many resamples are such that no space can be fitted.
+    /// Too few resamples to which a space could be fitted.
     #[error(
         "a space could be fitted to {fitted} of {tried} resamples only, and {MIN_RESAMPLES} are needed for an interval"
     )]
     TooFewFits {
-        /// To how many one could.
+        /// Number of fitted spaces.
         fitted: u32,
-        /// Of so many.
+        /// Number of attempts.
         tried: u32,
     },
 }
 
-/// The probability of a failure in spaces fitted to resamples.
+/// Failure probabilities in spaces that are fitted to resamples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resamples {
-    /// Two probabilities a resample, each sorted, drawn from what is known of its probability: they spread as data and sampling together.
-    /// The lower one is 0 where no run failed, the higher one 1 where all did.
+    /// Lower and upper samples of the probability, one each per resample, sorted. They spread as data and sampling
+    /// together. A lower one is 0 without failures; an upper one is 1 if all runs failed.
     pub sorted_bounds: [Vec<f64>; 2],
-    /// Resamples to which no space could be fitted: others were drawn in their place.
+    /// Number of resamples to which no space could be fitted; they were replaced.
     pub failed_fits: u32,
-    /// Runs made for each; none where each has an estimate of its own.
+    /// Number of runs per resample; `None` with an estimate in each.
     pub runs_each: Option<u32>,
-    /// The variance of the probabilities, less what is sampling in them; from 0.
+    /// Variance of the probabilities, less their sampling variance; at least 0.
     pub data_variance: f64,
 }
 
 impl Resamples {
-    /// The values of the spread between which the confidence lies (Efron's percentiles): of n sorted values those in places ⌊(n + 1) α/2⌋ from both
-    /// ends. None where there are too few for a first place.
+    /// Returns Efron's percentile interval: the values at rank ⌊(n + 1) α/2⌋ from both ends of n; `None` with too few
+    /// values.
     #[must_use]
     pub fn percentile_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let [lows, highs] = &self.sorted_bounds;
-        // An end of 1 − (1 − α) is not α to the last bit.
+        // 1 − (1 − α) is not exactly α.
         let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
         let from_end = place.checked_sub(1)?;
         Some([*lows.get(from_end)?, *highs.get(highs.len().checked_sub(place)?)?])
     }
 
-    /// How many there are.
     #[must_use]
     pub fn count(&self) -> u32 {
         self.sorted_bounds[0].len() as u32
     }
 }
 
-/// The spaces fitted to resamples, and how many resamples there were to which none could be.
 fn refit_to_resamples(
     space: &ScenarioSpace,
     seed: u64,
@@ -118,11 +116,11 @@ fn refit_to_resamples(
     }
 }
 
-/// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Or says why the data's
-/// uncertainty cannot be known so.
+/// Counts failures in spaces that are fitted to resamples; `failures` takes a space, a seed and a number of runs. The
+/// inner error is the reason why data uncertainty is unknown.
 ///
 /// # Errors
-/// Those of `failures`.
+/// Errors of `failures`.
 pub fn count_on_resamples<E>(
     space: &ScenarioSpace,
     seed: u64,
@@ -142,7 +140,7 @@ pub fn count_on_resamples<E>(
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
         let u: f64 = stream(seed, Purpose::Resampling, DRAW_STREAM_OFFSET + index).random();
-        // Jeffreys' posterior, with its ends where they are certain (Brown, Cai and DasGupta, Statistical Science 16, 2001).
+        // Jeffreys' posterior, with exact ends (Brown, Cai and DasGupta, Statistical Science 16, 2001).
         let known = Beta::new(failed + 0.5, n - failed + 0.5);
         let drawn = known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12)));
         spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
@@ -154,13 +152,12 @@ pub fn count_on_resamples<E>(
     Ok(Ok(Resamples { sorted_bounds: spread, failed_fits: unfit, runs_each: Some(runs), data_variance: variance }))
 }
 
-/// Estimates anew in each space fitted to a resample: `again` does, with a seed. Or says why the data's uncertainty cannot be known so.
-///
-/// Weighting the runs that failed by how much likelier they are there would cost nothing, and was tried: of a failure of probability
-/// 10⁻⁶ one run carries all the weight, and where other failures are likelier, no run has been.
+/// Estimates the probability in spaces that are fitted to resamples; `again` takes a space and a seed. The inner error
+/// is the reason why data uncertainty is unknown. Reweighting the failed runs costs no simulations, but was unusable:
+/// at 10⁻⁶ one run has all the weight, and other failures have no run.
 ///
 /// # Errors
-/// Those of `again`.
+/// Errors of `again`.
 pub(crate) fn estimate_on_resamples<E>(
     space: &ScenarioSpace,
     seed: u64,
@@ -177,7 +174,7 @@ pub(crate) fn estimate_on_resamples<E>(
         let probability = estimate.probability.unwrap_or(0.0);
         within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
         found.push(probability);
-        // Where no failure was reached, it is rarer than the last level that was.
+        // Without a reached failure, the last reached level is the upper bound.
         let reached = estimate.levels.iter().map(|level| level.probability).filter(|level| *level > 0.0);
         let at_most = if probability > 0.0 { probability } else { reached.fold(1.0, f64::min) };
         spread[0].push(probability);

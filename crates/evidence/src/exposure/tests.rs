@@ -7,8 +7,8 @@ use rand::RngExt;
 use rand_distr::{Distribution, Exp};
 use std::path::Path;
 
-/// Traffic of which everything is known: a gap ahead, log-normal, and a deceleration that depends on it; a failure is a gap that is small
-/// for the deceleration.
+/// Known traffic: a log-normal gap, and a deceleration that depends on it; a small gap for the deceleration is a
+/// failure.
 const TRAFFIC: &str = r#"
 version = 1
 name = "synthetic"
@@ -36,12 +36,11 @@ fn fails(values: &[f64]) -> bool {
     values[0] < 2.2 * values[1]
 }
 
-/// Failures among draws of a space.
 fn failures(space: &ScenarioSpace, seed: u64, runs: u64) -> Result<u64, std::convert::Infallible> {
     Ok((0..runs).filter(|&index| fails(&space.values(&space.draw_point(seed, index)))).count() as u64)
 }
 
-/// What somebody sees who drives along for so many hours in traffic with so many episodes an hour, and the space fitted to it.
+/// Observes traffic with a rate of episodes for some hours, and fits a space to it.
 fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut Stream) -> ScenarioSpace {
     let waiting = Exp::new(an_hour).unwrap();
     let (mut at_hours, mut columns): (f64, [Vec<f64>; 2]) = (waiting.sample(random), Default::default());
@@ -67,7 +66,7 @@ fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut
     refit(&spec, &observed).unwrap()
 }
 
-/// How many of so many trials hold the true rate per hour: with the data's uncertainty, and without.
+/// Counts the trials whose intervals contain the true rate per hour, with and without data uncertainty.
 fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     const AN_HOUR: f64 = 12.0;
     let truth = traffic();
@@ -88,14 +87,14 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     held
 }
 
-/// Both intervals are joint ones and rather too long; fewer than 34 of 40 would come by chance once in 50 times at 95 %.
+/// Both intervals are joint and conservative; at 95 %, fewer than 34 of 40 has a probability of 2 %.
 #[test]
 fn rates_per_hour_of_synthetic_traffic_are_held() {
     let [with_data, _] = coverage(40, 8.0);
     assert!(with_data >= 36, "{with_data}");
 }
 
-/// The large one, of which docs/fitting.md has the figures.
+/// Full version, with the figures of docs/fitting.md.
 #[test]
 #[ignore = "takes minutes"]
 fn coverage_at_several_exposures() {
@@ -118,7 +117,6 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     assert_eq!((rate.clusters, rate.with_data_uncertainty), (50, None));
     let FailureRates { per_episode, per_hour, per_1000_km } = rate.fitted;
     assert!((per_hour.estimate - 0.075).abs() < 1e-12 && (per_1000_km.estimate - 1.5).abs() < 1e-12);
-    // Jointly longer than either alone.
     assert!(per_hour.upper / per_hour.estimate > per_episode.upper / per_episode.estimate);
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
@@ -127,7 +125,6 @@ fn exposure_for(hours: f64, left_out: u64) -> DrivingExposure {
     DrivingExposure { episodes: 50, hours, kilometres: 100.0, left_out, sources: Vec::new() }
 }
 
-/// Half of the brakings cannot be used, and the hours are the same: the rate per hour must not be half as high.
 #[test]
 fn brakings_that_were_left_out_count_in_rates_per_hour() {
     let known = FailureProbability::Counted { failures: 30, unknown: 0, runs: 1000 };
@@ -145,7 +142,7 @@ fn brakings_that_were_left_out_count_in_rates_per_hour() {
     }
 }
 
-/// Where no run fails or every one does, repetitions agree and have no spread; the draws that they began with bound the rate.
+/// Without spread of the repetitions, their independent initial runs bound the rate.
 #[test]
 fn estimates_without_a_spread_still_bound_the_rate() {
     let mut spec = traffic().spec().clone();
@@ -170,7 +167,7 @@ fn estimates_without_a_spread_still_bound_the_rate() {
         let FailureRates { per_episode, per_hour, .. } = nothing.expect("an upper end is known").fitted;
         assert_eq!((per_episode.estimate, per_episode.lower, per_hour.estimate), (0.0, 0.0, 0.0));
         assert!((per_episode.upper - (1.0 - 0.025_f64.powf(1.0 / 500.0))).abs() < 1e-9, "{per_episode:?}");
-        // 50 episodes in 2 h, of which there may have been up to 69 where 50 were seen, each with a probability of up to 0.9 %.
+        // 50 episodes in 2 h: at most 69 expected, each with a probability of up to 0.9 %.
         assert!((0.2..0.35).contains(&per_hour.upper), "{per_hour:?}");
     }
     let all = rate(Some(1.0), (500, 500)).expect("a lower end is known").fitted;
@@ -179,7 +176,7 @@ fn estimates_without_a_spread_still_bound_the_rate() {
     assert_eq!(rate(None, (0, 0)), None);
 }
 
-/// The k-th of n sorted values has k / (n + 1) of what is drawn from the same below it: of 79 the first and the last leave 1.25 % at each end.
+/// With 79 resamples, the first and the last leave 1.25 % at each end.
 #[test]
 fn percentiles_of_few_resamples_are_not_stated() {
     let resamples = |count: u32| {
@@ -194,7 +191,6 @@ fn percentiles_of_few_resamples_are_not_stated() {
     let space = observe_traffic(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
     let few = count_on_resamples(&space, 0, 78, 10, &mut failures).unwrap();
     assert_eq!(few, Err(ResamplingError::TooFew { requested: 78 }));
-    // What was changed after it was fitted is not what resamples would be.
     let mut spec = space.spec().clone();
     spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
     let changed = ScenarioSpace::new(spec, Path::new("")).unwrap();
@@ -202,7 +198,6 @@ fn percentiles_of_few_resamples_are_not_stated() {
     assert_eq!(refused, Err(ResamplingError::Edited { what: "`gap_m`".to_owned() }));
 }
 
-/// Estimates spread as counts do; where none reaches a failure, the interval ends where the climb did.
 #[test]
 fn estimates_in_resamples_agree_with_new_runs() {
     let truth = traffic();

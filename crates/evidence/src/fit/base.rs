@@ -1,4 +1,4 @@
-//! The scenario in which the numbers of episodes vary, and what is said of the space.
+//! Base scenario of a fitted space, and its description.
 
 use super::episodes::EpisodeSample;
 use super::space::median;
@@ -8,12 +8,12 @@ use crumple_world::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
-/// When the leader begins to brake, in seconds: about when it does in an imported episode.
+/// Onset of the leader's braking, in seconds, as in an imported episode.
 const ONSET_S: f64 = 1.0;
-/// How long a scenario goes on when the longest braking of the space is over, in seconds, as in an imported episode.
+/// Duration after the longest braking of the space, in seconds, as in an imported episode.
 const TAIL_S: f64 = 10.0;
 
-/// The scenario in which the numbers vary: of three or more vehicles the last one keeps the baseline, as of imported episodes.
+/// Returns the base scenario; the last of three or more vehicles has the baseline controller.
 pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec {
     let values = |index: usize| sample.observed.parameters.get(index).map_or(&[][..], |one| one.values.as_slice());
     let (speed_mps, brake_mps2, final_share) = (median(values(0)), median(values(1)), median(values(2)));
@@ -53,15 +53,14 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
     }
 }
 
-/// How long the leader brakes at most, in seconds: from the highest speed of the space as gently as it has it, and as far. Whatever is drawn, and
-/// whatever a resample makes of the distributions within their ranges, is over then.
+/// Returns the longest braking of the space, in seconds: from the highest speed, with the lowest deceleration and the
+/// largest speed loss. No sample and no resample brakes longer.
 fn longest_braking_s(sample: &EpisodeSample) -> f64 {
     let end = |index: usize, which: usize| sample.features.get(index).map_or(0.0, |number| number.range[which]);
     let (fastest_mps, softest_mps2, final_share) = (end(0, 1), end(1, 0), end(2, 0));
     fastest_mps * (1.0 - final_share) / softest_mps2
 }
 
-/// Where the space is from, and what is not in it.
 pub(super) fn describe_space(sample: &EpisodeSample) -> String {
     let EpisodeSample { extraction: taken, observed, exposure, exclusions: left_out, sizes, .. } = sample;
     let waves = observed.braking_clusters.iter().max().map_or(0, |last| last + 1);

@@ -1,50 +1,46 @@
-//! How the numbers of episodes depend on each other: the correlation of the normal numbers behind them.
+//! Dependence of the features of episodes: correlations of a Gaussian copula.
 
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crumple_world::scenario::space::{DistributionSpec, ParameterValue};
 
-/// The least eigenvalue of a matrix of which entries were found pair by pair: such entries need not fit together.
+/// Minimum eigenvalue of a matrix whose entries were estimated pair by pair and may be inconsistent.
 const MIN_EIGENVALUE: f64 = 1e-3;
-/// The strongest correlation that is looked for where values have probabilities of their own.
+/// Maximum correlation for features with point masses.
 const MAX_CORRELATION: f64 = 0.99;
 
-/// Values of a number, and how it is distributed.
 pub(super) struct CopulaColumn<'a> {
     pub(super) values: &'a [f64],
     pub(super) distribution: &'a DistributionSpec,
 }
 
-/// Correlations of normal scores: ranks over n + 1, as normal numbers. Whatever the marginal distributions are, that is as
-/// good an estimate of a Gaussian copula's correlations as any that knows them, for many values (Klaassen and Wellner, Efficient
-/// estimation in the bivariate normal copula model, Bernoulli 3, 1997). Equal values have the mean of their ranks.
-///
-/// Of a value with a probability of its own it is only known between which two normal numbers its own is, and ranks would make dependence
-/// weaker than it is. Where one of two numbers has such values, their correlation is the likeliest one of the two normal numbers, with scores for
-/// all other values (a polyserial correlation: Olsson, Drasgow and Dorans, Psychometrika 47, 1982); ln (1 − ρ²) is added to the logarithm of the
-/// likelihood, so that few values do not make a certainty.
+/// Estimates the correlations of normal scores: ranks over n + 1 as normal numbers, with mean ranks for equal values.
+/// For many values this is as efficient as any estimate that knows the marginals (Klaassen and Wellner, Efficient
+/// estimation in the bivariate normal copula model, Bernoulli 3, 1997). The normal number of a point mass is known only
+/// as an interval, and ranks would underestimate the dependence. Pairs with such values use the maximum likelihood of
+/// the correlation, with scores for the other values (polyserial correlation: Olsson, Drasgow and Dorans, Psychometrika
+/// 47, 1982). A term ln (1 − ρ²) keeps few values from giving ρ = ±1.
 pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>> {
     let latent: Vec<LatentColumn> = columns.iter().map(LatentColumn::new).collect();
     let entry = |row: usize, column: usize| {
         if row == column {
             return 1.0;
         }
-        // One order of operands, so that the matrix is symmetric to the last bit.
         latent[row.min(column)].correlation(&latent[row.max(column)])
     };
     let found = (0..latent.len()).map(|row| (0..latent.len()).map(|column| entry(row, column)).collect()).collect();
     if latent.iter().any(|one| one.has_points) { shrink_to_positive_definite(found) } else { found }
 }
 
-/// The matrix, drawn towards independence as far as it takes to have no eigenvalue below the least.
+/// Shrinks a matrix towards independence until its eigenvalues are at least [`MIN_EIGENVALUE`].
 pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| entries[row][column]);
     let least = least.symmetric_eigenvalues().min();
     if least >= MIN_EIGENVALUE {
         return entries;
     }
-    // Eigenvalues of (1 − s) R + s 1 are those of R, drawn towards 1.
+    // (1 − s) R + s I moves the eigenvalues of R towards 1.
     let kept = 1.0 - (MIN_EIGENVALUE - least) / (1.0 - least);
     let drawn = |(row, entries): (usize, Vec<f64>)| {
         entries.into_iter().enumerate().map(|(column, entry)| if row == column { 1.0 } else { kept * entry }).collect()
@@ -52,16 +48,14 @@ pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64
     entries.into_iter().enumerate().map(drawn).collect()
 }
 
-/// What is known of the normal number behind a value.
+/// Normal number of a value, or its bounds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum LatentNormal {
     Exact(f64),
     Interval(f64, f64),
 }
 
-/// The normal numbers behind the values of a column.
 struct LatentColumn {
-    /// The score of each value, equal ones with the mean of their ranks.
     scores: Vec<f64>,
     latent: Vec<LatentNormal>,
     has_points: bool,
@@ -75,7 +69,6 @@ impl LatentColumn {
             DistributionSpec::PointMass(point) => value == point.at,
             _ => false,
         };
-        // A copula has the values of a choice in the order in which they are listed.
         let place = |value: f64| match distribution {
             DistributionSpec::Choice(choice) => choice
                 .values
@@ -96,7 +89,7 @@ impl LatentColumn {
         for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
             let until = before + equal.len();
             let middle = score(0.5 * ((before + 1) as f64 + until as f64));
-            // Half-way between ranks; nothing is before the first or behind the last.
+            // Half-way between ranks; unbounded before the first and after the last.
             let end = |rank: usize| match rank {
                 0 => f64::NEG_INFINITY,
                 rank if rank == n => f64::INFINITY,
@@ -126,14 +119,13 @@ impl LatentColumn {
     }
 }
 
-/// Pairs of normal numbers, as far as they are known.
 #[derive(Default)]
 struct LatentPairs {
-    /// Of those of which both are known: how many, Σ x² + y², and Σ x y.
+    /// Pairs of exact numbers: count, Σ x² + y², and Σ x y.
     exact_sums: [f64; 3],
-    /// A number and the ends of the other.
+    /// Exact numbers with the bounds of the other.
     half_exact: Vec<(f64, [f64; 2])>,
-    /// Ends of both, and how many there are.
+    /// Bounds of both, with the number of such pairs.
     rectangles: Vec<([f64; 2], [f64; 2], f64)>,
 }
 
@@ -162,7 +154,7 @@ impl LatentPairs {
         pairs
     }
 
-    /// Of a correlation, up to what does not depend on it, and with ln (1 − ρ²).
+    /// Returns the log-likelihood of a correlation up to a constant, with ln (1 − ρ²).
     fn ln_likelihood(&self, rho: f64) -> f64 {
         let rest = 1.0 - rho * rho;
         let [count, squares, products] = self.exact_sums;
@@ -182,8 +174,8 @@ impl LatentPairs {
     }
 }
 
-/// The probability that two correlated normal numbers are below `x` and `y`: Φ(x) Φ(y) + ∫ φ₂(x, y; r) dr from 0 to ρ, with r = sin θ (Drezner and
-/// Wesolowsky, On the computation of the bivariate normal integral, 1990).
+/// Returns the probability that two correlated normal numbers are below `x` and `y`: Φ(x) Φ(y) + ∫ φ₂(x, y; r) dr from
+/// 0 to ρ, with r = sin θ (Drezner and Wesolowsky, On the computation of the bivariate normal integral, 1990).
 fn bivariate_normal_cdf(x: f64, y: f64, rho: f64) -> f64 {
     const PARTS: usize = 32;
     let apart = Normal::standard().cdf(x) * Normal::standard().cdf(y);
@@ -192,13 +184,12 @@ fn bivariate_normal_cdf(x: f64, y: f64, rho: f64) -> f64 {
     }
     let height = |theta: f64| (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp();
     let step = rho.asin() / PARTS as f64;
-    // Simpson's rule.
     let weight = |part: usize| if part == 0 || part == PARTS { 1.0 } else { 2.0 + 2.0 * (part % 2) as f64 };
     let sum: f64 = (0..=PARTS).map(|part| weight(part) * height(part as f64 * step)).sum();
     apart + sum * step / 3.0 / (2.0 * std::f64::consts::PI)
 }
 
-/// Where a function of a correlation is largest: the best of a coarse grid, made finer by the golden section.
+/// Maximises a function of a correlation: a coarse grid, then golden section search.
 fn maximize_over_correlation(of: &dyn Fn(f64) -> f64) -> f64 {
     const GRID: i32 = 20;
     const STEPS: usize = 40;
@@ -227,7 +218,6 @@ fn maximize_over_correlation(of: &dyn Fn(f64) -> f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Sheppard's formula at the origin, and independence; far ends are those of one number alone.
     #[test]
     fn probabilities_of_rectangles_are_known() {
         for rho in [-0.95_f64, -0.4, 0.0, 0.3, 0.9] {

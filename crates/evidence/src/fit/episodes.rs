@@ -1,4 +1,4 @@
-//! From braking episodes to numbers, from which a space can draw them again.
+//! Conversion of braking episodes to features, to which a space can be fitted.
 
 use serde::Serialize;
 
@@ -10,41 +10,39 @@ use crumple_world::recording::{
 };
 use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
-/// What is taken of recordings.
+/// Selection of episodes from recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtractionConfig {
-    /// Vehicles of a scenario, the leader among them: 2 to [`MOST_VEHICLES`].
+    /// Number of vehicles of a scenario, including the leader: 2 to [`MAX_VEHICLES`].
     pub vehicles: usize,
-    /// The least braking that makes an episode.
+    /// Minimum braking of an episode.
     pub min_brake: MinBrake,
-    /// Whose braking makes one.
+    /// Leaders whose braking makes an episode.
     pub leaders: LeaderSelection,
 }
 
-/// The most vehicles of a scenario that is fitted: two numbers more each.
+/// Maximum number of vehicles of a fitted scenario; each adds two features.
 pub const MAX_VEHICLES: usize = 5;
-/// The most episodes, and the most recordings.
 const MAX_EPISODES: usize = 10_000;
 const MAX_RECORDINGS: usize = 1000;
-/// Slower than this a vehicle stands, in m/s: what is recorded of one that does.
+/// Speed below which a recorded vehicle stands, in m/s.
 const STANDSTILL_MPS: f64 = 0.1;
-/// Episodes for each number that is fitted.
 const EPISODES_PER_FEATURE: usize = 4;
 
-/// A number of an episode, and the field of a scenario that it sets.
+/// A feature of an episode, and the scenario field that it sets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeFeature {
-    /// Its name.
+    /// Name of the feature.
     pub name: String,
-    /// The field.
+    /// Path of the field.
     pub field: String,
-    /// The field's unit.
+    /// Unit of the field.
     pub unit: &'static str,
-    /// Smallest and largest value that a scenario may have.
+    /// Smallest and largest value in a scenario.
     pub range: [f64; 2],
-    /// One of these that has a probability of its own, if it is seen.
+    /// Value with a point mass, if it occurs.
     pub point_mass: Option<f64>,
-    /// The two values that it has, if these are all.
+    /// The two possible values, if the feature is discrete.
     pub choices: Option<[f64; 2]>,
 }
 
@@ -54,7 +52,7 @@ impl EpisodeFeature {
     }
 }
 
-/// The numbers of an episode with so many vehicles, in their order in [`EpisodeSample`], in which sizes of vehicles follow.
+/// Returns the features of an episode in the order of [`EpisodeSample`], which appends vehicle sizes.
 #[must_use]
 pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
     let number = EpisodeFeature::new;
@@ -79,12 +77,12 @@ pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
     all
 }
 
-/// The numbers of an episode, none if fewer vehicles were recorded. Vehicles further back are left out.
+/// Returns the features of an episode without its rear vehicles; `None` with fewer vehicles.
 fn feature_values(episode: &BrakingEpisode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
     let lowest_mps = Some(lowest_mps(episode)).filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS).unwrap_or(0.0);
-    // In one second, so that a loss of speed is a deceleration.
+    // The largest loss of speed in one second, so a deceleration.
     let mut all = vec![lead_mps, episode.largest_drop_mps, lowest_mps / lead_mps];
     for follower in line.iter().skip(1) {
         all.push(follower.speed_mps / lead_mps);
@@ -93,38 +91,37 @@ fn feature_values(episode: &BrakingEpisode, vehicles: usize) -> Option<Vec<f64>>
     Some(all.into_iter().map(|value| (value * 1e6).round() / 1e6).collect())
 }
 
-/// The leader's lowest speed while it brakes: between two phases of braking it may speed up again.
+/// Returns the lowest speed of the braking leader, which may accelerate between two phases.
 fn lowest_mps(episode: &BrakingEpisode) -> f64 {
     let braking = episode.onset_s..=episode.braking_end_s;
     let samples = episode.time_s.iter().zip(&episode.speed_mps).filter(|(time_s, _)| braking.contains(*time_s));
     samples.map(|(_, speed_mps)| *speed_mps).fold(episode.end_speed_mps, f64::min)
 }
 
-/// How many episodes are needed for so many numbers.
 #[must_use]
 pub(crate) fn min_episodes(numbers: usize) -> usize {
     EPISODES_PER_FEATURE * numbers
 }
 
-/// Brakings that the space does not describe.
+/// Numbers of brakings that the space does not describe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ExclusionCounts {
-    /// Nobody was known behind at the time: these are in none of the hours.
+    /// Without a known follower; not within the counted hours.
     #[serde(rename = "nobody_behind")]
     pub no_follower: usize,
-    /// With fewer vehicles than a scenario has: these are in none of the hours.
+    /// With too few vehicles; not within the counted hours.
     #[serde(rename = "shorter")]
     pub too_few_vehicles: usize,
-    /// Recorded speeds change faster than any road vehicle's.
+    /// With speeds that no road vehicle can have.
     #[serde(rename = "impossible")]
     pub impossible_speeds: usize,
-    /// With a number that no scenario of the space may have.
+    /// With a feature outside the range of the space.
     #[serde(rename = "outside")]
     pub out_of_range: usize,
 }
 
 impl ExclusionCounts {
-    /// Those within the hours that are counted.
+    /// Returns the number of exclusions within the counted hours.
     #[must_use]
     pub(crate) fn count_in_exposure(&self) -> usize {
         self.impossible_speeds + self.out_of_range
@@ -143,7 +140,7 @@ impl ExclusionCounts {
         }
     }
 
-    /// What was left out, a sentence each, of episodes of so many vehicles.
+    /// Describes the exclusions in sentences, for episodes of this number of vehicles.
     #[must_use]
     pub fn sentences(&self, vehicles: usize) -> Vec<String> {
         let Self {
@@ -168,30 +165,30 @@ impl ExclusionCounts {
     }
 }
 
-/// Episodes as numbers, and in how much driving they were.
+/// Features of episodes, with the exposure of the recordings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeSample {
-    /// What was taken.
+    /// Selection of the episodes.
     pub extraction: ExtractionConfig,
-    /// What the numbers are, ...
+    /// Features of each episode.
     pub features: Vec<EpisodeFeature>,
-    /// ... and what they were.
+    /// Values of the features.
     pub observed: ObservedData,
-    /// In how much driving.
+    /// Exposure of the recordings.
     pub exposure: DrivingExposure,
-    /// How large the vehicles were, front to rear.
+    /// Sizes of the vehicles, front to rear.
     pub sizes: Vec<VehicleSizes>,
-    /// What is not among the episodes.
+    /// Brakings without a place among the episodes.
     pub exclusions: ExclusionCounts,
-    /// Which number was most often the first outside what a scenario may have.
+    /// Feature that was most often the first outside its range.
     pub most_out_of_range: Option<String>,
 }
 
 impl EpisodeSample {
-    /// The numbers of the episodes in recordings.
+    /// Extracts the episodes of recordings.
     ///
     /// # Errors
-    /// [`FitError::TooFew`] and [`FitError::TooMany`] for a number of episodes that cannot be fitted, [`FitError::Vehicles`],
+    /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes; [`FitError::Vehicles`];
     /// [`FitError::MinBrake`].
     pub fn from_recordings(recordings: &[Recording], taken: ExtractionConfig) -> Result<Self, FitError> {
         let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
@@ -232,7 +229,7 @@ impl EpisodeSample {
                 let ExclusionCounts { no_follower: nobody_behind, impossible_speeds: impossible, .. } = left_out;
                 most += &format!(", {nobody_behind} nobody known behind, {impossible} speeds that no vehicle has");
             }
-            // A recording in which no braking can be seen looks like one in which nobody brakes.
+            // A recording in which no braking is detectable looks like one without braking.
             let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
             if let Some((recording, why)) =
                 judged.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
@@ -282,19 +279,15 @@ impl EpisodeSample {
     }
 }
 
-/// What recordings hold, one after the other.
 struct EpisodeCollector {
     extraction: ExtractionConfig,
     features: Vec<EpisodeFeature>,
-    /// The wave of each episode.
     clusters: Vec<u32>,
-    /// The values of each number.
     columns: Vec<Vec<f64>>,
-    /// The lengths of each vehicle, front to rear, as far as they were recorded.
+    /// Recorded lengths of each vehicle, front to rear.
     lengths: Vec<Vec<Option<f64>>>,
     sources: Vec<SourceExposure>,
     exclusions: ExclusionCounts,
-    /// How often each number was the first outside its range.
     out_of_range: Vec<usize>,
 }
 
@@ -351,7 +344,6 @@ impl EpisodeCollector {
     }
 }
 
-/// Waves numbered from 0 without holes, in their order.
 fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
     let mut known: Vec<u32> = waves.to_vec();
     known.sort_unstable();
@@ -359,7 +351,6 @@ fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
     waves.iter().map(|wave| known.partition_point(|other| other < wave) as u32).collect()
 }
 
-/// The file's name; of the format where it has none.
 fn source_name(recording: &Recording) -> String {
     let name = recording.path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
     let plain: String = name.chars().map(|letter| if letter.is_control() { '?' } else { letter }).take(200).collect();

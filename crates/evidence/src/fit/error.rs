@@ -1,25 +1,25 @@
-//! Why no space can be fitted.
+//! Reasons why a space cannot be fitted.
 
 use super::MAX_VEHICLES;
 use super::family::FamilyFitError;
 use crumple_world::scenario::space::InvalidSpace;
 
-/// Why no space can be fitted.
+/// Reason why a space cannot be fitted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FitError {
-    /// More or fewer vehicles than can be fitted.
+    /// The number of vehicles is out of range.
     #[error("vehicles: must be from 2 to {MAX_VEHICLES}, found {found}")]
     Vehicles {
-        /// What was asked for.
+        /// Requested number.
         found: usize,
     },
-    /// A threshold beyond which no braking is left.
+    /// The threshold leaves no braking.
     #[error("min_brake: must be below {limit} m/s², beyond which nothing is taken for braking, found {found}")]
     MinBrake {
-        /// What was asked for, in m/s².
+        /// Requested threshold, in m/s².
         found: f64,
-        /// What it must be below, in m/s².
+        /// Exclusive upper limit, in m/s².
         limit: f64,
     },
     /// Too few episodes.
@@ -28,38 +28,38 @@ pub enum FitError {
          scenario of such a space may have{details}"
     )]
     TooFew {
-        /// How many there are.
+        /// Number of episodes.
         found: usize,
-        /// How many are needed.
+        /// Required number of episodes.
         needed: usize,
-        /// Vehicles of an episode.
+        /// Number of vehicles per episode.
         vehicles: usize,
-        /// How many have fewer vehicles.
+        /// Number of episodes with too few vehicles.
         too_few_vehicles: usize,
-        /// How many are not described by the space.
+        /// Number of episodes with a feature outside its range.
         out_of_range: usize,
-        /// By which number most of these, and what else there was, in words.
+        /// Further details: the feature of most of these, and other exclusions.
         details: String,
     },
-    /// More than a space may keep.
+    /// More data than a space may hold.
     #[error("{found} {what}: at most {max} can be fitted")]
     TooMany {
-        /// How many there are.
+        /// Number that was found.
         found: usize,
-        /// How many there may be.
+        /// Maximum number.
         max: usize,
-        /// Of what.
+        /// Kind of the data.
         what: &'static str,
     },
-    /// A number that no family describes.
+    /// No family describes a feature.
     #[error("{name}: {why}")]
     NoFamily {
-        /// Its name.
+        /// Name of the feature.
         name: String,
-        /// Why.
+        /// Reason of the failure.
         why: FamilyFitError,
     },
-    /// What was fitted is no space.
+    /// The fitted space is invalid.
     #[error("what was fitted is no space: {0}")]
     Space(#[from] InvalidSpace),
 }

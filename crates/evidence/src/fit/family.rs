@@ -1,4 +1,4 @@
-//! Families of distributions, fitted by maximum likelihood where a value can only lie in a range.
+//! Maximum likelihood fits of truncated distribution families.
 
 use serde::Serialize;
 use statrs::function::gamma::ln_gamma;
@@ -6,11 +6,11 @@ use statrs::function::gamma::ln_gamma;
 use super::minimum::{hessian, minimize};
 use crumple_world::scenario::space::{DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec};
 
-/// A family of distributions with two parameters.
+/// Distribution family with two parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DistributionFamily {
-    /// Every value alike between two.
+    /// Uniform.
     Uniform,
     /// Normal.
     Normal,
@@ -22,38 +22,38 @@ pub enum DistributionFamily {
     Weibull,
 }
 
-/// A family fitted to values.
+/// Fit of a family to values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FamilyFit {
-    /// Which.
+    /// Family that was fitted.
     pub family: DistributionFamily,
-    /// Names of its parameters, as a space file has them.
+    /// Names of the parameters in a space file.
     #[serde(rename = "names")]
     pub parameter_names: [&'static str; 2],
-    /// Their estimates.
+    /// Parameter estimates.
     pub estimates: [f64; 2],
-    /// An interval at 95 % for each: Wald's, by the curvature of the likelihood; exact for a uniform distribution. None where the
-    /// likelihood has no maximum within what a space may state, or its curvature there is none.
+    /// Confidence intervals at 95 %: Wald's, exact for a uniform distribution. `None` if the likelihood has no maximum
+    /// within the allowed range, or its curvature there is singular.
     pub intervals_95: Option<[[f64; 2]; 2]>,
-    /// Logarithm of the likelihood.
+    /// Log-likelihood.
     pub ln_likelihood: f64,
-    /// Akaike's criterion: 2 k − 2 ln L, k = 2.
+    /// Akaike information criterion: 2 k − 2 ln L, k = 2.
     pub aic: f64,
-    /// Schwarz's criterion: k ln n − 2 ln L, k = 2.
+    /// Bayesian information criterion: k ln n − 2 ln L, k = 2.
     pub bic: f64,
-    /// As a space states it.
+    /// Distribution in the form of a space.
     #[serde(skip)]
     pub distribution: DistributionSpec,
 }
 
-/// Why a family cannot be fitted.
+/// Reason why a family cannot be fitted.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FamilyFitError {
-    /// It is one of positive values.
+    /// The family has positive values only.
     #[error("is of values above 0, and one is {0}")]
     NotPositive(f64),
-    /// All values are one.
+    /// All values are equal.
     #[error("all values are {0}")]
     Constant(f64),
     /// The likelihood has no maximum.
@@ -61,7 +61,6 @@ pub enum FamilyFitError {
     NoMaximum,
 }
 
-/// What of values a likelihood needs.
 struct SampleStatistics<'a> {
     values: &'a [f64],
     logarithms: Vec<f64>,
@@ -72,14 +71,13 @@ struct SampleStatistics<'a> {
     range: [f64; 2],
 }
 
-/// Two-sided 95 % of a normal distribution.
 const Z_95: f64 = 1.959_963_984_540_054;
 
 impl DistributionFamily {
-    /// All of them.
+    /// All families.
     pub const ALL: [Self; 5] = [Self::Uniform, Self::Normal, Self::LogNormal, Self::Gamma, Self::Weibull];
 
-    /// Its name, as in a space file.
+    /// Returns the name in a space file.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -91,10 +89,10 @@ impl DistributionFamily {
         }
     }
 
-    /// Fits it to values that can only lie in a range; the distribution is cut there, and its likelihood that of what is left.
+    /// Fits the family, truncated to a range, to values.
     ///
     /// # Errors
-    /// [`FamilyFitError`] for values that the family cannot have.
+    /// [`FamilyFitError`] if the family cannot describe the values.
     pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, FamilyFitError> {
         let (smallest, largest) = min_max(values);
         if smallest >= largest {
@@ -134,17 +132,16 @@ impl DistributionFamily {
         }
     }
 
-    /// Where the search begins, in its own coordinates: what the moments say where nothing is cut.
+    /// Returns the initial point of the search from the moments without truncation.
     fn initial_point(self, sums: &SampleStatistics<'_>) -> [f64; 2] {
         match self {
             Self::Uniform | Self::Normal | Self::LogNormal => [0.0, 0.0],
             Self::Gamma => [(2.0 * (sums.mean / sums.deviation).ln()).clamp(-4.0, 13.0), 0.0],
-            // Of a Weibull variable, the logarithm's deviation is π / (√6 k).
+            // The logarithm of a Weibull variable has the standard deviation π / (√6 k).
             Self::Weibull => [(std::f64::consts::PI / 6.0_f64.sqrt() / sums.ln_deviation).ln().clamp(-4.0, 13.0), 0.0],
         }
     }
 
-    /// From the search's coordinates to the parameters.
     fn estimates(self, sums: &SampleStatistics<'_>, [a, b]: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Uniform | Self::Normal => [sums.mean + sums.deviation * a, sums.deviation * b.exp()],
@@ -166,7 +163,7 @@ impl DistributionFamily {
         }
     }
 
-    /// Of the cut distribution; −∞ for parameters that no space may have.
+    /// Returns the log-likelihood of the truncated distribution; −∞ for parameters that no space may have.
     fn ln_likelihood(self, sums: &SampleStatistics<'_>, at: [f64; 2]) -> f64 {
         let n = sums.values.len() as f64;
         let parameters @ [first, second] = self.estimates(sums, at);
@@ -193,7 +190,7 @@ impl DistributionFamily {
         whole - n * ready.truncation_mass().ln()
     }
 
-    /// By the curvature of the likelihood, which is the inverse of the covariance (Wald, 1943).
+    /// Returns the intervals from the inverse of the Hessian (Wald, 1943).
     fn intervals(
         self,
         sums: &SampleStatistics<'_>,
@@ -210,7 +207,7 @@ impl DistributionFamily {
         let end = |sign: f64| {
             let first = self.estimates(sums, [a + sign * Z_95 * var_a.sqrt(), b])[0];
             let second = match self {
-                // Its second parameter is the difference of both coordinates.
+                // The logarithm of the second parameter is the difference of both coordinates.
                 Self::Gamma => {
                     let deviation = (var_a + var_b - 2.0 * covariance).max(0.0).sqrt();
                     self.estimates(sums, [a, b + sign * Z_95 * deviation])[1]
@@ -224,8 +221,8 @@ impl DistributionFamily {
     }
 }
 
-/// The ends that were seen are the most likely ones. How far beyond them those of the distribution lie, relative to their
-/// distance, does not depend on these: P(T > t) = (1 + t)^(1 − n).
+/// Fits the uniform distribution: the observed ends are the most likely ones. The relative distance T to the true ends
+/// has P(T > t) = (1 + t)^(1 − n).
 fn fit_uniform(n: usize, low: f64, high: f64) -> FamilyFit {
     let width = high - low;
     let beyond = width * (0.05_f64.powf(-1.0 / (n as f64 - 1.0)) - 1.0);
@@ -251,14 +248,12 @@ impl<'a> SampleStatistics<'a> {
     }
 }
 
-/// Mean and standard deviation, of n and not of n − 1.
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
     (mean, (values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / n).sqrt())
 }
 
-/// Smallest and largest.
 fn min_max(values: &[f64]) -> (f64, f64) {
     values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)))
 }

@@ -1,4 +1,4 @@
-//! A space fitted to a sample, with what was chosen and how well it fits.
+//! Fit of a space to a sample of episodes, with its goodness of fit.
 
 use serde::Serialize;
 
@@ -14,53 +14,53 @@ use crumple_world::scenario::space::{
     ScenarioSpace, SpaceSpec, UniformSpec,
 };
 
-/// A number as it was fitted.
+/// Fit of a continuous feature.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FittedFeature {
-    /// Its name.
+    /// Name of the feature.
     pub name: String,
-    /// Its unit.
+    /// Unit of the values.
     pub unit: &'static str,
-    /// A value with a probability of its own. All that follows is of the other values.
+    /// Point mass, if any; all other fields except the last two describe the remaining values.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<PointFit>,
-    /// The family that was chosen.
+    /// Family of the fit.
     pub chosen: FamilyFit,
-    /// The other families, the likeliest first, ...
+    /// Other families, in order of likelihood.
     pub others: Vec<FamilyFit>,
-    /// ... and those that cannot describe the values, with why.
+    /// Families that cannot describe the values, each with the reason.
     pub impossible: Vec<(DistributionFamily, String)>,
-    /// How well the chosen one fits.
+    /// Goodness of fit of the chosen family.
     pub goodness: GoodnessOfFit,
-    /// What it says beyond what was seen.
+    /// Extrapolation beyond the observed values.
     pub tails: Tails,
     /// All values, sorted.
     #[serde(skip)]
     pub sorted: Vec<f64>,
-    /// How all of them are distributed.
+    /// Distribution of all values.
     #[serde(skip)]
     pub distribution: DistributionSpec,
 }
 
-/// A number that has one of a few values: the size of a vehicle.
+/// Fit of a discrete feature: the size of a vehicle.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FittedSize {
-    /// Its name.
+    /// Name of the feature.
     pub name: String,
-    /// Its unit.
+    /// Unit of the values.
     pub unit: &'static str,
-    /// The values.
+    /// Values with their probabilities.
     pub values: Vec<PointFit>,
 }
 
 /// A space fitted to episodes.
 #[derive(Debug, Clone)]
 pub struct FittedSpace {
-    /// The space.
+    /// Fitted space.
     pub space: ScenarioSpace,
-    /// Its numbers that have a density.
+    /// Fits of the continuous features.
     pub features: Vec<FittedFeature>,
-    /// Its numbers that have one of a few values.
+    /// Fits of the discrete features.
     pub sizes: Vec<FittedSize>,
     /// Names of the parameters of the copula.
     pub copula_parameters: Vec<String>,
@@ -68,10 +68,10 @@ pub struct FittedSpace {
     pub correlation: Vec<Vec<f64>>,
 }
 
-/// Fits a space to a sample. `samples` are drawn for each number to judge how well it fits.
+/// Fits a space to a sample. `samples` is the number of bootstrap samples of the goodness of fit of each feature.
 ///
 /// # Errors
-/// [`FitError`] for numbers that no family describes.
+/// [`FitError`] if no family describes a feature.
 pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Result<FittedSpace, FitError> {
     let parameter = |(number, observed): (&EpisodeFeature, &ObservedParameter)| ParameterSpec {
         name: number.name.clone(),
@@ -111,7 +111,6 @@ pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Resul
     Ok(FittedSpace { space, features: numbers, sizes, copula_parameters: depending, correlation })
 }
 
-/// A distribution of the kind that a number will have.
 fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
     let [low, high] = number.range;
     match number.choices {
@@ -122,7 +121,6 @@ fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
     }
 }
 
-/// How well a number with a density is fitted.
 fn assess_fit(
     number: &EpisodeFeature,
     values: &[f64],

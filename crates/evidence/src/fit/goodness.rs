@@ -1,4 +1,4 @@
-//! How well a distribution describes values: distances between what was seen and what was fitted, and how unusual they are.
+//! Goodness of fit of a distribution, by bootstrap.
 
 use rand::RngExt;
 use rayon::prelude::*;
@@ -8,41 +8,40 @@ use super::family::FamilyFit;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::space::ParameterDistribution;
 
-/// Distances between values and a distribution, each with the share of samples of the fitted distribution, fitted again, that are as far from
-/// their own fit or further (a parametric bootstrap: Stute, González Manteiga and Presedo Quindimil, Metrika 40, 1993).
+/// Distances of values from a fitted distribution. Each p-value is the share of samples of the fit, fitted again, with
+/// at least that distance (a parametric bootstrap: Stute, González Manteiga and Presedo Quindimil, Metrika 40, 1993).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GoodnessOfFit {
-    /// The largest distance between both distribution functions: Kolmogorov's and Smirnov's.
+    /// Kolmogorov-Smirnov statistic: the largest distance of the distribution functions.
     pub kolmogorov_smirnov: f64,
-    /// Its p-value.
+    /// P-value of the Kolmogorov-Smirnov statistic.
     pub kolmogorov_smirnov_p: f64,
-    /// The mean squared distance, times the number of values: Cramér's and von Mises'.
+    /// Cramér-von Mises statistic: the mean squared distance times the number of values.
     pub cramer_von_mises: f64,
-    /// Its p-value.
+    /// P-value of the Cramér-von Mises statistic.
     pub cramer_von_mises_p: f64,
-    /// Samples drawn.
+    /// Number of bootstrap samples.
     pub samples: u32,
 }
 
-/// What a fit says beyond what was seen.
+/// Extrapolation of a fit beyond the observed values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Tails {
-    /// The smallest value seen.
+    /// Smallest observed value.
     pub smallest: f64,
-    /// The largest value seen.
+    /// Largest observed value.
     pub largest: f64,
-    /// The fitted probability of less than the smallest.
+    /// Fitted probability of smaller values.
     pub below_smallest: f64,
-    /// The fitted probability of more than the largest.
+    /// Fitted probability of larger values.
     pub beyond_largest: f64,
-    /// Values below the fitted 10 % quantile, on which the lower tail rests.
+    /// Number of values below the fitted 10 % quantile, which support the lower tail.
     pub in_lower_tenth: u32,
-    /// Values above the fitted 90 % quantile, on which the upper tail rests.
+    /// Number of values above the fitted 90 % quantile, which support the upper tail.
     pub in_upper_tenth: u32,
 }
 
 impl Tails {
-    /// Of values that are sorted.
     pub(super) fn new(sorted: &[f64], fitted: &ParameterDistribution) -> Self {
         let (smallest, largest) =
             (sorted.first().copied().unwrap_or(f64::NAN), sorted.last().copied().unwrap_or(f64::NAN));
@@ -58,14 +57,13 @@ impl Tails {
     }
 }
 
-/// A p-value, with two digits that count where it is small: one of 1 in 200 is 0.0050, and would not be honest as 0.01.
+/// Formats a p-value, with two significant digits if it is small: 1 in 200 is 0.0050.
 #[must_use]
 pub fn format_p_value(p: f64) -> String {
     let decimals = if p > 0.0 && p < 0.1 { (1.0 - p.log10()).ceil().min(12.0) as usize } else { 2 };
     format!("{p:.decimals$}")
 }
 
-/// Both distances of sorted values.
 fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
     let n = sorted.len() as f64;
     let (mut largest, mut squares) = (0.0_f64, 1.0 / (12.0 * n));
@@ -78,7 +76,7 @@ fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
 }
 
 impl GoodnessOfFit {
-    /// Of sorted values that can only lie in a range; `place` tells the streams of several fits apart.
+    /// Computes the bootstrap for sorted values in a range; `place` separates the random streams of several fits.
     pub(super) fn bootstrap(
         sorted: &[f64],
         range: [f64; 2],

@@ -1,4 +1,4 @@
-//! How each number is distributed.
+//! Marginal distributions of features.
 
 use super::FitError;
 use super::family::{DistributionFamily, FamilyFit, FamilyFitError};
@@ -6,17 +6,17 @@ use crate::RateInterval;
 use crumple_world::scenario::space::{ChoiceSpec, DistributionSpec, ObservedParameter, ParameterValue, PointMassSpec};
 use serde::Serialize;
 
-/// A value with a probability of its own, as it was fitted.
+/// Fit of a value with a point mass.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PointFit {
-    /// The value.
+    /// Value with the point mass.
     pub at: f64,
-    /// In how many episodes it was seen.
+    /// Number of episodes with the value.
     #[serde(rename = "seen")]
     pub count: u64,
-    /// In which share of them.
+    /// Share of these episodes.
     pub probability: f64,
-    /// An interval at 95 % for its probability: Clopper's and Pearson's.
+    /// Clopper-Pearson interval of the probability at 95 %.
     pub interval_95: [f64; 2],
 }
 
@@ -28,15 +28,11 @@ impl PointFit {
     }
 }
 
-/// How a number is distributed.
 pub(super) enum FittedMarginal {
-    /// With a density.
     Continuous(Box<ContinuousMarginal>),
-    /// One of a few values.
     Discrete(Vec<PointFit>),
 }
 
-/// A density, and one value with a probability of its own if it was seen.
 pub(super) struct ContinuousMarginal {
     pub(super) families: FamilyRanking,
     pub(super) point: Option<PointFit>,
@@ -55,7 +51,7 @@ impl ContinuousMarginal {
 }
 
 impl FittedMarginal {
-    /// Fits a number. What is one of a few values stays so: `stated` is how the space distributes it.
+    /// Fits a feature. A feature that is discrete in the space, by `stated`, stays discrete.
     pub(super) fn fit(parameter: &ObservedParameter, stated: &DistributionSpec) -> Result<Self, FitError> {
         let values = &parameter.values;
         if let DistributionSpec::Choice(choice) = stated {
@@ -85,18 +81,13 @@ impl FittedMarginal {
     }
 }
 
-/// What every family says of the values of a parameter.
 pub(super) struct FamilyRanking {
-    /// The likeliest.
     pub(super) chosen: FamilyFit,
-    /// The others, the likeliest first.
     pub(super) others: Vec<FamilyFit>,
-    /// Those that do not describe the values.
     pub(super) impossible: Vec<(DistributionFamily, FamilyFitError)>,
 }
 
 impl FamilyRanking {
-    /// Of values that can only lie in a range, by the name of their parameter.
     pub(super) fn fit(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
         let (mut fits, mut impossible) = (Vec::new(), Vec::new());
         for family in DistributionFamily::ALL {

@@ -1,12 +1,10 @@
-//! The minimum of a smooth function of two numbers, and its curvature there.
+//! Minimisation of a smooth function of two variables.
 
-/// Steps of the simplex at most.
 const MAX_STEPS: usize = 400;
-/// The simplex is small enough when its corners are this close to each other.
 const TOLERANCE: f64 = 1e-7;
 
-/// The simplex of Nelder and Mead (A simplex method for function minimization, 1965), begun anew once where it ends. Values that are not
-/// finite are as bad as can be.
+/// Minimises with the simplex of Nelder and Mead (A simplex method for function minimization, 1965), restarted once at
+/// its result. Values that are not finite are the worst.
 pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2] {
     let once = nelder_mead(of, start, 0.5);
     nelder_mead(of, once, 0.1)
@@ -55,7 +53,7 @@ fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64
     corners[0].0
 }
 
-/// Second derivatives by central differences; none where a value is not finite.
+/// Returns the Hessian by central differences; `None` if a value is not finite.
 pub(super) fn hessian(of: &dyn Fn([f64; 2]) -> f64, [x, y]: [f64; 2]) -> Option<[[f64; 2]; 2]> {
     const STEP: f64 = 1e-3;
     let at = |i: f64, j: f64| of([x + i * STEP, y + j * STEP]);

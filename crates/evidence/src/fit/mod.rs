@@ -1,22 +1,9 @@
-//! From recorded episodes to a search space that draws such episodes.
+//! Fit of a scenario space to recorded braking episodes.
 //!
-//! [`Sample`] holds the numbers of each episode; [`FittedSpace`] is the space, with what was chosen and how well it fits. Each number has a
-//! family of [`Family::ALL`], the one of the greatest likelihood: all have two parameters, so that Akaike's criterion and
-//! Schwarz's agree. A value that is seen again and again, such as standstill, has a probability of its own beside; the size of vehicles is light
-//! or heavy. What depends on what is a Gaussian copula. `refitted` does the same with other values, such as a resample.
-//!
-//! | module | what it holds |
-//! |---|---|
-//! | `minimum` | the minimum of a function of two numbers, and its curvature |
-//! | `family` | a family, fitted |
-//! | `goodness` | how well it fits |
-//! | `marginal` | how one number is distributed |
-//! | `dependence` | the correlations of a copula |
-//! | `space` | the space of all that; whether a space is what is fitted to what it keeps |
-//! | `sizes`, `episodes` | from recordings to numbers |
-//! | `base` | the scenario in which they vary |
-//! | `fitted` | from numbers to a space |
-//! | `resample` | other numbers that could have been seen |
+//! [`EpisodeSample`] holds the features of each episode, [`FittedSpace`] the space with its goodness of fit. Each
+//! feature has the most likely family of [`DistributionFamily::ALL`]; all have two parameters, so AIC and BIC agree. A
+//! frequent value such as standstill has a point mass, and a vehicle size has two values. A Gaussian copula describes
+//! the dependence.
 
 mod base;
 mod dependence;

@@ -1,12 +1,12 @@
-//! Resamples of what was observed: waves of episodes with replacement.
+//! Bootstrap resamples of clusters of episodes.
 
 use rand::RngExt;
 
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::space::{ObservedData, ObservedParameter};
 
-/// The `index`-th resample: as many waves as there are, each drawn from all of them (Efron, Bootstrap methods: another look at the
-/// jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
+/// Returns the `index`-th resample: as many clusters as there are, drawn with replacement (Efron, Bootstrap methods:
+/// another look at the jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
 #[must_use]
 pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> ObservedData {
     let waves = observed.braking_clusters.iter().max().map_or(0, |last| *last as usize + 1);
@@ -16,7 +16,6 @@ pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> Observ
             members.push(episode);
         }
     }
-    // A file may skip numbers.
     members.retain(|members| !members.is_empty());
     let mut random = stream(seed, Purpose::Resampling, index);
     let drawn: Vec<&Vec<usize>> =

@@ -1,25 +1,23 @@
-//! How large the vehicles of episodes were.
+//! Sizes of the vehicles of episodes.
 
 use super::episodes::EpisodeFeature;
 use super::space::median;
 use crumple_world::recording::CAR_LENGTH_M;
 use crumple_world::scenario::VehicleClass;
 
-/// The vehicles in one place of a line, over all episodes.
-///
-/// A scenario's vehicle is a light or a heavy one, of the median length of these. Lengths beside their class decide nothing: gaps are between
-/// bumpers.
+/// Sizes of the vehicles at one position, over all episodes. A vehicle of a scenario is light or heavy, with the median
+/// length of that class. The length has no other effect, because gaps are measured between bumpers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VehicleSizes {
-    /// How many are shorter than 7.5 m, ...
+    /// Number of vehicles shorter than 7.5 m.
     pub light: usize,
-    /// ... and their median length, in metres.
+    /// Median length of light vehicles, in metres.
     pub light_m: f64,
-    /// How many are as long or longer, ...
+    /// Number of longer vehicles.
     pub heavy: usize,
-    /// ... and their median length, in metres.
+    /// Median length of heavy vehicles, in metres.
     pub heavy_m: f64,
-    /// Of how many no length was recorded: they are taken for light ones.
+    /// Number of vehicles without a recorded length, which count as light.
     pub unknown: usize,
 }
 
@@ -40,12 +38,12 @@ impl VehicleSizes {
         }
     }
 
-    /// The length of most of them, in metres.
+    /// Returns the median length of the more frequent class, in metres.
     pub(super) fn typical_m(&self) -> f64 {
         if self.heavy > self.light + self.unknown { self.heavy_m } else { self.light_m }
     }
 
-    /// The number that a scenario has of it, where there are both light and heavy ones, of vehicle `index` from the front.
+    /// Returns the size feature of vehicle `index` from the front, if both classes occur.
     pub(super) fn feature(&self, index: usize) -> Option<EpisodeFeature> {
         let is_mixed = self.heavy > 0 && self.light + self.unknown > 0;
         let name = if index == 0 { "lead_size_m".to_owned() } else { format!("size_{index}_m") };
@@ -55,14 +53,13 @@ impl VehicleSizes {
         })
     }
 
-    /// What a scenario has of each.
     pub(super) fn scenario_lengths_m(&self, lengths_m: &[Option<f64>]) -> Vec<f64> {
         let is_heavy = |length_m: f64| VehicleClass::from_length(length_m) == VehicleClass::Heavy;
         let size_m = |length_m: &Option<f64>| if length_m.is_some_and(is_heavy) { self.heavy_m } else { self.light_m };
         lengths_m.iter().map(size_m).collect()
     }
 
-    /// Who they are, in a sentence, of vehicle `index` from the front.
+    /// Describes the sizes of vehicle `index` from the front in a sentence.
     #[must_use]
     pub fn sentence(&self, index: usize) -> String {
         let who = if index == 0 { "Leaders".to_owned() } else { format!("Followers {index}") };

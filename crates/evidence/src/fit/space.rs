@@ -1,4 +1,4 @@
-//! The space of what was fitted, and whether a space still is what was fitted to what it keeps.
+//! Construction of a space from fits, and detection of later edits.
 
 use std::path::Path;
 
@@ -12,21 +12,19 @@ use crumple_world::scenario::space::{
     ScenarioSpace, SpaceSpec,
 };
 
-/// How far a distribution may be from the one that is fitted again, relative to what was observed, and a correlation: another machine
-/// rounds otherwise.
+/// Tolerance of a distribution or correlation that is fitted again, relative to the observed values: other machines
+/// round differently.
 const TOLERANCE: f64 = 1e-4;
-/// Shares at which distributions are compared.
 const COMPARED_QUANTILES: u32 = 200;
 
-/// A space fitted to other values of its parameters: their families, estimates and dependence are found anew, all else stays.
+/// Fits the distributions and the dependence of a space to other values of its parameters.
 ///
 /// # Errors
-/// [`FitError`] for values that no family describes, or that are no space.
+/// [`FitError`] if no family describes the values, or the result is invalid.
 pub(crate) fn refit(spec: &SpaceSpec, observed: &ObservedData) -> Result<ScenarioSpace, FitError> {
     build_space(spec, observed, &fit_marginals(spec, observed)?)
 }
 
-/// How each observed parameter is distributed.
 pub(super) fn fit_marginals(spec: &SpaceSpec, observed: &ObservedData) -> Result<Vec<FittedMarginal>, FitError> {
     let fitted = |parameter: &ObservedParameter| match stated_distribution(spec, &parameter.name) {
         Some(distribution) => FittedMarginal::fit(parameter, distribution),
@@ -39,7 +37,6 @@ fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distri
     spec.parameters.iter().find(|parameter| parameter.name == name).map(|parameter| &parameter.distribution)
 }
 
-/// A space with the distributions that were fitted to values of its parameters, and with their dependence.
 pub(super) fn build_space(
     spec: &SpaceSpec,
     observed: &ObservedData,
@@ -67,7 +64,7 @@ pub(super) fn build_space(
     Ok(ScenarioSpace::new(spec, Path::new(""))?)
 }
 
-/// A copula with the correlations that were fitted, and those that were stated between parameters of which not both were observed.
+/// Merges fitted correlations with stated ones of parameters that were not both observed.
 fn merge_copulas(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<GaussianCopula> {
     let Some(Dependence::GaussianCopula(stated)) = stated else {
         return (fitted.parameters.len() > 1).then_some(fitted);
@@ -83,7 +80,6 @@ fn merge_copulas(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<G
     };
     let rows = parameters.iter().map(|a| parameters.iter().map(|b| entry(a, b)).collect()).collect();
     let all_fitted = parameters.iter().all(|name| fitted.parameters.contains(name));
-    // What was stated need not fit together with what was fitted.
     let correlation = if all_fitted { rows } else { dependence::shrink_to_positive_definite(rows) };
     Some(GaussianCopula { parameters, correlation })
 }
@@ -93,11 +89,11 @@ fn copula_entry(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
     copula.correlation.get(place(a)?)?.get(place(b)?).copied()
 }
 
-/// The first thing in which a space is not what is fitted to the values that it keeps: the name of a parameter, or `dependence`. None where it is
-/// as it was fitted. Then only may resamples of these values stand for other data: they would be fitted, and the space was not.
+/// Returns the first edit of a space since its fit: the name of a parameter, or `dependence`; `None` without edits.
+/// Resamples represent other data only for a space without edits.
 ///
 /// # Errors
-/// [`FitError`] where nothing can be fitted to the values.
+/// [`FitError`] if no space can be fitted to the values.
 pub(crate) fn find_edit(space: &ScenarioSpace, observed: &ObservedData) -> Result<Option<String>, FitError> {
     let again = refit(space.spec(), observed)?;
     for parameter in &observed.parameters {
@@ -128,7 +124,7 @@ pub(crate) fn find_edit(space: &ScenarioSpace, observed: &ObservedData) -> Resul
     Ok(is_other.then(|| "dependence".to_owned()))
 }
 
-/// The middle value, of an even number of values the higher of both.
+/// Returns the median, the upper one of an even number of values.
 pub(super) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -16,7 +16,6 @@ use crumple_world::scenario::space::{
 };
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
-/// A distribution with its parameters, cut where a scenario could be.
 fn known_distributions() -> Vec<(DistributionSpec, DistributionFamily, [f64; 2], [f64; 2])> {
     let range = [0.2, 12.0];
     let [low, high] = range;
@@ -59,7 +58,7 @@ fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<
     (0..count).map(|_| ready.quantile(random.random())).collect()
 }
 
-/// 200 trials of 200 draws each: an interval at 95 % misses 18 times or more with a probability below 2 %, and these seeds are fixed.
+/// With 200 trials, an interval at 95 % misses at least 18 times with a probability below 2 %; the seeds are fixed.
 #[test]
 fn intervals_hold_the_parameters_of_known_distributions() {
     for (distribution, family, truth, range) in known_distributions() {
@@ -92,7 +91,6 @@ fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
     }
 }
 
-/// Samples of the fitted family are as far from their own fit as it says; of another family further.
 #[test]
 fn the_p_value_is_even_where_the_family_is_right() {
     let (distribution, family, _, range) = known_distributions().remove(2);
@@ -112,7 +110,6 @@ fn the_p_value_is_even_where_the_family_is_right() {
     assert!(goodness.cramer_von_mises_p <= 0.01 && goodness.kolmogorov_smirnov_p <= 0.01, "{goodness:?}");
 }
 
-/// A space with dependent parameters: three of a scenario with brake-to-speed.
 fn dependent_space() -> ScenarioSpace {
     let text = r#"
 version = 1
@@ -140,7 +137,7 @@ correlation = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]]
     file::from_toml(text, Path::new("known.toml")).unwrap()
 }
 
-/// The estimate of a correlation of −0.3 from 2000 draws has a standard deviation of 0.02: one in seventy is off by more than 0.05.
+/// The standard deviation of the estimate for −0.3 from 2000 samples is 0.02; one in seventy has an error above 0.05.
 #[test]
 fn the_correlation_of_2000_draws_is_recovered() {
     let space = dependent_space();
@@ -163,7 +160,6 @@ fn the_correlation_of_2000_draws_is_recovered() {
     assert!(close >= 86 && sums.iter().all(|mean| mean.abs() < 0.012), "{close} {sums:?}");
 }
 
-/// Draws of a space, as somebody sees them.
 fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     let draws: Vec<Vec<f64>> = (0..count.into()).map(|index| space.values(&space.draw_point(seed, index))).collect();
     let seen = |(which, parameter): (usize, &crumple_world::scenario::space::SpaceParameter)| ObservedParameter {
@@ -182,7 +178,6 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     }
 }
 
-/// Leaders of which three in ten come to a standstill, and followers of which a quarter are lorries; both depend on the rest.
 const WITH_POINTS: &str = r#"
 version = 1
 name = "known"
@@ -208,8 +203,6 @@ parameters = ["friction", "ahead_m", "size_m"]
 correlation = [[1.0, 0.6, -0.5], [0.6, 1.0, 0.3], [-0.5, 0.3, 1.0]]
 "#;
 
-/// Values with probabilities of their own come back with these, and with the dependence of the normal numbers behind them, which ranks would make
-/// weaker; where they do, the density of a draw is what was stated.
 #[test]
 fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let space = file::from_toml(WITH_POINTS, Path::new("points.toml")).unwrap();
@@ -235,14 +228,14 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
         }
         let DistributionSpec::Choice(choice) = &size.distribution else { panic!("{size:?}") };
         assert!((choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035, "{choice:?}");
-        // What was fitted is written and read as it is, and is what is fitted again.
         let text = file::to_toml(&again).unwrap();
         assert_eq!(file::from_toml(&text, Path::new("again.toml")).unwrap().draw(3, 4), again.draw(3, 4));
         assert_eq!(find_edit(&again, &observed), Ok(None));
     }
     println!("mean errors {errors:.4?}, the largest {most:.3}");
     assert!(most < 0.12 && errors.iter().all(|error| error.abs() < 0.02), "{errors:?} {most}");
-    // The copula's density is one: its mean over draws without dependence is 1. (Its inverse's over draws with it is, too, and has no variance.)
+    // The mean of the density ratio over independent samples is 1. The mean of its inverse is as well, but with
+    // infinite variance.
     let apart = file::from_toml(WITH_POINTS.split("[dependence").next().unwrap(), Path::new("apart.toml")).unwrap();
     let density = |point: Vec<f64>| (space.ln_likelihood(&point) - apart.ln_likelihood(&point)).exp();
     let mean: f64 = (0..20_000).map(|index| density(apart.draw_point(5, index)) / 20_000.0).sum();
@@ -251,7 +244,6 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     assert!((450..550).contains(&heavy.count()));
 }
 
-/// A space that is not what is fitted to its data is told, and what is not observed stays as it was stated.
 #[test]
 fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
     let space = dependent_space();
@@ -272,7 +264,6 @@ fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
     assert_eq!(narrower.as_deref(), Some("ahead_m"));
     assert_eq!(changed(&|spec| spec.dependence = None).as_deref(), Some("dependence"));
     assert_eq!(changed(&|spec| spec.name = "mine".to_owned()), None);
-    // Of one parameter alone there is no dependence to be fitted; of two, the third keeps its own.
     let stated = |space: &ScenarioSpace| match &space.spec().dependence {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
         None => panic!("dependent"),
@@ -306,8 +297,8 @@ speed = { column = "v" }
 length.column = { name = "length" }
 "#;
 
-/// Forty lanes with a pair each, of which the leader brakes once. Every fifth leader comes to a standstill, every fourth follower is a lorry; of the
-/// last two pairs one has a speed that jumps, and the other no follower.
+/// Forty lanes with a pair each, whose leader brakes once. Every fifth leader stops, every fourth follower is a lorry.
+/// Of the last two pairs, one has a jump in speed, and the other no follower.
 fn pairs_in_lanes(brake_mps2: f64) -> Recording {
     let mut text = "frame,id,lane,x,v,length
 "
@@ -320,7 +311,7 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
         for tenth in 0..200 {
             let at_s = f64::from(tenth) / 10.0;
             let jump = if pair == 38 && tenth > 45 { 6.0 } else { 0.0 };
-            // What stands is not recorded to stand still.
+            // Recorded speeds of standing vehicles are not exactly zero.
             let leader = (speed - brake * (at_s - 4.0).clamp(0.0, lasts_s)).max(0.02) + jump;
             let x = 500.0 + speed * at_s;
             writeln!(text, "{tenth},{},{pair},{x:.3},{leader:.3},4.6", 2 * pair).unwrap();
@@ -347,7 +338,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let left_out = ExclusionCounts { no_follower: 1, impossible_speeds: 1, ..ExclusionCounts::default() };
     assert_eq!((sample.exclusions, sample.exposure.episodes, sample.exposure.left_out), (left_out, 38, 1));
     assert_eq!(sample.exposure.sources[0].left_out, 1);
-    // 39 leaders with somebody behind, for 19.9 s, in the last of which no braking can begin.
+    // 39 leaders with a follower, for 19.9 s each; braking cannot begin in the last second.
     assert!((sample.exposure.hours * 3600.0 - 39.0 * 18.9).abs() < 1e-6, "{}", sample.exposure.hours);
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
     assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
@@ -370,7 +361,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let heavy = drawn.iter().filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
     assert!((70..140).contains(&heavy.clone().count()), "a quarter are lorries: {}", heavy.count());
     assert!(drawn.iter().all(|one| [4.6].contains(&one.vehicles()[0].length_m())));
-    // Wherever in the box, the leader is done braking ten seconds before the end.
+    // At every corner of the space, braking ends ten seconds before the end.
     let tried = drawn.into_iter().chain((0..32).map(|corner| {
         let at = |bit: usize| f64::from(corner >> bit & 1);
         space.scenario_at(&[at(0), at(1), at(2), at(3), at(4), 0.5]).unwrap()
@@ -383,7 +374,6 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     }
 }
 
-/// The threshold is the range's end, whatever it is, and what leaves no range is refused; a recording in which nothing can be seen says so.
 #[test]
 fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
     let taken =
@@ -423,11 +413,9 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
             assert!(off < 0.03, "{}: {off} at {u}", before.name);
         }
     }
-    // What was fitted is written and read as it is.
     let text = file::to_toml(&again).unwrap();
     let read = file::from_toml(&text, Path::new("again.toml")).unwrap();
     assert_eq!(read.draw(3, 4), again.draw(3, 4));
-    // A resample keeps whole waves, and as many of them.
     let paired = ObservedData { braking_clusters: (0..2000).map(|index| index / 2).collect(), ..observed };
     let one = resample(&paired, 1, 0);
     assert_eq!((one.braking_clusters.len(), one.parameters[0].values.len()), (2000, 2000));

@@ -1,4 +1,4 @@
-//! What certificates state is what the shield computes, and the checker accepts it.
+//! Certificates state what the shield computes, and the checker accepts them.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -8,7 +8,7 @@ use crumple_verify::{ProvedClaim, check};
 use crumple_world::control::Real;
 use proptest::prelude::*;
 
-/// The shield's own functions in exact arithmetic. Overflow and division by zero panic: the tests' numbers are short.
+/// Exact arithmetic for the shield's functions. Overflow panics; the numbers of the tests are short.
 impl Real for Rational {
     type Truth = bool;
 
@@ -89,7 +89,7 @@ fn parse_rational(text: &str) -> Rational {
     Rational::new(over.parse().unwrap(), under.parse().unwrap()).unwrap()
 }
 
-/// D(v, w) as the checker reads a certificate: `crumple_verify::kernel` proves this form.
+/// D(v, w) as `crumple_verify::kernel` proves it.
 fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) -> Rational {
     let [b, c, p, q] = [
         &stated.ego_brake_mps2,
@@ -105,7 +105,7 @@ fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) 
     }
 }
 
-/// The shield's own function, in exact arithmetic: a factor of 2 that is 2.5 there is refuted here, and so is any other case.
+/// Compares with the shield's function in exact arithmetic, so that any wrong coefficient is detected.
 #[test]
 fn what_is_certified_is_what_the_shield_computes() {
     let quarter = |over: i128| Rational::new(over, 4).unwrap();
@@ -125,7 +125,6 @@ fn what_is_certified_is_what_the_shield_computes() {
 }
 
 proptest! {
-    /// Any limits a scenario may have, friction included, and the same function as the shield's in double precision.
     #[test]
     fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
         let kernel = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };
@@ -137,7 +136,7 @@ proptest! {
             over.parse::<f64>().unwrap() / under.parse::<f64>().unwrap()
         };
         let (p, q) = (number(&stated.stopping_own_squared), number(&stated.stopping_ahead_squared));
-        // A vehicle ahead that stops at `part` of the own time to standstill.
+        // A leader that stops at `part` of the follower's time to standstill.
         let w = part * c * v / b;
         let demanded_m = match &stated.catching_up_squared {
             Some(r) if part > 1.0 => number(r) * (v - w).max(0.0).powi(2),

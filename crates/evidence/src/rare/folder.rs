@@ -1,4 +1,5 @@
-//! An estimate in a folder: `rare-estimate.json`, and `work.json`, which says what it is; until it is finished, `progress.json`.
+//! An estimate in a run folder: `rare-estimate.json` and the manifest `work.json`; until it is finished,
+//! `progress.json`.
 
 use std::path::{Path, PathBuf};
 
@@ -12,18 +13,18 @@ use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
 const ESTIMATE_FILE: &str = "rare-estimate.json";
 
-/// A folder for one estimate, in use.
+/// An open folder of an estimate.
 #[derive(Debug)]
 pub struct RareFolder {
     progress: RareProgress,
 }
 
 impl RarePlan {
-    /// The folder, if it is this estimate's or nobody's. What is there is gone on with where `resume` says so, and
-    /// refused otherwise.
+    /// Opens the folder if it is empty or belongs to this estimate. Content is continued with `resume`, and refused
+    /// otherwise.
     ///
     /// # Errors
-    /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
+    /// [`RareError`] if the folder cannot be used, has other content, or is damaged.
     pub fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         if resume && self.controller.kind.identity().is_none() {
             return Err(RareError::NoIdentity(self.controller.name.clone()));
@@ -33,7 +34,6 @@ impl RarePlan {
 }
 
 impl RareRecord {
-    /// The folder of the whole estimate.
     pub(super) fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         let configuration = json!({
             "controller": self.controller,
@@ -58,7 +58,6 @@ impl RareRecord {
 }
 
 impl RareReport {
-    /// What is kept of it.
     pub(super) fn without_exposure(&self) -> Self {
         Self { exposure: None, ..self.clone() }
     }
@@ -69,10 +68,10 @@ impl RareReport {
 }
 
 impl RareFolder {
-    /// The estimate that is there.
+    /// Reads the saved estimate.
     ///
     /// # Errors
-    /// [`RareError::Work`] if it is damaged.
+    /// [`RareError::RunFolder`] if it is damaged.
     pub fn read_report(&self) -> Result<Option<RareReport>, RareError> {
         let damaged = |error: serde_json::Error| RunFolderError::damaged(&self.path(), format!("no estimate: {error}"));
         let bytes = self.progress.run_folder().read(ESTIMATE_FILE)?;
@@ -81,33 +80,33 @@ impl RareFolder {
         Ok(kept.map(RareReport::with_gaps))
     }
 
-    /// Writes the estimate, without what it comes to per hour: that takes resamples, of which anybody may ask for others.
+    /// Writes the estimate without rates per hour, which depend on the number of resamples.
     ///
     /// # Errors
-    /// [`RareError::Work`] if it cannot be written.
+    /// [`RareError::RunFolder`] if it cannot be written.
     pub fn write_report(&self, report: &RareReport) -> Result<(), RareError> {
         self.progress.finish(ESTIMATE_FILE, report.to_json()?)
     }
 
-    /// Whether an estimate is there, and all that is kept of it.
+    /// True if the folder has a complete estimate.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.progress.run_folder().is_complete()
     }
 
-    /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
+    /// Runs or resumes the pilot, and saves the levels. Reports every batch of runs.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
+    /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the pilot.
     pub fn run_pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
         self.progress.run_pilot(plan, &ProgressCounter::new(observer, None))
     }
 
-    /// Estimates with the levels of the pilot, without the repetitions that are in the folder already. Keeps each repetition, and in the end
-    /// the estimate. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to `resamples` of them.
+    /// Runs the remaining repetitions, and saves each of them and the estimate. With a space that is fitted to
+    /// episodes, also estimates with less effort in spaces that are fitted to `resamples`.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimate.
+    /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the estimate.
     pub fn estimate(
         &mut self,
         plan: &RarePlan,
@@ -123,10 +122,10 @@ impl RareFolder {
         Ok(report)
     }
 
-    /// An estimate with what it comes to per hour, where the space says in how much driving its episodes were seen.
+    /// Adds rates per hour, if the space states its exposure.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimates in resamples.
+    /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the estimates in resamples.
     pub fn with_exposure(
         &mut self,
         plan: &RarePlan,
@@ -151,13 +150,13 @@ impl RareFolder {
         Ok(RareReport { exposure: exposed, ..report })
     }
 
-    /// Repetitions that were made already.
+    /// Returns the number of completed repetitions.
     #[must_use]
     pub fn completed_repetitions(&self) -> u64 {
         self.progress.completed_repetitions()
     }
 
-    /// Where the estimate goes.
+    /// Returns the path of the estimate.
     #[must_use]
     pub fn path(&self) -> PathBuf {
         self.progress.run_folder().path(ESTIMATE_FILE)

@@ -1,10 +1,8 @@
-//! Draws from where failures are, with exact weights.
-//!
-//! Populations climb to the failure as in [`splitting`](super::splitting), and a mixture of normal laws is fitted to where they arrive; a few
-//! rounds of weighted draws of it make it fit better (the cross-entropy method, Rubinstein 1997; with mixtures Kurtz and Song 2013). All of
-//! these runs are then thrown away. Each draw of the estimate has the ratio of the two densities as its weight, so that the mean of the weights
-//! of those that fail is unbiased, whatever was fitted. A tenth of the draws are of the law itself, which bounds the weights
-//! (Hesterberg 1995).
+//! Importance sampling with exact weights. Populations climb to the failure as in [`splitting`](super::splitting). A
+//! mixture of normal distributions is fitted to their failures and improved by rounds of weighted samples (the
+//! cross-entropy method, Rubinstein 1997; with mixtures Kurtz and Song 2013). These runs are discarded. The weight of a
+//! sample is the ratio of the two densities, so the mean weight of failures is unbiased for any mixture. A tenth of the
+//! samples has the original distribution, which bounds the weights (Hesterberg 1995).
 
 use std::ops::Range;
 
@@ -18,66 +16,60 @@ use super::{Level, RareEstimate, SplittingConfig, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
+/// Number of populations for the initial fit: several find separate failure regions.
 const FIT_POPULATIONS: u64 = 3;
-/// Rounds of draws by which it is made better.
 const REFIT_ROUNDS: u64 = 3;
-/// Populations' worth of draws in a round.
+/// Samples per round, in populations.
 const POPULATIONS_PER_ROUND: usize = 4;
-/// Streams of what is thrown away; those of repetitions are counted from 1.
+/// Offset of the random streams of discarded runs; those of repetitions start at 1.
 const FITTING_STREAM_OFFSET: u64 = 1 << 40;
 
-/// The mixture that draws are made of.
+/// Proposal distribution of importance sampling.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImportanceProposal {
     #[serde(rename = "climbed")]
     pub(super) splitting: SplittingLevels,
     mixture: Option<Mixture>,
-    /// Runs made to fit it, beside those of the climb's pilot.
+    /// Number of runs for the fit, without those of the pilot.
     #[serde(rename = "fitting")]
     fitting_runs: u64,
 }
 
-/// A mixture that is being fitted: all that is left to do follows from it.
+/// State of an unfinished fit; it determines all further work.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MixtureFitting {
     #[serde(rename = "climbed")]
     splitting: SplittingLevels,
-    /// The populations that have climbed, until something is fitted to them.
     #[serde(rename = "arrived")]
     populations: Vec<PopulationTrace>,
     mixture: Option<Mixture>,
-    /// Rounds by which that is better already.
     rounds: u64,
-    /// Runs made so far.
     runs: u64,
 }
 
-/// Where a population went.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PopulationTrace {
-    /// How far out each level is that it reached.
     levels: Vec<OriginMoments>,
     failures: Vec<Vec<f64>>,
 }
 
-/// What came of one repetition.
+/// Result of a repetition by importance sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WeightedRepetition {
-    /// Mean weight of the runs, those that hold counting as 0.
+    /// Mean weight of the runs; runs without failure count as 0.
     probability: f64,
-    /// The largest weight of a run that failed, of the sum of all in this repetition.
+    /// Largest weight of a failed run, relative to the sum in this repetition.
     #[serde(rename = "largest")]
     largest_weight_share: f64,
     evaluations: u64,
 }
 
 impl ImportanceProposal {
-    /// Climbs the levels and fits, or goes on with that. `keep` hears of all that is worth keeping.
+    /// Runs or resumes the climb and the fit. Calls `keep` with each state worth saving.
     pub(super) fn fit<P: LimitState>(
         problem: &P,
         mut begun: MixtureFitting,
@@ -115,23 +107,20 @@ impl ImportanceProposal {
         Ok(Self { splitting: begun.splitting, mixture: begun.mixture, fitting_runs: begun.runs })
     }
 
-    /// Whether it is of a problem of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         self.mixture.iter().all(|mixture| mixture.has_dimension(dimension))
     }
 
-    /// Whether there is something to draw from.
     pub(super) fn reaches_failure(&self) -> bool {
         self.mixture.is_some()
     }
 
-    /// How many runs the repetitions will make.
     pub(super) fn planned_runs(&self) -> u64 {
         let effort = self.splitting.effort();
         if self.reaches_failure() { (effort.repetitions * effort.samples) as u64 } else { 0 }
     }
 
-    /// Some of the repetitions: each is a function of the seed and its number alone.
+    /// Runs some of the repetitions; each depends only on the seed and its number.
     pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
@@ -156,7 +145,6 @@ impl ImportanceProposal {
         repetitions.into_par_iter().map(repeat).collect()
     }
 
-    /// Whether these repetitions could have come of it.
     pub(super) fn is_consistent_with(&self, repetitions: &[WeightedRepetition]) -> bool {
         let effort = self.splitting.effort();
         let is_mean = |one: &WeightedRepetition| one.probability.is_finite() && one.probability >= 0.0;
@@ -165,7 +153,6 @@ impl ImportanceProposal {
         })
     }
 
-    /// What all repetitions come to, in their order.
     pub(super) fn summary(&self, repeated: &[WeightedRepetition]) -> RareEstimate {
         let mut begun = self.splitting.pilot_estimate();
         begun.evaluations = begun.evaluations.saturating_add(self.fitting_runs);
@@ -177,7 +164,7 @@ impl ImportanceProposal {
         let sum: f64 = shares.iter().sum();
         let largest = repeated.iter().map(|one| one.largest_weight_share * one.probability).fold(0.0, f64::max);
         let largest_weight = (sum > 0.0).then_some(largest / sum);
-        // Weights first: an estimate without any of one level would be taken for a count.
+        // Weights first: without them, an estimate with a single level would be taken for a count.
         let mut estimate = RareEstimate { evaluations, largest_weight, ..begun }.with_repetitions(shares);
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
@@ -195,12 +182,10 @@ impl ImportanceProposal {
 }
 
 impl MixtureFitting {
-    /// Nothing yet, but levels.
     pub(super) fn new(climbed: SplittingLevels) -> Self {
         Self { splitting: climbed, populations: Vec::new(), mixture: None, rounds: 0, runs: 0 }
     }
 
-    /// Whether that effort and that seed could have come to it, in a problem of so many numbers.
     pub(super) fn is_consistent_with(&self, effort: SplittingConfig, seed: u64, dimension: usize) -> bool {
         let is_place = |place: &Vec<f64>| place.len() == dimension;
         self.splitting.is_placed_by(effort, seed)
@@ -212,7 +197,7 @@ impl MixtureFitting {
 }
 
 impl PopulationTrace {
-    /// Of who is below each of so many `levels`, the last of which are failures; a population that died out reached fewer.
+    /// Summarises the populations below the levels, failures last; an extinct population reached fewer.
     fn from_levels(there: &[Vec<Particle>], levels: usize) -> Self {
         let places =
             |level: &Vec<Particle>| OriginMoments::from_points(level.iter().map(|(state, _)| state.normal.as_slice()));
@@ -223,7 +208,6 @@ impl PopulationTrace {
         }
     }
 
-    /// What is fitted to populations that climbed beside one another.
     fn fit_mixture(arrived: &[Self], random: &mut Stream) -> Option<Mixture> {
         let mut levels: Vec<OriginMoments> = Vec::new();
         for population in arrived {
@@ -237,7 +221,6 @@ impl PopulationTrace {
     }
 }
 
-/// A population of draws, of which those that fail are returned, with their weights.
 fn draw_weighted_failures<P: LimitState>(
     climber: &mut ParticlePopulation<'_, P>,
     mixture: &Mixture,

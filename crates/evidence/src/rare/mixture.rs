@@ -1,4 +1,4 @@
-//! Mixtures of normal laws from which runs are drawn where failures are.
+//! Mixtures of normal distributions, as proposals of importance sampling.
 
 use libm::{exp, log};
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -8,53 +8,49 @@ use serde::{Deserialize, Serialize};
 
 use crumple_world::random::Stream;
 
-/// Share of draws from the standard normal law itself: no draw weighs more than its inverse, wherever failures are that nobody has seen.
+/// Share of samples from the standard normal distribution. Its inverse bounds the weights, even where no failure was
+/// seen.
 const DEFENSIVE_SHARE: f64 = 0.1;
-/// Share of draws from laws around the origin, one as wide as each level is far: what lies as far out in a direction that no population went
-/// is drawn too, and what noise alone makes fail on the way.
+/// Share of samples from components around the origin, one as wide as each level is far. They cover other directions at
+/// the same distance, and failures by noise on the way.
 const ORIGIN_CENTERED_SHARE: f64 = 0.2;
-/// Parts that a mixture begins with: ways to fail that are far apart.
+/// Initial number of components, for separate failure regions.
 const MAX_COMPONENTS: usize = 4;
-/// A part that explains less is left out.
 const MIN_COMPONENT_SHARE: f64 = 0.02;
-/// Steps of expectation and maximisation in a fit.
 const EM_STEPS: usize = 12;
-/// By how much spreads are widened: a proposal that is too narrow costs far more than one that is too wide.
+/// Factor on covariances: a proposal that is too narrow costs far more than one that is too wide.
 const COVARIANCE_INFLATION: f64 = 1.15;
 
-/// A mixture of normal laws: where failures are, all round as far out, and the standard one.
+/// A mixture of components at failures, components around the origin, and the standard normal distribution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Mixture {
-    /// Each of the same share of theirs.
     #[serde(rename = "all_round")]
     origin_centered: Vec<GaussianComponent>,
     #[serde(rename = "parts")]
     components: Vec<GaussianComponent>,
 }
 
-/// One of its laws.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct GaussianComponent {
-    /// Of the draws by laws of its kind.
+    /// Share among the components of its kind.
     share: f64,
     mean: Vec<f64>,
-    /// Lower triangle of the factor of the covariance, row by row: of row i as many numbers as i + 1.
+    /// Lower triangle of the Cholesky factor of the covariance, row by row.
     factor: Vec<f64>,
 }
 
-/// How far from the origin places lie that are at some level.
+/// Second moments about the origin of points at a level.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct OriginMoments {
     #[serde(rename = "places")]
     count: u64,
-    /// Sums of products of two coordinates, row by row: of row i as many numbers as i + 1.
+    /// Sums of products of two coordinates: lower triangle, row by row.
     products: Vec<f64>,
 }
 
-/// A place where a run failed, and what it stands for.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct WeightedPoint {
     pub(super) point: Vec<f64>,
@@ -62,8 +58,8 @@ pub(super) struct WeightedPoint {
 }
 
 impl Mixture {
-    /// Fitted to failures, which is where their density is high, and as wide as the levels on the way to them; none without any, or of
-    /// different dimensions. What they leave open is as in the standard law.
+    /// Fits a mixture to failures, and to the levels on the way; `None` without failures or with different dimensions.
+    /// Directions that the failures leave undetermined keep the standard variance.
     pub(super) fn fit(levels: &[OriginMoments], failures: &[WeightedPoint], random: &mut Stream) -> Option<Self> {
         let dimension = failures.first()?.point.len();
         if failures.iter().any(|seen| seen.point.len() != dimension) {
@@ -71,7 +67,7 @@ impl Mixture {
         }
         let mut centres: Vec<&[f64]> = vec![&pick_weighted(failures, |seen| seen.weight, random)?.point];
         while centres.len() < MAX_COMPONENTS {
-            // The further away from what is covered, the likelier to be another way to fail.
+            // Points far from all centres are likelier to belong to another failure region.
             let far = |seen: &WeightedPoint| {
                 let nearest =
                     centres.iter().map(|centre| squared_distance(centre, &seen.point)).fold(f64::INFINITY, f64::min);
@@ -94,14 +90,12 @@ impl Mixture {
         Some(mixture)
     }
 
-    /// Whether it is a law of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         let factors = dimension * (dimension + 1) / 2;
         let mut parts = self.origin_centered.iter().chain(&self.components);
         parts.all(|part| part.mean.len() == dimension && part.factor.len() == factors)
     }
 
-    /// A step of expectation and maximisation.
     pub(super) fn em_step(&self, failures: &[WeightedPoint]) -> Option<Self> {
         let all: f64 = failures.iter().map(|seen| seen.weight).sum();
         let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.responsibilities(&seen.point)).collect();
@@ -120,7 +114,6 @@ impl Mixture {
             .then_some(Self { origin_centered: self.origin_centered.clone(), components: parts })
     }
 
-    /// How far each part is responsible for a place.
     fn responsibilities(&self, at: &[f64]) -> Vec<f64> {
         let ln: Vec<f64> = self.components.iter().map(|part| log(part.share) + part.ln_density(at)).collect();
         let most = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -129,7 +122,6 @@ impl Mixture {
         relative.into_iter().map(|one| one / sum).collect()
     }
 
-    /// A draw.
     pub(super) fn draw(&self, dimension: usize, random: &mut Stream) -> Vec<f64> {
         let normal = |random: &mut Stream| (0..dimension).map(|_| StandardNormal.sample(random)).collect::<Vec<f64>>();
         let mut lot: f64 = random.random::<f64>() - DEFENSIVE_SHARE;
@@ -145,14 +137,14 @@ impl Mixture {
         from.or(self.components.last()).map_or(drawn.clone(), |part| part.transform(&drawn))
     }
 
-    /// How much likelier a place is by the standard law than as a draw of this: at most 1/[`DEFENSIVE_SHARE`].
+    /// Returns the ratio of the standard density to that of the mixture: at most 1/[`DEFENSIVE_SHARE`].
     pub(super) fn importance_weight(&self, at: &[f64]) -> f64 {
         let standard = -0.5 * at.iter().map(|x| x * x).sum::<f64>();
         let ratios = self.weighted_components().map(|(share, part)| share * exp(part.ln_density(at) - standard));
         1.0 / (DEFENSIVE_SHARE + ratios.sum::<f64>())
     }
 
-    /// All laws but the standard one, each with its share of all draws.
+    /// Iterates over all components but the standard one, with their shares of all samples.
     fn weighted_components(&self) -> impl Iterator<Item = (f64, &GaussianComponent)> {
         let around = self.origin_centered.iter().map(|part| (ORIGIN_CENTERED_SHARE * part.share, part));
         around.chain(
@@ -162,14 +154,14 @@ impl Mixture {
 }
 
 impl GaussianComponent {
-    /// None of what is no covariance.
+    /// Returns `None` if the covariance is not positive definite.
     fn new(share: f64, mean: Vec<f64>, covariance: DMatrix<f64>) -> Option<Self> {
         let lower = Cholesky::new(covariance)?.unpack();
         let rows = (0..mean.len()).flat_map(|row| (0..=row).map(move |column| (row, column)));
         Some(Self { share, mean, factor: rows.filter_map(|place| lower.get(place).copied()).collect() })
     }
 
-    /// To places and how far it is responsible for each, of so much in all; none if that is too little.
+    /// Fits a component to points with responsibilities, of a total; `None` if its share is too small.
     fn fit(own: &[(f64, &WeightedPoint)], all: f64) -> Option<Self> {
         let sum: f64 = own.iter().map(|(w, _)| w).sum();
         let share = sum / all;
@@ -182,7 +174,7 @@ impl GaussianComponent {
         Self::new(share, mean.as_slice().to_vec(), with_prior(covariance, seen, COVARIANCE_INFLATION))
     }
 
-    /// Logarithm of the density, but for the constant that all normal laws of a dimension share.
+    /// Returns the logarithm of the density, without the constant that depends on the dimension only.
     fn ln_density(&self, at: &[f64]) -> f64 {
         let (mut solved, mut ln, mut rest) = (Vec::with_capacity(at.len()), 0.0, self.factor.as_slice());
         for (row, (x, mean)) in at.iter().zip(&self.mean).enumerate() {
@@ -197,7 +189,6 @@ impl GaussianComponent {
         ln
     }
 
-    /// Where independent standard numbers come to be.
     fn transform(&self, normal: &[f64]) -> Vec<f64> {
         let mut rest = self.factor.as_slice();
         let place = |(row, mean): (usize, &f64)| {
@@ -210,7 +201,6 @@ impl GaussianComponent {
 }
 
 impl OriginMoments {
-    /// Of these places.
     pub(super) fn from_points<'a>(places: impl IntoIterator<Item = &'a [f64]>) -> Self {
         let mut around = Self::default();
         for place in places {
@@ -221,7 +211,6 @@ impl OriginMoments {
         around
     }
 
-    /// Takes in others at the same level.
     pub(super) fn merge(&mut self, other: &Self) {
         if self.products.len() < other.products.len() {
             self.products.resize(other.products.len(), 0.0);
@@ -230,7 +219,7 @@ impl OriginMoments {
         self.products.iter_mut().zip(&other.products).for_each(|(sum, product)| *sum += product);
     }
 
-    /// A law as wide in every direction as they are far from the origin; none without any.
+    /// Returns a component with the second moments of the points; `None` without points.
     fn component(&self, dimension: usize) -> Option<GaussianComponent> {
         if self.count == 0 || self.products.len() != dimension * (dimension + 1) / 2 {
             return None;
@@ -245,7 +234,7 @@ impl OriginMoments {
     }
 }
 
-/// The second moment of places with weights about a centre, and as how many draws of one weight they say; none without weight.
+/// Returns the second moment of weighted points about a centre, and their effective sample size; `None` without weight.
 fn weighted_second_moment(own: &[(f64, &WeightedPoint)], centre: &DVector<f64>) -> Option<(f64, DMatrix<f64>)> {
     let (sum, squares) = own.iter().fold((0.0, 0.0), |(sum, squares), (w, _)| (sum + w, squares + w * w));
     if squares.is_nan() || squares <= 0.0 {
@@ -259,7 +248,7 @@ fn weighted_second_moment(own: &[(f64, &WeightedPoint)], centre: &DVector<f64>) 
     Some((sum * sum / squares, moment))
 }
 
-/// A covariance, widened, with what is known before: as if some draws of the standard spread had been seen besides.
+/// Returns the widened covariance, regularised by prior samples of the standard covariance.
 fn with_prior(covariance: DMatrix<f64>, seen: f64, widened: f64) -> DMatrix<f64> {
     let dimension = covariance.nrows();
     let before = dimension as f64 + 1.0;
@@ -271,7 +260,7 @@ fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// One of them, by lot; none where nothing has a chance.
+/// Samples a point by weight; `None` if all weights are zero.
 fn pick_weighted<'a>(
     all: &'a [WeightedPoint],
     chance: impl Fn(&WeightedPoint) -> f64,
@@ -309,7 +298,6 @@ mod tests {
         )
     }
 
-    /// Whatever they are divided into, places lie as far out.
     #[test]
     fn how_far_out_places_lie_can_be_put_together() {
         let mut random = Stream::seed_from_u64(4);
@@ -324,7 +312,6 @@ mod tests {
         assert!(divided.component(2).is_none() && OriginMoments::default().component(3).is_none());
     }
 
-    /// A proposal is a probability law: draws of it, weighted, come to as much as there is, and no weight is beyond its bound.
     #[test]
     fn weights_have_a_mean_of_one_and_a_bound() {
         let mut random = Stream::seed_from_u64(1);

@@ -1,34 +1,31 @@
-//! How rare a failure is that plain sampling does not see: multilevel splitting.
+//! Estimation of rare failure rates: multilevel splitting and importance sampling.
 //!
-//! A failure of probability 10⁻⁷ would take a thousand million runs to be counted. Splitting climbs to it instead (Kahn and
-//! Harris, 1951; Au and Beck, Estimation of small failure probabilities by subset simulation, 2001). With a margin g that is
-//! negative where the run fails, and levels t₁ > t₂ > … > t_m with the failure itself as the last one,
+//! Counting a failure of probability 10⁻⁷ would take 10⁹ runs. Splitting (Kahn and Harris, 1951; Au and Beck,
+//! Estimation of small failure probabilities by subset simulation, 2001) uses a margin g that is negative for a
+//! failure, and levels t₁ > t₂ > … > t_m, the last of which is the failure:
 //!
 //! ```text
 //! P(g < 0) = P(g ≤ t₁) · P(g ≤ t₂ | g ≤ t₁) · … · P(g < 0 | g ≤ t_{m-1}),
 //! ```
 //!
-//! and each factor is large enough to be counted. Runs that pass a level are multiplied to as many as there were, and each
-//! is moved on by a Markov chain that leaves the distribution below the level as it is.
+//! Each factor is large enough to be counted. Runs that pass a level are copied to restore the population, and each is
+//! moved by a Markov chain that leaves the distribution below the level invariant.
 //!
-//! # What the figure is
+//! # Properties of the estimate
 //!
-//! A pilot places the levels and sets the steps of the chains; where it reaches no failure, a larger one does. It is then thrown away: the estimate is the mean over
-//! *repetitions*, independent populations that climb the same levels with the same steps. With levels and chains fixed in
-//! advance the product of the shares is unbiased, however slowly the chains mix (Del Moral, Feynman-Kac formulae, 2004,
-//! theorem 7.4.2; Cérou and others, Sequential Monte Carlo for rare event estimation, 2012), and since repetitions are
-//! independent their spread says how far the mean can be trusted without any assumption on the chains. A
-//! repetition that dies out counts as zero.
+//! A pilot places the levels and tunes the chains; its runs are discarded. The estimate is the mean over *repetitions*,
+//! independent populations with the same levels and chains; an extinct one counts as zero. The product of the shares is
+//! unbiased, however slowly the chains mix (Del Moral, Feynman-Kac formulae, 2004, theorem 7.4.2; Cérou and others,
+//! Sequential Monte Carlo for rare event estimation, 2012). The spread of the independent repetitions measures its
+//! precision without assumptions on the chains.
 //!
-//! Importance sampling ([`RareMethod::Importance`]) takes where the pilot arrives and draws there, each draw with its exact weight:
-//! the same mean, of far fewer runs where failures lie in a few places. Its repetitions are populations of draws by one law, which is fixed in
-//! advance as well.
+//! Importance sampling ([`RareMethod::Importance`]) samples where the pilot arrives, with exact weights: the same mean
+//! from far fewer runs if failures are in a few regions. Its distribution is fixed before the repetitions as well.
 //!
-//! It is an estimate. Importance enters the choice of what is run, so none of these runs may be counted for a
-//! certificate, and none is: [`RatePlan`](super::RatePlan) has no way to take them in. If failures have several causes, of which
-//! the likeliest is hard to climb to, few repetitions see it: then the estimate is far too low, and the spread with it, more
-//! often than the interval says. Sampling noise of the sensors is redrawn from time to time, not climbed: a failure that
-//! noise alone decides is found no sooner than by counting.
+//! The runs are chosen adaptively, so they cannot count for a certificate; [`RatePlan`](super::RatePlan) does not
+//! accept them. If the likeliest cause of failures is hard to reach, few repetitions find it: estimate and spread are
+//! then far too low, more often than the interval states. Sensor noise is resampled, not guided, so failures that noise
+//! alone causes are found no sooner than by counting.
 
 mod folder;
 mod importance;
@@ -54,29 +51,28 @@ pub use plan::{RareError, RarePlan, RareReport};
 pub use shard::{ESTIMATE_SHARD_KIND, MergedEstimate, RareShard};
 pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
 
-/// How much work goes into an estimate.
+/// Effort of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplittingConfig {
-    /// Runs of a population, at least 50.
+    /// Size of a population, at least 50.
     pub samples: usize,
-    /// Independent populations, at least 5.
+    /// Number of independent populations, at least 5.
     #[serde(rename = "populations")]
     pub repetitions: usize,
 }
 
-/// How failures are climbed to.
+/// Estimation method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RareMethod {
-    /// Populations that climb level by level, and the product of the shares that pass.
+    /// Multilevel splitting: the product of the shares that pass each level.
     #[default]
     Splitting,
-    /// Draws from a law fitted to where such populations arrive, each with its exact weight.
+    /// Importance sampling from a distribution that is fitted to failures of such populations.
     Importance,
 }
 
 impl SplittingConfig {
-    /// With what there must be at least.
     fn clamped(self) -> Self {
         Self { samples: self.samples.max(50), repetitions: self.repetitions.max(5) }
     }
@@ -88,27 +84,28 @@ impl Default for SplittingConfig {
     }
 }
 
-/// A level and what came of it.
+/// A level and its results.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "WrittenLevel")]
 pub struct Level {
-    /// Runs pass whose margin is at most this: their robustness, in metres for contacts; the last level is the failure itself, at 0.
+    /// Threshold: runs with at most this robustness pass, in metres for collisions. The last level is the failure, at
+    /// 0.
     #[serde(rename = "robustness")]
     pub margin: f64,
-    /// Of contacts the same, which is the smallest gap there; none in what does not know what fails.
+    /// Threshold as a gap, if collisions are the failure; `None` otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub smallest_gap_m: Option<f64>,
-    /// Probability to get here: mean over the repetitions.
+    /// Probability of reaching the level: mean over the repetitions.
     pub probability: f64,
-    /// Share of the runs that passed, of those that were at the level before: mean over the repetitions that were.
+    /// Share of runs at the previous level that passed: mean over the repetitions that reached that.
     pub share: f64,
-    /// Step of the chains below this level, from 0 (no move) to 1 (a new draw); none below the last one.
+    /// Step of the chains below this level, from 0 (no move) to 1 (independent sample); `None` at the last one.
     pub step: Option<f64>,
-    /// Share of moves that were accepted there.
+    /// Share of accepted moves.
     pub acceptance: Option<f64>,
 }
 
-/// A level as it is written, or was: margins of all rules were called gaps.
+/// Serialised level; in old files all margins are called gaps.
 #[derive(Deserialize)]
 struct WrittenLevel {
     robustness: Option<f64>,
@@ -129,30 +126,31 @@ impl TryFrom<WrittenLevel> for Level {
     }
 }
 
-/// What splitting found.
+/// Estimate of a rare failure rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RareEstimate {
-    /// The probability of a failure, at most 1; none if the pilot did not reach it.
+    /// Probability of a failure, at most 1; `None` if the pilot reached none.
     pub probability: Option<f64>,
-    /// Standard deviation of the mean of the repetitions, relative to it; none if it is zero.
+    /// Relative standard deviation of the mean of the repetitions; `None` if that is zero.
     pub coefficient_of_variation: Option<f64>,
-    /// An interval at 95 % for the probability, if there is an estimate above 0: Student's, on a logarithmic scale; Clopper's and
-    /// Pearson's where there is one level, so that runs are only counted, and of the independent draws where the spread leaves
-    /// nothing below 1.
+    /// Confidence interval at 95 %, if the estimate is above 0: Student's t on a logarithmic scale. Clopper-Pearson
+    /// with a single level, which is a count, and for the independent samples if the spread leaves nothing below 1.
     pub interval_95: Option<[f64; 2]>,
-    /// What each repetition says. The mean of these is the estimate; of weighted draws it may be above 1, where the estimate ends.
+    /// Results of the repetitions. The estimate is their mean; with weights that may exceed 1, to which the estimate is
+    /// limited.
     pub repetitions: Vec<f64>,
-    /// Runs made, those of the pilot included.
+    /// Number of runs, including the pilot.
     pub evaluations: u64,
-    /// Draws that populations began with, the pilot's included: independent of each other.
+    /// Number of independent initial samples of the populations, including the pilot.
     #[serde(default)]
     pub independent_runs: u64,
-    /// How many of these failed.
+    /// Number of these that failed.
     #[serde(default)]
     pub independent_failures: u64,
-    /// The levels; where the failure was not reached, and of importance sampling, those that were, as the pilot saw them.
+    /// Levels; those of the pilot if it reached no failure, and for importance sampling.
     pub levels: Vec<Level>,
-    /// Of importance sampling: the largest weight of a run, of the sum of all; if it is large, the spread says little.
+    /// Largest share of one run in the sum of the weights, for importance sampling; if it is large, the spread is
+    /// unreliable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_weight: Option<f64>,
 }

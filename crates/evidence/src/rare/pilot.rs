@@ -1,4 +1,4 @@
-//! What a pilot leaves to the repetitions, by either method.
+//! Pilot and repetitions of either method.
 
 use std::ops::Range;
 
@@ -9,27 +9,26 @@ use super::splitting::{LimitState, Repetition};
 use super::{RareEstimate, RareMethod, SplittingConfig, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
 
-/// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
-/// down costs milliseconds.
+/// Minimum number of runs between checkpoints: writing one costs milliseconds.
 const MIN_RUNS_PER_WRITE: u64 = 500;
 
-/// All that repetitions need to know.
+/// Result of a pilot that determines the repetitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pilot {
-    /// Levels to climb.
+    /// Levels of splitting.
     Splitting(SplittingLevels),
-    /// A law to draw from.
+    /// Proposal of importance sampling.
     Importance(ImportanceProposal),
 }
 
-/// What came of some repetitions.
+/// Results of some repetitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Repetitions {
-    /// Populations that climbed.
+    /// Repetitions by splitting.
     Splitting(Vec<Repetition>),
-    /// Populations that were drawn where failures are.
+    /// Repetitions by importance sampling.
     Importance(Vec<WeightedRepetition>),
 }
 
@@ -37,7 +36,7 @@ impl Pilot {
     /// Runs the pilot.
     ///
     /// # Errors
-    /// Those of the problem.
+    /// Errors of the problem.
     pub(super) fn run<P: LimitState>(
         problem: &P,
         method: RareMethod,
@@ -48,7 +47,7 @@ impl Pilot {
         Self::resume(problem, (method, effort, seed), None, &mut |_| Ok(()), counter)
     }
 
-    /// Runs the pilot, or what is left of it where something is being fitted. `keep` hears of all that is worth keeping on the way.
+    /// Runs or resumes the pilot. Calls `keep` with each state of a fit worth saving.
     pub(super) fn resume<P: LimitState>(
         problem: &P,
         (method, effort, seed): (RareMethod, SplittingConfig, u64),
@@ -70,7 +69,7 @@ impl Pilot {
         Ok(Self::Importance(ImportanceProposal::fit(problem, begun, keep, counter)?))
     }
 
-    /// Whether it reached a failure.
+    /// True if the pilot reached a failure.
     #[must_use]
     pub fn reaches_failure(&self) -> bool {
         match self {
@@ -79,7 +78,7 @@ impl Pilot {
         }
     }
 
-    /// How many runs the repetitions will make at most.
+    /// Returns the maximum number of runs of the repetitions.
     #[must_use]
     pub fn planned_runs(&self) -> u64 {
         match self {
@@ -91,7 +90,7 @@ impl Pilot {
     /// Runs all repetitions. The result does not depend on the number of threads.
     ///
     /// # Errors
-    /// Those of the problem.
+    /// Errors of the problem.
     pub(super) fn estimate<P: LimitState>(
         &self,
         problem: &P,
@@ -100,10 +99,10 @@ impl Pilot {
         Ok(self.summary([&self.run_repetitions(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
     }
 
-    /// Runs some of the repetitions: each is a function of the seed and its number alone. None where no failure was reached.
+    /// Runs some of the repetitions; each depends only on the seed and its number. Runs none if no failure was reached.
     ///
     /// # Errors
-    /// Those of the problem.
+    /// Errors of the problem.
     pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
@@ -117,7 +116,7 @@ impl Pilot {
         })
     }
 
-    /// What all repetitions come to, in their order.
+    /// Returns the estimate from all repetitions, in order.
     #[must_use]
     pub fn summary<'a>(&self, repeated: impl IntoIterator<Item = &'a Repetitions>) -> RareEstimate {
         let repeated = repeated.into_iter();
@@ -139,7 +138,6 @@ impl Pilot {
         }
     }
 
-    /// Whether it was run by that method, with that effort and by that seed.
     pub(super) fn is_run_by(&self, method: RareMethod, effort: SplittingConfig, seed: u64) -> bool {
         let own = match self {
             Self::Splitting(_) => RareMethod::Splitting,
@@ -148,7 +146,6 @@ impl Pilot {
         own == method && self.levels().is_placed_by(effort, seed)
     }
 
-    /// Whether it is of a problem of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         match self {
             Self::Splitting(_) => true,
@@ -156,8 +153,7 @@ impl Pilot {
         }
     }
 
-    /// How many repetitions are made before what came of them is kept: as many as there are threads to make them, and more where one is
-    /// of few runs.
+    /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
     pub(super) fn repetitions_per_write(&self) -> u64 {
         let all = self.levels().effort().repetitions as u64;
         let each = (self.planned_runs() / all.max(1)).max(1);
@@ -171,7 +167,6 @@ impl Pilot {
         }
     }
 
-    /// Whether these repetitions could have come of it.
     pub(super) fn is_consistent_with(&self, repeated: &Repetitions) -> bool {
         match (self, repeated) {
             (Self::Splitting(levels), Repetitions::Splitting(some)) => levels.is_consistent_with(some),
@@ -182,7 +177,6 @@ impl Pilot {
 }
 
 impl Repetitions {
-    /// How many there are.
     pub(super) fn count(&self) -> u64 {
         match self {
             Self::Splitting(some) => some.len() as u64,
@@ -190,7 +184,6 @@ impl Repetitions {
         }
     }
 
-    /// Takes in those that follow; of another method there are none.
     pub(super) fn append(&mut self, more: Self) {
         match (self, more) {
             (Self::Splitting(some), Self::Splitting(more)) => some.extend(more),

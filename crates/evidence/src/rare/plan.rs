@@ -1,4 +1,4 @@
-//! Splitting for a controller in a space.
+//! Estimation of the failure rate of a controller in a scenario space.
 
 use std::ops::Range;
 
@@ -18,61 +18,61 @@ use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{ScenarioSpace, file};
 use crumple_world::sim::{NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch};
 
-/// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
-///
-/// The margin of a run is its robustness: of contacts the smallest gap between any two vehicles, in metres, and below 0 if vehicles touch.
+/// An estimate of the failure rate of a controller in a space, for failures that are too rare to count. The margin of a
+/// run is its robustness. For collisions that is the smallest gap between any vehicles, in metres, and negative after a
+/// collision.
 pub struct RarePlan {
-    /// What is put under test.
+    /// Controller under test.
     pub controller: NamedController,
-    /// What runs are drawn from.
+    /// Space that scenarios are drawn from.
     pub space: ScenarioSpace,
-    /// What the vehicles under test look through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// What must hold.
+    /// Specification that must hold.
     pub specification: Specification,
-    /// How failures are climbed to.
+    /// Estimation method.
     pub method: RareMethod,
-    /// How much work goes into it.
+    /// Effort of the estimate.
     pub effort: SplittingConfig,
 }
 
-/// Effort of an estimate in a space fitted to a resample: what these spread is what is looked for.
+/// Effort in a space that is fitted to a resample: the spread over resamples matters, not the single estimate.
 const RESAMPLE_EFFORT: SplittingConfig = SplittingConfig { samples: 100, repetitions: 5 };
 
-/// Why a run cannot be made.
+/// Reason why an estimate fails.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RareError {
-    /// The space made something invalid.
+    /// The space gave an invalid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
     /// A controller cannot drive the scenario.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The controller contradicted itself, or cannot be started any more.
+    /// The controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
-    /// The run cannot be judged.
+    /// The specification cannot be evaluated.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
-    /// The space cannot be written down.
+    /// The space cannot be written.
     #[error("the space cannot be written as TOML: {0}")]
     Space(#[from] toml::ser::Error),
-    /// The estimate cannot be written down.
+    /// The estimate cannot be written.
     #[error("the estimate cannot be written as JSON: {0}")]
     Estimate(#[from] serde_json::Error),
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// Shards do not go together, or with their space.
+    /// Shards do not match each other or their space.
     #[error(transparent)]
     Merge(#[from] MergeError),
-    /// There are more shards than repetitions.
+    /// More shards than repetitions.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
-    /// What was estimated earlier cannot be told to be of the same controller.
+    /// The controller has no identity, so earlier results cannot be attributed to it.
     #[error("the controller `{0}` states no identity: begin anew, without --resume, in another --out")]
     NoIdentity(String),
     /// The observer stopped the estimate.
@@ -80,48 +80,48 @@ pub enum RareError {
     Stopped(#[from] Stopped),
 }
 
-/// An estimate with all that decided it. No certificate: see [the module](super).
+/// An estimate with its configuration. Not a certificate: see [the module](super).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RareReport {
     /// Version of the format: 1.
     pub version: u32,
     /// Version of crumple.
     pub crumple: String,
-    /// Always false: an estimate bounds nothing.
+    /// Always false: an estimate proves no bound.
     pub certified: bool,
-    /// What was put under test.
+    /// Controller under test.
     pub controller: String,
-    /// Hash of the policy, if that is what it is.
+    /// Hash of the policy, if the controller is one.
     pub policy_sha256: Option<String>,
-    /// Whether it says of itself that it is not deterministic: the same estimate may come out otherwise.
+    /// True if the controller is declared non-deterministic, so that the estimate may not be reproducible.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub nondeterministic: bool,
-    /// What it looked through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
     /// Name of the space.
     pub space: String,
-    /// SHA-256 of the space as TOML, its base scenario spelled out.
+    /// SHA-256 of the space as TOML, including its base scenario.
     pub space_sha256: String,
-    /// What counts as a failure.
+    /// Description of a failure.
     pub failure: String,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How failures were climbed to.
+    /// Estimation method.
     #[serde(default)]
     pub method: RareMethod,
-    /// How much work went into it.
+    /// Effort of the estimate.
     #[serde(flatten)]
     pub effort: SplittingConfig,
-    /// What came of it.
+    /// Estimate of the failure rate.
     #[serde(flatten)]
     pub estimate: RareEstimate,
-    /// What that is per hour and per 1000 km, where the space says in how much driving it was seen.
+    /// Rates per hour and per 1000 km, if the space states its exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
     pub exposure: Option<RatePerExposure>,
 }
 
-/// All that decides an estimate and that its report says.
+/// Configuration of an estimate, as its report states it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RareRecord {
@@ -168,7 +168,7 @@ impl LimitState for RarePlan {
 }
 
 impl RarePlan {
-    /// What an estimate comes to per hour, where the space says in how much driving its episodes were seen. `again` estimates in another space.
+    /// Returns the rates per exposure, if the space states it. `again` estimates in another space.
     pub(super) fn rate_per_exposure(
         &self,
         estimate: &RareEstimate,
@@ -182,7 +182,6 @@ impl RarePlan {
         Ok(RatePerExposure::new(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
-    /// The estimates in some of the resamples, as far as spaces could be fitted to them.
     pub(super) fn estimate_resamples(
         &self,
         resamples: u32,
@@ -194,12 +193,11 @@ impl RarePlan {
         }
         let (mut part, none) = (ResampleShard::new(own), RareEstimate::empty());
         let mut again = |space: &ScenarioSpace, seed: u64| part.next(none.clone(), || again(space, seed));
-        // Why nothing can be resampled is said by who puts the parts together.
+        // The merge reports why resampling is impossible.
         let _ = estimate_on_resamples(&self.space, self.seed, resamples, &mut again)?;
         Ok(part.into_results())
     }
 
-    /// An estimate in another space, with less effort.
     pub(super) fn estimate_in_space(
         &self,
         space: &ScenarioSpace,
@@ -211,7 +209,7 @@ impl RarePlan {
         Pilot::run(&other, other.method, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
-    /// All that decides the estimate, but the space's text.
+    /// Returns the configuration of the estimate without the text of the space.
     pub(super) fn record(&self) -> Result<RareRecord, RareError> {
         Ok(RareRecord {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
@@ -234,7 +232,6 @@ impl RarePlan {
 }
 
 impl RareRecord {
-    /// The report of an estimate.
     pub(super) fn report(&self, estimate: RareEstimate) -> RareReport {
         let record = self.clone();
         RareReport {
@@ -258,17 +255,17 @@ impl RareRecord {
     }
 }
 
-/// How what counts as a failure ends, where it is another rule than that no vehicles touch.
 const VIOLATED_SUFFIX: &str = "is violated";
 
 impl RareReport {
-    /// Whether vehicles that touch are what fails, so that margins are gaps. What any other rule leaves is in no unit that is known here.
+    /// True if collisions are the failure, so that margins are gaps. Margins of other specifications have no known
+    /// unit.
     #[must_use]
     pub fn is_contact_failure(&self) -> bool {
         !self.failure.ends_with(VIOLATED_SUFFIX)
     }
 
-    /// Margins are called gaps where they are, and nowhere else.
+    /// Copies the margins to the gaps if collisions are the failure.
     pub(super) fn with_gaps(mut self) -> Self {
         let is_gap = self.is_contact_failure();
         self.estimate.levels.iter_mut().for_each(|level| level.smallest_gap_m = is_gap.then_some(level.margin));
@@ -276,7 +273,7 @@ impl RareReport {
     }
 }
 
-/// The share of the standard normal distribution below `x`. Its upper end has steps of 10⁻¹⁶.
+/// Returns the standard normal distribution function, whose upper end has steps of 10⁻¹⁶.
 fn normal_cdf(x: f64) -> f64 {
     0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
 }

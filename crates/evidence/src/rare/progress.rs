@@ -1,7 +1,6 @@
-//! What has come of an estimate so far: `progress.json`, in its folder until it is finished, and in that of a shard.
-//!
-//! The pilot is kept when it is done, that of importance sampling after every population and round of fitting; repetitions as they end; and
-//! estimates in resamples, one by one. All of these are functions of the seed, so that whoever goes on ends as if nothing had happened.
+//! Progress of an unfinished estimate or shard in the file `progress.json`. The file holds the pilot, or its state
+//! after each population and round of a fit; completed repetitions; and estimates in resamples. All of them depend on
+//! the seed only, so a resumed estimate has the result of an uninterrupted one.
 
 use std::ops::Range;
 
@@ -16,7 +15,7 @@ use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const PROGRESS_FILE: &str = "progress.json";
 
-/// A folder in which an estimate, or a shard of one, is made.
+/// A run folder of an estimate, or of a shard of one.
 #[derive(Debug)]
 pub(super) struct RareProgress {
     run_folder: RunFolder,
@@ -26,12 +25,10 @@ pub(super) struct RareProgress {
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RareProgressFile {
-    /// Of importance sampling, until the pilot is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fitting: Option<MixtureFitting>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pilot: Option<Pilot>,
-    /// The first of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     repetitions: Option<Repetitions>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -39,17 +36,14 @@ struct RareProgressFile {
     resample_estimates: Option<ResampleEstimates>,
 }
 
-/// What came of the first of its own resamples.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ResampleEstimates {
-    /// Of so many.
     resamples: u32,
     estimates: Vec<RareEstimate>,
 }
 
 impl RareProgress {
-    /// What is in the folder of so many repetitions of an estimate.
     pub(super) fn load(work: RunFolder, record: &RareRecord, repetitions: u64) -> Result<Self, RunFolderError> {
         let damaged = |problem: String| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem);
         let Some(bytes) = work.read(PROGRESS_FILE)? else {
@@ -62,12 +56,11 @@ impl RareProgress {
         }
     }
 
-    /// The folder.
     pub(super) fn run_folder(&self) -> &RunFolder {
         &self.run_folder
     }
 
-    /// The pilot that is there, or what is left of it.
+    /// Returns the saved pilot, or runs the rest of it.
     pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &ProgressCounter<'_>) -> Result<Pilot, RareError> {
         let dimension = plan.space.dimension();
         let may_be = |fitting: &MixtureFitting| fitting.is_consistent_with(plan.effort, plan.seed, dimension);
@@ -90,12 +83,11 @@ impl RareProgress {
         Ok(pilot)
     }
 
-    /// How many of its repetitions were made already.
     pub(super) fn completed_repetitions(&self) -> u64 {
         self.state.repetitions.as_ref().map_or(0, Repetitions::count)
     }
 
-    /// Some of the repetitions, of which those that are there are not made again.
+    /// Runs those of the repetitions that are not saved.
     pub(super) fn run_repetitions(
         &mut self,
         plan: &RarePlan,
@@ -104,7 +96,6 @@ impl RareProgress {
         counter: &ProgressCounter<'_>,
     ) -> Result<Repetitions, RareError> {
         let mut next = own.start + self.completed_repetitions();
-        // Where the pilot reached no failure, there are none to make.
         let mut repetitions = match self.state.repetitions.take() {
             Some(kept) => kept,
             None => pilot.run_repetitions(plan, own.start..own.start, counter)?,
@@ -120,7 +111,7 @@ impl RareProgress {
         Ok(repetitions)
     }
 
-    /// Estimates in other spaces, those fitted to so many resamples of which it makes some in order: what is there is not made again.
+    /// Returns the estimator in spaces that are fitted to resamples; it reuses saved estimates.
     pub(super) fn resample_estimator(&mut self, resamples: u32) -> ResampleEstimator<'_> {
         if self.state.resample_estimates.as_ref().is_none_or(|resampled| resampled.resamples != resamples) {
             self.state.resample_estimates = Some(ResampleEstimates { resamples, estimates: Vec::new() });
@@ -128,21 +119,19 @@ impl RareProgress {
         ResampleEstimator { progress: self, next: 0 }
     }
 
-    /// Writes what it comes to. What it was made of is needed no longer.
     pub(super) fn finish(&self, name: &str, contents: String) -> Result<(), RareError> {
         self.run_folder.transaction().write(name, contents).remove(PROGRESS_FILE).commit()?;
         Ok(self.run_folder.finish()?)
     }
 }
 
-/// Estimates in resamples, while they are gone through.
+/// An iteration over resamples that reuses saved estimates.
 pub(super) struct ResampleEstimator<'a> {
     progress: &'a mut RareProgress,
     next: usize,
 }
 
 impl ResampleEstimator<'_> {
-    /// The next one.
     pub(super) fn next(
         &mut self,
         plan: &RarePlan,
@@ -159,7 +148,7 @@ impl ResampleEstimator<'_> {
         if let Some(resampled) = &mut found.resample_estimates {
             resampled.estimates.push(estimate.clone());
         }
-        // Of an estimate that was finished nothing but itself is kept.
+        // The folder of a finished estimate keeps no estimates in resamples.
         if !self.progress.run_folder.is_complete() {
             found.write(&self.progress.run_folder)?;
         }
@@ -172,7 +161,6 @@ impl RareProgressFile {
         Ok(work.write(PROGRESS_FILE, serde_json::to_string(self)? + "\n")?)
     }
 
-    /// Whether an estimate of which so many repetitions are made could have come to it.
     fn is_consistent_with(&self, record: &RareRecord, repetitions: u64) -> bool {
         let is_own = |pilot: &Pilot| pilot.is_run_by(record.method, record.effort, record.seed);
         let may_be = |some: &Repetitions| {

@@ -29,7 +29,6 @@ fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
-/// Makes an estimate, or a shard of one, in a folder; says how many runs it took, or that it was interrupted.
 fn run_until(plan: &RarePlan, shard: Option<ShardId>, folder: &Path, plug: u64) -> Option<u64> {
     let runs = AtomicU64::new(0);
     // Pilot and repetitions both count from 0.
@@ -71,7 +70,7 @@ fn assert_same(one: &Path, other: &Path, name: &str) {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(2))]
 
-    /// Interrupted wherever it is, again and again, on any number of threads, it ends with the bytes of what nothing happened to.
+    /// Repeated interruptions, with any number of threads, do not change the bytes of the result.
     #[test]
     fn what_is_interrupted_goes_on_to_the_same_bytes(
         (importance, seed, shard) in (any::<bool>(), 0..20_u64, prop::option::of(1..=2_u32)),
@@ -91,7 +90,6 @@ proptest! {
     }
 }
 
-/// Each repetition that has ended is there afterwards, and no run of it is made again.
 #[test]
 fn repetitions_are_kept_as_they_end() {
     for method in [RareMethod::Splitting, RareMethod::Importance] {
@@ -118,7 +116,6 @@ fn what_is_half_done_is_gone_on_with_by_nothing_else() {
     for other in [self::plan(RareMethod::Splitting, 1), self::plan(RareMethod::Importance, 2)] {
         assert!(error(&other, true).unwrap().ends_with("the rare-failure estimate there was configured otherwise"));
     }
-    // What was written by somebody else, and work.json told of it.
     let kept = plan.open_folder(root.path(), true).unwrap();
     let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();
     drop(kept);

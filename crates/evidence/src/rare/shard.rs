@@ -1,6 +1,5 @@
-//! Shards of an estimate: some of its repetitions each, and the pilot, which each of them runs, for all that follows depends on it.
-//!
-//! A folder holds `shard.json`, all that decides it, and `repetitions.json`; until that is there, `progress.json`.
+//! Shards of an estimate: each runs the pilot, which determines the levels, and some of the repetitions. The folder of
+//! a shard holds `shard.json`, the configuration, and `repetitions.json`; until that exists, `progress.json`.
 
 use std::ops::{Deref, DerefMut, Range};
 use std::path::{Path, PathBuf};
@@ -19,14 +18,13 @@ use crumple_store::run_folder::{CompletedRun, RunFolderError};
 use crumple_store::shard::{MergeError, Mergeable, MergedShards, SHARD_FILE, ShardId, Sharded, open_shard};
 use crumple_world::scenario::space::{ScenarioSpace, file};
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of the run folder in its `work.json`.
 pub const ESTIMATE_SHARD_KIND: &str = "shard of a rare-failure estimate";
 
-/// Everything that decides an estimate that is divided.
+/// Configuration of an estimate that is divided into shards.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardedEstimate {
     estimate: RareRecord,
-    /// Present if failures are stated per hour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
     exposure: Option<ExposureConfig>,
@@ -65,24 +63,20 @@ impl Mergeable for ShardedEstimate {
             && repeated.pilot.is_consistent_with(&repeated.repetitions)
             && repeated.repetitions.count() == made
             && self.exposure.iter().all(is_of_space)
-            // There are fewer where no space could be fitted to some.
             && repeated.resample_estimates.len() as u64 <= resampled.end - resampled.start;
         if is_sound { Ok(repeated) } else { Err(format!("not what shard {shard} of that estimate comes to")) }
     }
 
-    /// Returns the pilot if it differs: one seed places the same levels on every machine.
+    /// Compares the pilots: the same seed gives the same levels on every machine.
     fn contradiction(one: &RareShardResults, other: &RareShardResults) -> Option<String> {
         (one.pilot != other.pilot).then(|| "the pilot, as of another build,".to_owned())
     }
 }
 
-/// What decides what an estimate comes to per hour.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ExposureConfig {
-    /// Of the episodes that the space was fitted to.
     resamples: u32,
-    /// The space, in TOML.
     space_text: String,
 }
 
@@ -92,13 +86,12 @@ struct ExposureConfig {
 pub struct RareShardResults {
     pilot: Pilot,
     repetitions: Repetitions,
-    /// Estimates in its share of the resamples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[serde(rename = "resampled")]
     resample_estimates: Vec<RareEstimate>,
 }
 
-/// A folder for a shard of an estimate, in use.
+/// An open folder of a shard.
 pub struct RareShard<'a> {
     plan: &'a RarePlan,
     shard: ShardId,
@@ -107,11 +100,12 @@ pub struct RareShard<'a> {
 }
 
 impl RarePlan {
-    /// The folder, if it is this shard's or nobody's. In a space fitted to episodes, estimates are made in so many `resamples` of these, too.
+    /// Opens the folder if it is empty or belongs to this shard. With a space that is fitted to episodes, the shard
+    /// also estimates in its share of `resamples`.
     ///
     /// # Errors
-    /// [`RareError`] if there are fewer repetitions than shards, the controller states no identity, or the folder cannot be used,
-    /// holds something else, or is damaged.
+    /// [`RareError`] if there are fewer repetitions than shards, the controller has no identity, or the folder cannot
+    /// be used, has other content, or is damaged.
     pub fn open_shard_folder(
         &self,
         shard: ShardId,
@@ -137,24 +131,24 @@ impl RarePlan {
 }
 
 impl RareShard<'_> {
-    /// Whether it was made before.
+    /// True if the shard is complete.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.progress.run_folder().is_complete()
     }
 
-    /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
+    /// Runs or resumes the pilot, and saves the levels. Reports every batch of runs.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
+    /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the pilot.
     pub fn run_pilot(&mut self, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
         self.progress.run_pilot(self.plan, &ProgressCounter::new(observer, None))
     }
 
-    /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples, without what is in the folder already.
+    /// Runs the remaining repetitions and estimates in resamples.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the shard.
+    /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the shard.
     pub fn run_repetitions(&mut self, pilot: &Pilot, observer: &dyn Observer<RunProgress>) -> Result<(), RareError> {
         let counter = ProgressCounter::new(observer, None);
         let all = self.plan.effort.repetitions as u64;
@@ -174,7 +168,7 @@ impl RareShard<'_> {
     }
 }
 
-/// Shards of one estimate.
+/// Shards of one estimate, for merging.
 #[derive(Debug)]
 pub struct MergedEstimate(MergedShards<ShardedEstimate>);
 
@@ -193,15 +187,15 @@ impl DerefMut for MergedEstimate {
 }
 
 impl MergedEstimate {
-    /// Begins with a shard.
+    /// Starts with the first shard.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read.
+    /// [`MergeError`] if the shard cannot be read.
     pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         MergedShards::new(folder, found).map(Self)
     }
 
-    /// The estimate, with what it comes to per hour where the space says in how much driving it was seen; none while repetitions are
+    /// Returns the estimate, with rates per hour if the space states its exposure; `None` while repetitions are
     /// missing.
     ///
     /// # Errors
@@ -230,11 +224,11 @@ impl MergedEstimate {
         Ok(RatePerExposure::new(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
-    /// Writes the folder of the whole estimate, that of an estimate by one machine to the byte, and says where the estimate is; none
-    /// while repetitions are missing: then nothing is written.
+    /// Writes the folder of the whole estimate, byte for byte as an undivided estimate would, and returns the path of
+    /// the estimate. `None` while repetitions are missing: then nothing is written.
     ///
     /// # Errors
-    /// [`RareError`] if the shards do not go with their space, or the folder cannot be used, or holds something else.
+    /// [`RareError`] if the shards do not match their space, or the folder cannot be used or has other content.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, RareReport)>, RareError> {
         let Some(report) = self.report()? else { return Ok(None) };
         let folder = self.work().estimate.open_folder(folder, true)?;

@@ -38,7 +38,6 @@ fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
     [2, 5].into_iter().for_each(check_merge);
 }
 
-/// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
 fn check_merge(seed: u64) {
     let (plan, root) = (plan(seed), tempfile::tempdir().unwrap());
     let single = root.path().join("single");

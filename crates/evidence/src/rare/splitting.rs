@@ -1,4 +1,4 @@
-//! The climb: a pilot that places the levels, and repetitions that are unbiased.
+//! Multilevel splitting: a pilot that places the levels, and unbiased repetitions.
 
 use std::ops::Range;
 
@@ -13,70 +13,62 @@ use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
+/// Maximum number of levels: a rarer failure than about 10⁻¹² is not reached.
 pub const MAX_LEVELS: usize = 18;
-/// Populations of pilots, as multiples of that of a repetition: the next one climbs where those before reached no failure. A population that is small
-/// may be led by its levels to where margins are small and nothing fails; one that is larger keeps more ways open.
+/// Population sizes of pilots, relative to a repetition. The next pilot runs if the earlier ones reached no failure: a
+/// larger population is less likely to follow small margins to where nothing fails.
 pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
-/// Streams of all pilots but the first; those of repetitions are counted from 1.
+/// Offset of the random streams of later pilots; those of repetitions start at 1.
 const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
-/// Share of a population that passes a level.
 const LEVEL_SHARE: f64 = 0.2;
-/// Moves of each run below each level.
 const MOVES_PER_LEVEL: usize = 4;
-/// Share of moves that also draw the noise anew.
+/// Share of moves that also resample the noise.
 const NEW_NOISE_SHARE: f64 = 0.25;
-/// Acceptance at which a random walk gets on fastest (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
+/// Optimal acceptance of a random walk (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
 const TARGET_ACCEPTANCE: f64 = 0.44;
-/// How strongly the pilot's step reacts to the acceptance.
+/// Gain of the pilot's step control by acceptance.
 const STEP_ADAPTATION_RATE: f64 = 1.5;
 const MIN_STEP: f64 = 0.02;
 
-/// Everything that chance decides in a run.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RandomInputs {
-    /// Independent standard normal numbers, one a parameter.
+    /// Independent standard normal numbers, one per parameter.
     pub normal: Vec<f64>,
     /// Seed of all noise.
     pub noise_seed: u64,
 }
 
-/// Runs with a margin.
+/// A problem whose runs have a margin.
 pub(super) trait LimitState: Sync {
-    /// Why a run cannot be made.
     type Error: From<Stopped> + Send;
 
-    /// How many standard normal numbers decide a run.
     fn dimension(&self) -> usize;
 
-    /// The margins of runs, in their order: negative where the run fails. NaN counts as far from failing.
+    /// Returns the margins of runs, in order: negative for a failure. NaN counts as far from failing.
     ///
     /// # Errors
-    /// The first run that cannot be made.
+    /// The first run that fails.
     fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, Self::Error>;
 }
 
-/// The levels that a pilot has placed.
+/// Levels that a pilot placed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplittingLevels {
     effort: SplittingConfig,
     seed: u64,
     stages: Vec<SplittingStage>,
-    /// How many runs the pilots took.
     #[serde(rename = "pilot")]
     pilot_runs: u64,
-    /// With how many independent draws they began: where a failure was reached, the first alone.
+    /// Number of independent initial samples; only those of the first pilot if a failure was reached.
     pilot_draws: u64,
-    /// How many of those failed.
     pilot_failures: u64,
     #[serde(rename = "reached")]
     reaches_failure: bool,
-    /// What the pilot saw, for want of anything better where it does not reach a failure.
+    /// Levels of the pilot, for a report without a reached failure.
     pilot_levels: Vec<Level>,
 }
 
-/// A level on the way.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SplittingStage {
@@ -93,10 +85,8 @@ impl SplittingStage {
     }
 }
 
-/// A run and its margin.
 pub(super) type Particle = (RandomInputs, f64);
 
-/// One population, with a stream of its own.
 pub(super) struct ParticlePopulation<'a, P: LimitState> {
     problem: &'a P,
     samples: usize,
@@ -105,21 +95,17 @@ pub(super) struct ParticlePopulation<'a, P: LimitState> {
     counter: &'a ProgressCounter<'a>,
 }
 
-/// What came of one repetition.
+/// Result of a repetition by splitting.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Repetition {
-    /// How many runs failed of those that it began with.
     #[serde(rename = "failures")]
     initial_failures: u64,
-    /// At each level that it reached.
     #[serde(rename = "seen")]
     levels: Vec<LevelStats>,
-    /// Runs made.
     evaluations: u64,
 }
 
-/// What a repetition saw at one level.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LevelStats {
@@ -129,10 +115,10 @@ struct LevelStats {
 }
 
 impl SplittingLevels {
-    /// Runs the pilot, and larger ones where it reaches no failure.
+    /// Runs the pilot; retries with larger populations if it reaches no failure.
     ///
     /// # Errors
-    /// Those of the problem.
+    /// Errors of the problem.
     pub(super) fn run_pilots<P: LimitState>(
         problem: &P,
         effort: SplittingConfig,
@@ -146,8 +132,8 @@ impl SplittingLevels {
                 break;
             }
             let next = Self::run_pilot(problem, effort, seed, attempt, counter)?;
-            // Whether there is a next one is not independent of what the draws before came to: with repetitions, those do that there are
-            // in any case.
+            // Whether a further pilot runs depends on earlier samples, so its samples may not be pooled with them. If
+            // repetitions follow, only the first pilot's samples count.
             let (draws, failures) = match next.reaches_failure {
                 true => first,
                 false => (pilot.pilot_draws + next.pilot_draws, pilot.pilot_failures + next.pilot_failures),
@@ -162,7 +148,6 @@ impl SplittingLevels {
         Ok(pilot)
     }
 
-    /// What one of the pilots comes to.
     pub(super) fn run_pilot<P: LimitState>(
         problem: &P,
         effort: SplittingConfig,
@@ -198,7 +183,8 @@ impl SplittingLevels {
             let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
             margins.sort_by(f64::total_cmp);
             let quantile = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
-            // Where most of the population lies on a plateau, the level is whatever lies below it, however few that are.
+            // If most of the population has the same margin, the level is the next smaller margin, even if few runs
+            // pass.
             let plateau = before.min(margins.last().copied().unwrap_or(before));
             let below = margins.iter().rev().copied().find(|margin| *margin < plateau);
             let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
@@ -239,35 +225,31 @@ impl SplittingLevels {
         Ok(pilot)
     }
 
-    /// Whether the pilot reached a failure.
+    /// True if the pilot reached a failure.
     #[must_use]
     pub fn reaches_failure(&self) -> bool {
         self.reaches_failure
     }
 
-    /// How many runs the repetitions will make at most.
+    /// Returns the maximum number of runs of the repetitions.
     #[must_use]
     pub fn planned_runs(&self) -> u64 {
         let moves = MOVES_PER_LEVEL * self.stages.len().saturating_sub(1);
         if self.reaches_failure { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
-    /// How much work goes into it.
     pub(super) fn effort(&self) -> SplittingConfig {
         self.effort
     }
 
-    /// Seed of everything.
     pub(super) fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// The levels that repetitions climb, the failure last.
     pub(super) fn stages(&self) -> &[SplittingStage] {
         &self.stages
     }
 
-    /// What the pilot alone says.
     pub(super) fn pilot_estimate(&self) -> RareEstimate {
         RareEstimate {
             evaluations: self.pilot_runs,
@@ -278,10 +260,10 @@ impl SplittingLevels {
         }
     }
 
-    /// Runs some of the repetitions: each is a function of the seed and its number alone.
+    /// Runs some of the repetitions; each depends only on the seed and its number.
     ///
     /// # Errors
-    /// Those of the problem.
+    /// Errors of the problem.
     pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
@@ -299,12 +281,10 @@ impl SplittingLevels {
         repetitions.into_par_iter().map(repeat).collect()
     }
 
-    /// Whether it was placed by that seed with that effort.
     pub(super) fn is_placed_by(&self, effort: SplittingConfig, seed: u64) -> bool {
         self.effort == effort.clamped() && self.seed == seed
     }
 
-    /// Whether these repetitions could have come of it.
     pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
         let samples = self.effort.samples as u64;
         let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
@@ -319,7 +299,7 @@ impl SplittingLevels {
         repetitions.iter().all(may_be)
     }
 
-    /// What all repetitions come to, in their order.
+    /// Returns the estimate from all repetitions, in order.
     #[must_use]
     pub fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
         let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
@@ -330,7 +310,6 @@ impl SplittingLevels {
         }
         let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot_runs, u64::saturating_add);
         let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.levels).collect();
-        // A repetition that died out before the last level has seen no failure.
         let product = |seen: &Vec<LevelStats>, levels: usize| -> f64 {
             if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
         };
@@ -356,7 +335,6 @@ impl SplittingLevels {
 }
 
 impl RareEstimate {
-    /// Of nothing.
     pub(super) fn empty() -> Self {
         Self {
             probability: None,
@@ -371,7 +349,7 @@ impl RareEstimate {
         }
     }
 
-    /// With what independent repetitions say: their mean, and their spread. A mean of weights may be above 1, which no probability is.
+    /// Sets mean and spread of independent repetitions. A mean of weights may exceed 1; the probability is limited.
     pub(super) fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
         let mean = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, mean);
@@ -379,7 +357,7 @@ impl RareEstimate {
         Self { interval_95: estimate.interval(0.95), ..estimate }
     }
 
-    /// An interval for the probability, as that at 95 %.
+    /// Returns a confidence interval of the probability, computed as [`Self::interval_95`].
     #[must_use]
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (probability, variation) = (self.probability?, self.coefficient_of_variation?);
@@ -391,14 +369,14 @@ impl RareEstimate {
             None => {
                 let raw = probability.max(mean(&self.repetitions));
                 let [lower, upper] = lognormal_interval(raw, variation, self.repetitions.len(), confidence)?;
-                // The spread of weights alone may leave nothing that is a probability.
+                // The spread of weights may leave no interval below 1.
                 if lower < 1.0 { Some([lower, upper]) } else { self.independent_interval(confidence) }
             }
         }
     }
 
-    /// Failures and runs of the repetitions where the first level is the failure itself: nothing is split then, and runs are counted. The
-    /// spread of repetitions that all fail throughout is nothing, and so says nothing.
+    /// Returns failures and runs of the repetitions if the first level is the failure: nothing is split, and runs are
+    /// only counted. If all runs fail, the spread is zero and meaningless.
     fn counted_failures(&self) -> Option<(u64, u64)> {
         let repetitions = self.repetitions.len() as u64;
         let each = self.independent_runs / (1 + repetitions);
@@ -409,7 +387,7 @@ impl RareEstimate {
         })
     }
 
-    /// An interval from the independent draws alone, which no level helped: Clopper's and Pearson's; none of an estimate that does not know them.
+    /// Returns the Clopper-Pearson interval of the independent initial samples; `None` if their number is unknown.
     #[must_use]
     pub fn independent_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (failures, runs) = (self.independent_failures, self.independent_runs);
@@ -419,7 +397,6 @@ impl RareEstimate {
     }
 }
 
-/// How many of a population fail.
 fn count_failures(population: &[Particle]) -> u64 {
     population.iter().filter(|(_, margin)| *margin < 0.0).count() as u64
 }
@@ -429,8 +406,8 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Self { problem, samples, random, evaluations: 0, counter }
     }
 
-    /// Takes a population down the levels, and says how many runs failed of the first ones; `told` hears at each level what was seen, and
-    /// who is below it. Below the last one runs are moved on only with a `last_step`.
+    /// Moves a population down the levels and returns the number of failed initial runs. Calls `told` with the
+    /// statistics and the survivors of each level. Moves below the last level need a `last_step`.
     fn climb(
         &mut self,
         stages: &[SplittingStage],
@@ -460,16 +437,15 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Ok(failures)
     }
 
-    /// Who is below each level, spread out, failures last; fewer levels where a population dies out.
+    /// Returns the populations below all levels, failures last; fewer if a population becomes extinct.
     pub(super) fn level_populations(&mut self, stages: &[SplittingStage]) -> Result<Vec<Vec<Particle>>, P::Error> {
-        // The step of the level before leads to where chances are as good.
+        // No step was tuned for the last level: reuse that of the previous level.
         let last_step = stages.iter().rev().find(|stage| !stage.is_last).map_or(1.0, |before| before.step);
         let mut all = Vec::with_capacity(stages.len());
         self.climb(stages, Some(last_step), |_, population| all.push(population.to_vec()))?;
         Ok(all)
     }
 
-    /// Independent draws.
     fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
         self.sample_with(|dimension, random| RandomInputs {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
@@ -477,7 +453,6 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         })
     }
 
-    /// A population by any law.
     pub(super) fn sample_with(
         &mut self,
         draw: impl Fn(usize, &mut Stream) -> RandomInputs,
@@ -488,14 +463,12 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Ok(states.into_iter().zip(margins).collect())
     }
 
-    /// Copies survivors until they are as many as at the start, each as often as any other; which of them are copied once
-    /// more is drawn by lot.
+    /// Copies survivors to restore the population size, each equally often; a random choice has one more copy.
     fn resample(&mut self, mut survivors: Vec<Particle>) -> Vec<Particle> {
         let alive = survivors.len();
         if alive == 0 {
             return survivors;
         }
-        // The first places of a shuffle.
         for place in 0..self.samples % alive {
             let other = self.random.random_range(place..alive);
             survivors.swap(place, other);
@@ -503,10 +476,10 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         survivors.iter().cycle().take(self.samples).cloned().collect()
     }
 
-    /// One move of every run: what would leave the level is not done. Says how many moves that kept the noise were
-    /// accepted, and how many there were.
+    /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and of all
+    /// moves that kept the noise.
     fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
-        // An autoregressive step keeps normal numbers normal (Neal, 1998; "preconditioned Crank-Nicolson").
+        // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
             let noise =
@@ -542,7 +515,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     }
 }
 
-/// A seed that a scenario file can hold.
+/// Returns a seed that fits the signed integers of scenario files.
 pub(super) fn new_noise_seed(random: &mut Stream) -> u64 {
     random.random::<u64>() >> 1
 }
@@ -551,14 +524,14 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
-/// Standard deviation of the mean relative to the mean.
+/// Returns the standard deviation of the mean, relative to the mean.
 fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
     let n = values.len() as f64;
     let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (n - 1.0);
     (mean > 0.0).then(|| (variance / n).sqrt() / mean)
 }
 
-/// Products of many shares are nearly log-normal, and so is their mean.
+/// Returns the interval of a log-normal mean: products of many shares are nearly log-normal.
 pub(super) fn lognormal_interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
     let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();

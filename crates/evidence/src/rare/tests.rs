@@ -1,4 +1,4 @@
-//! Problems whose probability is known.
+//! Problems with a known probability.
 
 use std::f64::consts::SQRT_2;
 
@@ -17,7 +17,6 @@ use crumple_world::random::Stream;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
-/// A limit state with a closed form.
 struct ClosedFormLimitState {
     dimension: usize,
     margin: fn(&RandomInputs) -> f64,
@@ -52,39 +51,34 @@ fn upper_tail(x: f64) -> f64 {
     0.5 * libm::erfc(x / SQRT_2)
 }
 
-/// Sum of many numbers beyond five deviations.
 fn linear(state: &RandomInputs) -> f64 {
     5.0 - state.normal.iter().sum::<f64>() / (state.normal.len() as f64).sqrt()
 }
 
-/// Far out in any direction.
 fn sphere(state: &RandomInputs) -> f64 {
     45.0 - state.normal.iter().map(|x| x * x).sum::<f64>()
 }
 
-/// Two separate ways to fail, of one probability.
 fn either_side(state: &RandomInputs) -> f64 {
     5.0 - state.normal.first().map_or(0.0, |x| x.abs())
 }
 
-/// Noise takes part: a quarter of the variance.
 fn noisy(state: &RandomInputs) -> f64 {
     let noise: f64 = StandardNormal.sample(&mut Stream::seed_from_u64(state.noise_seed));
     4.9 - (0.75_f64.sqrt() * state.normal.first().copied().unwrap_or(0.0) + 0.5 * noise)
 }
 
-/// Two conditions at once.
 fn corner(state: &RandomInputs) -> f64 {
     let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
     (3.2 - at(0)).max(3.5 - at(1))
 }
 
-/// One in a hundred: hardly rare.
 fn frequent(state: &RandomInputs) -> f64 {
     2.326_347_874_040_841 - state.normal.first().copied().unwrap_or(0.0)
 }
 
-/// What comes of a problem with so many seeds: mean over the truth, how many intervals hold it, and most runs.
+/// Returns the mean of the estimates relative to the truth, the number of intervals that contain the truth, and the
+/// maximum number of runs.
 fn evaluate_method(
     method: RareMethod,
     (name, problem, truth): &(&str, ClosedFormLimitState, f64),
@@ -118,8 +112,8 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
     ]
 }
 
-/// All four are rarer than one in a million. Each estimate lies within a factor of two, nearly all intervals hold the truth,
-/// and over the seeds the mean is right to a tenth: nothing is biased.
+/// Each estimate is within a factor of two, nearly all intervals contain the truth, and the mean over the seeds has an
+/// error below a tenth.
 #[test]
 fn known_probabilities_below_a_millionth_are_found() {
     const SEEDS: u64 = 24;
@@ -134,13 +128,13 @@ fn known_probabilities_below_a_millionth_are_found() {
     }
 }
 
-/// Tests that `.ci/run` adds to those of `cargo test`.
+/// Tests that only `.ci/run` runs.
 mod tier_2 {
     use super::*;
 
-    /// Importance sampling finds the same, of a quarter of the runs and with a fifth of the spread; and what is not rare, and what many numbers
-    /// decide. Where noise decides as well it is no better than splitting: the best law that knows nothing of the noise has a
-    /// coefficient of variation of 27 for each draw, and intervals hold less often than they say.
+    /// Importance sampling needs a quarter of the runs, with a fifth of the spread; it also handles frequent failures
+    /// and many dimensions. With noise it is no better than splitting: the best distribution that ignores the noise has
+    /// a coefficient of variation of 27 per sample, and intervals contain the truth less often than stated.
     #[test]
     #[ignore = "tier 2: 168 estimates"]
     fn known_probabilities_are_found_by_weighted_draws() {
@@ -161,8 +155,8 @@ mod tier_2 {
         }
     }
 
-    /// Where noise decides as well, intervals of weighted draws hold far less often than they say, and most of all those in which no run weighs much:
-    /// what would weigh much was not drawn. The command line says these figures of every estimate through the filter.
+    /// With noise, intervals of importance sampling contain the truth far less often than stated, mostly without a
+    /// large weight. The command line states these figures with every filtered estimate.
     #[test]
     #[ignore = "tier 2: 400 estimates"]
     fn where_noise_decides_weighted_draws_have_intervals_that_are_too_narrow() {
@@ -185,7 +179,6 @@ mod tier_2 {
     }
 }
 
-/// Weighted draws are never taken for counted runs, however few levels the pilot needed.
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     let problems = [
@@ -215,7 +208,7 @@ fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     }
 }
 
-/// What nearly always fails has weights whose mean is above 1 as often as not; what is stated is a probability all the same.
+/// Weights of a nearly certain failure may have a mean above 1; the probability is limited.
 #[test]
 fn no_probability_is_above_one() {
     let nearly_always = |state: &RandomInputs| -3.0 - state.normal.first().copied().unwrap_or(0.0);
@@ -256,11 +249,11 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
     assert_eq!(found.repetitions.len(), SplittingConfig::default().repetitions);
 }
 
-/// Margins that lead a small population to where nothing fails: a larger pilot keeps the way open that does, and the estimate is as unbiased as with the
-/// first. What the pilots took is counted, and their draws where they are all that is known.
+/// Margins lead a small population away from the failures; a larger pilot finds them, without bias. The runs of all
+/// pilots count, and their samples if nothing else is known.
 #[test]
 fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
-    // A wide valley that ends above 0, and a narrow way to the failures, in which margins are larger at first.
+    // A wide valley ends above 0; the narrow way to the failures has larger margins at first.
     let astray = |state: &RandomInputs| {
         let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
         let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
@@ -308,7 +301,6 @@ fn what_cannot_fail_is_not_given_a_probability() {
     assert_eq!((always.probability, always.coefficient_of_variation), (Some(1.0), Some(0.0)));
 }
 
-/// Splitting and counting say the same of a failure that both see: about one run in a hundred.
 #[test]
 fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
@@ -344,7 +336,6 @@ fn splitting_agrees_with_counting_on_the_road() {
     assert!((climbed - counted).abs() < 4.0 * deviation, "{climbed} and {counted}, deviation {deviation}");
 }
 
-/// An estimate of before the margins of rules had a name of their own is read; what has none is refused.
 #[test]
 fn levels_are_read_as_they_are_and_were_written() {
     let level = |named: &str| format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}");

@@ -1,8 +1,6 @@
-//! Shards of a count, put together: in any order, some perhaps twice, some perhaps missing.
-//!
-//! Whole blocks are counted, each with a hash of what came of its runs, and a shard is a range of them. Put together they are the blocks
-//! of a count by one machine, in order, and so are the sums, the bound and the certificate: there is nothing to be combined that could
-//! round. Memory grows with the number of blocks, of which there are at most ten thousand, and not with the number of runs.
+//! Merge of the shards of a count, in any order; duplicates and gaps are allowed. A shard is a range of blocks, each
+//! with a hash of its runs. The merged blocks, sums, bound and certificate are those of an undivided count, without
+//! rounding. Memory grows with the number of blocks, at most ten thousand, not of runs.
 
 use std::ops::{Deref, DerefMut, Range};
 use std::path::{Path, PathBuf};
@@ -20,7 +18,7 @@ use crumple_store::run_folder::CompletedRun;
 use crumple_store::shard::{MergeError, MergedShards, MissingShards, SHARD_FILE};
 use crumple_world::scenario::space::{ScenarioSpace, file};
 
-/// Shards of one count.
+/// Shards of one count, for merging.
 #[derive(Debug)]
 pub struct MergedCount(MergedShards<ShardedCount>);
 
@@ -38,59 +36,58 @@ impl DerefMut for MergedCount {
     }
 }
 
-/// What shards come to, all of them or not.
+/// Result of some or all shards.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PartialCount {
     /// Digest of the registration.
     pub registration_sha256: String,
-    /// Runs that were registered.
+    /// Number of registered runs.
     pub registered_runs: u64,
-    /// Runs in the shards.
+    /// Number of runs in the shards.
     pub runs: u64,
-    /// Runs in which the controller failed; of two, both.
+    /// Runs in which the controller failed; with two controllers, both.
     pub failures: u64,
-    /// Of two controllers: runs in which only the first failed.
+    /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,
     /// Runs in which only the second failed.
     pub only_second_failed: u64,
-    /// Shards that are there.
+    /// Number of shards.
     pub shards: u64,
-    /// Shards that were given more than once, with the same results.
+    /// Number of duplicates of these shards.
     pub duplicates: u64,
-    /// Runs that are missing, as ranges: the first, and the one after the last.
+    /// Missing runs, as ranges: the first, and the one after the last.
     pub missing_runs: Vec<[u64; 2]>,
-    /// The shards that are missing, where all are of the same number.
+    /// Missing shards, if all shards are of the same division.
     pub missing_shards: Vec<u32>,
-    /// Of how many; none where shards are of several numbers.
+    /// Number of shards of the division; `None` with several divisions.
     #[serde(rename = "of_shards")]
     pub shard_count: Option<u32>,
-    /// Of one controller: the bound that holds at the registered confidence whatever the missing runs come to, for it takes all of them
-    /// as failures.
+    /// Bound for one controller at the registered confidence level, with all missing runs taken as failures.
     pub rate_at_most: Option<f64>,
 }
 
 impl MergedCount {
-    /// Begins with a shard.
+    /// Starts with the first shard.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read.
+    /// [`MergeError`] if the shard cannot be read.
     pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         MergedShards::new(folder, found).map(Self)
     }
 
-    /// What was fixed before the first run.
+    /// Returns the registration with the space.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
         &self.work().count
     }
 
-    /// Whether every run was counted.
+    /// True if every run was counted.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.missing_ranges().is_empty()
     }
 
-    /// What the shards come to.
+    /// Returns the result of the shards.
     #[must_use]
     pub fn partial_count(&self) -> PartialCount {
         let sum = |of: fn(&CountTally) -> u64| self.parts().contents().map(of).sum::<u64>();
@@ -120,7 +117,7 @@ impl MergedCount {
         }
     }
 
-    /// The tally of all runs; none while some are missing.
+    /// Returns the tally of all runs; `None` while some are missing.
     #[must_use]
     pub fn tally(&self) -> Option<CountTally> {
         if !self.is_complete() {
@@ -133,11 +130,11 @@ impl MergedCount {
         Some(tally)
     }
 
-    /// What the failures come to per hour and per 1000 km, the same as of one machine, where the space says in how much driving it was seen;
-    /// none while runs are missing.
+    /// Returns failures per hour and per 1000 km if the space states its exposure, identical to an undivided count;
+    /// `None` while runs are missing.
     ///
     /// # Errors
-    /// [`MergeError`] if the new runs in resamples are not those of the space.
+    /// [`MergeError`] if the resamples are not those of the space.
     pub fn rate_per_exposure(&self) -> Result<Option<RatePerExposure>, MergeError> {
         let (Some(tally), Some(resampling)) = (self.tally(), self.work().resampling) else { return Ok(None) };
         let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
@@ -156,11 +153,11 @@ impl MergedCount {
         Ok(RatePerExposure::new(&space, known, resamples.as_ref()))
     }
 
-    /// Writes the folder of the whole count, the same as that of a count by one machine, to the byte, and says where its certificate is;
-    /// none while runs are missing: then nothing is written.
+    /// Writes the folder of the whole count, byte for byte as an undivided count would, and returns the path of its
+    /// certificate. `None` while runs are missing: then nothing is written.
     ///
     /// # Errors
-    /// [`RateFolderError`] if the folder cannot be used, holds something else, or nothing is shown.
+    /// [`RateFolderError`] if the folder cannot be used or has other content, or if the certificate is rejected.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, Certificate)>, RateFolderError> {
         self.tally().map(|tally| self.record().write_in(folder, &tally)).transpose()
     }

@@ -28,7 +28,6 @@ fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
         space: built_in_space("high-risk").unwrap(),
         seed,
         estimator: EstimatorKind::Truth,
-        // The last of 24 blocks is a short one.
         runs: 2350,
         confidence: 0.9,
     })
@@ -61,7 +60,6 @@ fn count_whole(plan: &RatePlan) -> (tempfile::TempDir, CountTally) {
     (folder, tally)
 }
 
-/// Shards of a plan, each counted once.
 struct Shards<'a> {
     plan: &'a RatePlan,
     root: tempfile::TempDir,
@@ -87,7 +85,7 @@ fn shard(index: u32, of: u32) -> ShardId {
     ShardId::new(index, of).unwrap()
 }
 
-/// A random division, some shards of which come twice and some not at all; at times some of another division beside them.
+/// Returns a random division with duplicates and gaps, sometimes mixed with shards of another division.
 fn random_shards(random: &mut impl Rng) -> Vec<ShardId> {
     let of = random.random_range(1..=24);
     let keep = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.3..1.0) };
@@ -103,7 +101,6 @@ fn random_shards(random: &mut impl Rng) -> Vec<ShardId> {
     shards
 }
 
-/// The model is the single run and an owner of each of its blocks.
 #[test]
 fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
     let plan = plan(3);
@@ -145,7 +142,6 @@ fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
             Some(_) => {
                 complete += 1;
                 assert_eq!(there().count(), 24);
-                // Once more, into what is there.
                 merged.write_in(out.path()).unwrap();
                 for name in FILES {
                     let read = |folder: &Path| fs::read(folder.join(name)).unwrap();
@@ -161,7 +157,6 @@ fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
 fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
     let plan = plan_with("idm", Some("baseline"), 3);
     let ((single, _), mut shards) = (count_whole(&plan), Shards::new(&plan));
-    // Killed after some blocks were kept.
     let folder = shards.root.path().join("2-of-2");
     let half = tempfile::tempdir().unwrap();
     plan.register_shard_in(shard(2, 2), half.path(), false).unwrap();
@@ -182,7 +177,6 @@ fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
     assert_eq!(fs::read_dir(half.path()).unwrap().count(), 4, "a shard leaves four files");
 }
 
-/// Whatever is done to one file of a shard is found, and so is a shard of anything else.
 #[test]
 fn what_is_foreign_tampered_or_contradicts_is_refused() {
     let (mine, other) = (plan(3), plan(4));
@@ -213,7 +207,6 @@ fn what_is_foreign_tampered_or_contradicts_is_refused() {
     }
     add_shard(&mut merged, &second).unwrap();
 
-    // Made anew with another result, manifest and all.
     let forged = tempfile::tempdir().unwrap();
     let progress = fs::read_to_string(second.join("progress.json")).unwrap();
     let hash = progress.rfind("\"sha256\": \"").unwrap() + 11;

@@ -1,4 +1,4 @@
-//! Figures of campaigns, drawn as those of reports are; what is in them leads to its scenario.
+//! Figures of campaigns in the style of reports; their marks link to scenarios.
 
 use std::collections::HashMap;
 
@@ -13,10 +13,8 @@ use maud::{Markup, html};
 use super::CampaignView;
 use super::grid::{FailureGrid, GridAxis, GridCell};
 
-/// Width of a figure where there is room, and where there is not.
 const WIDTHS: [f64; 2] = [720.0, 380.0];
 const HEIGHT: f64 = 240.0;
-/// Height of a cell of a map.
 const CELL_HEIGHT: f64 = 30.0;
 
 fn width(narrow: bool) -> f64 {
@@ -24,7 +22,7 @@ fn width(narrow: bool) -> f64 {
     if narrow { small } else { wide }
 }
 
-/// The smallest robustness so far over the evaluations of each method.
+/// Draws the smallest robustness so far over the evaluations of each method.
 pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
     let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for one in shown {
@@ -36,7 +34,7 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
     }
     let all = || lines.iter().flat_map(|(_, line)| line);
     let most = all().map(|point| point.0).fold(1.0, f64::max);
-    // Each in its own place on a paper of powers of ten.
+    // The x-axis is logarithmic.
     let marks =
         (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
     let x = Axis::with_ticks("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
@@ -67,7 +65,7 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
     Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
 }
 
-/// Where the smallest robustness of a method falls, and where it is in the end.
+/// Returns the points at which the smallest robustness of a method decreases, and its last point.
 fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let (mut least, mut last) = (f64::INFINITY, 0);
@@ -88,7 +86,7 @@ fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     line
 }
 
-/// Severity against likelihood.
+/// Draws severity against likelihood.
 pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
     let fronts: Vec<_> = shown.iter().map(|one| (one, one.reader.front())).collect();
     let points = || fronts.iter().flat_map(|(_, front)| front);
@@ -132,7 +130,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
                 Some(index) => html! {
                     a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(said) { title { (said) } (drawn) }
                 },
-                // Its evaluation was not kept.
+                // The evaluation of this point is not stored.
                 None => drawn,
             });
         }
@@ -151,7 +149,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         .inline()
 }
 
-/// What was tried in each cell, and what failed.
+/// Draws the number of evaluations and failures in each cell.
 pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, narrow: bool) -> Markup {
     let widest = map.y_axis.cell_bounds.iter().map(|(from, _)| text_width(from, SMALL_TEXT_SIZE)).fold(0.0, f64::max);
     let (columns, rows) = (map.x_axis.cell_bounds.len(), map.y_axis.cell_bounds.len());
@@ -161,7 +159,7 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
         PixelRect { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
     let cell_frame = |index: usize| {
         let (row, column) = (index / columns, index % columns);
-        // The smallest value below.
+        // The smallest value is at the bottom.
         PixelRect {
             left: left + column as f64 * wide,
             top: frame.bottom() - (row + 1) as f64 * CELL_HEIGHT,
@@ -222,7 +220,6 @@ impl GridAxis {
     }
 }
 
-/// A length in pixels, as it is written.
 fn px(length: f64) -> String {
     format!("{length:.1}")
 }

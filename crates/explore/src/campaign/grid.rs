@@ -1,43 +1,39 @@
-//! A map of a campaign over two of its coordinates: how many evaluations of each cell fail, and which is the worst.
+//! Failure grid of a campaign over two parameters: evaluations, failures and the worst one of each cell.
 
 use crumple_search::falsify::campaign::CampaignReader;
 use crumple_world::scenario::space::SpaceParameter;
 
 use super::EvaluationFilter;
 
-/// Cells along a coordinate of numbers.
 const CELLS_PER_AXIS: usize = 12;
 
-/// The map.
 #[derive(Debug)]
 pub(crate) struct FailureGrid {
     pub(crate) x_axis: GridAxis,
     pub(crate) y_axis: GridAxis,
-    /// Row by row, from the smallest value up.
+    /// Cells row by row, from the smallest value up.
     pub(crate) cells: Vec<GridCell>,
 }
 
-/// One of its sides.
 #[derive(Debug)]
 pub(crate) struct GridAxis {
     pub(crate) name: String,
     pub(crate) unit: &'static str,
-    /// Between which values each cell lies, as they are shown; one name where values have names.
+    /// Formatted bounds of each cell; one name for a parameter with named values.
     pub(crate) cell_bounds: Vec<(String, String)>,
     pub(crate) is_named: bool,
 }
 
-/// What was tried in a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct GridCell {
     pub(crate) total: usize,
     pub(crate) failing: usize,
-    /// Place of the evaluation with the smallest robustness, and that.
+    /// Index and robustness of the evaluation with the smallest robustness.
     pub(crate) worst: Option<(usize, f64)>,
 }
 
 impl FailureGrid {
-    /// That of two coordinates by their names; none if the campaign has not both.
+    /// Counts the evaluations of a campaign over two parameters by name; none if the campaign lacks one.
     pub(crate) fn from_campaign(
         look: &CampaignReader,
         names: [&str; 2],
@@ -75,7 +71,7 @@ impl GridAxis {
     fn new(name: &str, parameter: &SpaceParameter) -> Self {
         let [low, high] = parameter.range();
         let is_named = parameter.has_named_values();
-        // Names lie evenly in the cube, one cell each.
+        // Named values are equidistant in the unit cube, one cell each.
         let count = if is_named { (high - low).round().clamp(1.0, 40.0) as usize + 1 } else { CELLS_PER_AXIS };
         let value = |share: f64| match is_named {
             true => parameter.format_value(parameter.value(share)),
@@ -88,7 +84,6 @@ impl GridAxis {
         Self { name: name.to_owned(), unit: parameter.unit(), cell_bounds: (0..count).map(cell).collect(), is_named }
     }
 
-    /// The values of a cell in words.
     pub(crate) fn cell_label(&self, cell: usize) -> String {
         let Some((from, to)) = self.cell_bounds.get(cell) else { return String::new() };
         let unit = if self.unit == "1" || self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
@@ -99,7 +94,6 @@ impl GridAxis {
     }
 }
 
-/// With three digits.
 fn format_3_digits(value: f64) -> String {
     let digits = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 6) };
     let text = format!("{value:.*}", digits as usize);

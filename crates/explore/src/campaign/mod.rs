@@ -1,4 +1,4 @@
-//! Campaigns as the page shows them, while they run and afterwards.
+//! Campaigns on the page, finished or in progress.
 
 mod figures;
 mod grid;
@@ -17,49 +17,41 @@ use serde::{Deserialize, Serialize};
 use crate::error::RequestError;
 use grid::FailureGrid;
 
-/// Failures that are listed.
 const MAX_LISTED: usize = 40;
-/// How long a request reads on, before it shows what there is.
+/// Time for which a request reads on before it responds.
 const POLL_TIME: Duration = Duration::from_millis(150);
-/// Evaluations that are read at once.
 const BATCH_SIZE: usize = 2_000;
 
-/// A campaign, and what it is called in a list.
 #[derive(Debug)]
 pub(crate) struct CatalogCampaign {
     pub(crate) name: String,
     reader: Mutex<CampaignReader>,
 }
 
-/// What the page wants to see.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CampaignRequest {
     campaign: usize,
-    /// The one beside it.
     #[serde(default)]
     against: Option<usize>,
-    /// Names of the two coordinates of the map.
+    /// Names of the parameters of the failure grid.
     #[serde(default)]
     across: Option<String>,
     #[serde(default)]
     up: Option<String>,
-    /// Only evaluations by this method.
     #[serde(default)]
     method: Option<String>,
-    /// Of failures only those of this kind.
     #[serde(default)]
     kind: Option<String>,
     #[serde(default)]
     narrow: bool,
 }
 
-/// What it sees.
 #[derive(Debug, Serialize)]
 pub(crate) struct CampaignResponse {
-    /// Whether more may come.
+    /// True if the campaign may add evaluations.
     running: bool,
-    /// Whether more is there already.
+    /// True if stored evaluations are not read yet.
     loading: bool,
     #[serde(rename = "words")]
     summaries: Vec<String>,
@@ -75,7 +67,6 @@ pub(crate) struct CampaignResponse {
     failures: String,
 }
 
-/// A campaign as it is drawn.
 pub(crate) struct CampaignView<'a> {
     pub(crate) index: usize,
     pub(crate) name: &'a str,
@@ -87,12 +78,12 @@ impl CatalogCampaign {
         Self { name, reader: Mutex::new(look) }
     }
 
-    /// What is known of it. A reader that panicked has left it as it was.
+    /// Locks the reader. A panic in it leaves it usable.
     pub(crate) fn lock_reader(&self) -> MutexGuard<'_, CampaignReader> {
         self.reader.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads on for a moment. Returns whether more is there.
+    /// Reads on for [`POLL_TIME`]. Returns true if more evaluations are stored.
     pub(crate) fn poll(&self) -> Result<bool, RequestError> {
         let (mut look, until) = (self.lock_reader(), Instant::now() + POLL_TIME);
         loop {
@@ -104,12 +95,10 @@ impl CatalogCampaign {
     }
 }
 
-/// What cannot be read of a campaign.
 pub(crate) fn campaign_error(error: CampaignError) -> RequestError {
     RequestError::Internal(TerminalText(&error.to_string()).to_string())
 }
 
-/// Looks at one campaign, or at two beside each other.
 pub(crate) fn show_campaigns(
     request: &CampaignRequest,
     offered: &[CatalogCampaign],
@@ -120,14 +109,14 @@ pub(crate) fn show_campaigns(
             .ok_or_else(|| RequestError::invalid(field, format!("{} campaigns were offered", offered.len())))
     };
     let one = of("campaign", request.campaign)?;
-    // One beside itself would wait for itself.
+    // A comparison with itself would deadlock.
     let against = request.against.filter(|index| *index != request.campaign);
     let other = against.map(|index| of("against", index)).transpose()?;
     let mut loading = one.poll()?;
     if let Some(other) = other {
         loading |= other.poll()?;
     }
-    // In one order, whoever asks for which beside which.
+    // Locks are taken in the order of indices, so that (a, b) and (b, a) cannot deadlock.
     let (first, second) = match other {
         Some(other) if against < Some(request.campaign) => {
             let other = other.lock_reader();
@@ -181,19 +170,18 @@ pub(crate) fn show_campaigns(
     })
 }
 
-/// Markup, in which names turn the direction of nothing.
+/// Escapes control and bidirectional characters in markup, which names can contain.
 fn escape_markup(markup: Markup) -> String {
     TerminalLines(&markup.into_string()).to_string()
 }
 
-/// What is looked at.
 pub(crate) struct EvaluationFilter<'a> {
     method: Option<&'a str>,
     kind: Option<&'a str>,
 }
 
 impl EvaluationFilter<'_> {
-    /// Whether an evaluation is among it, and whether it fails.
+    /// Returns the failure state of an evaluation that passes the filter; none for others.
     fn classify(&self, look: &CampaignReader, method: &Method, evaluated: &EvaluatedPoint) -> Option<bool> {
         if self.method.is_some_and(|wanted| wanted != method.name()) {
             return None;
@@ -208,7 +196,6 @@ impl EvaluationFilter<'_> {
     }
 }
 
-/// The kinds of failures, the most frequent first.
 fn failure_kinds(look: &CampaignReader) -> Vec<String> {
     if let Some(summary) = look.summary().filter(|summary| !summary.failures.is_empty()) {
         return summary.failures.iter().map(|kind| kind.kind.clone()).collect();
@@ -245,7 +232,6 @@ fn summary_line(shown: &CampaignView<'_>) -> String {
     .to_string()
 }
 
-/// The distinct failures of a complete campaign.
 fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
     let Some(summary) = shown.reader.summary() else {
         return html! { p.hint { (TerminalText(shown.name)) ": distinct failures are told apart when the search is over." } };
@@ -270,7 +256,7 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
     }
 }
 
-/// Failing evaluations: the latest while a campaign runs, the severest afterwards.
+/// Lists failing evaluations: the latest while a campaign runs, the severest afterwards.
 fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> Markup {
     let list = |one: &CampaignView<'_>| {
         let rows = one.reader.evaluations().iter().enumerate();

@@ -3,7 +3,6 @@ use std::time::{Duration, Instant};
 use super::*;
 use crate::{Conversion, UnitDimension};
 
-/// Returns a description of FMI 2 with these definitions and variables.
 fn fmi2_description(definitions: &str, variables: &str) -> String {
     format!(
         "<?xml version=\"1.0\"?>\n<fmiModelDescription fmiVersion=\"2.0\" modelName=\"a\" guid=\"g\">\n\
@@ -11,14 +10,12 @@ fn fmi2_description(definitions: &str, variables: &str) -> String {
     )
 }
 
-/// Returns a description of FMI 3 with these definitions and variables.
 fn fmi3_description(definitions: &str, variables: &str) -> String {
     fmi2_description(definitions, variables)
         .replace("fmiVersion=\"2.0\"", "fmiVersion=\"3.0\"")
         .replace("guid", "instantiationToken")
 }
 
-/// Returns an input of FMI 2 whose type has these attributes.
 fn input(attributes: &str) -> String {
     format!("<ScalarVariable name=\"x\" valueReference=\"0\" causality=\"input\"><Real {attributes}/></ScalarVariable>")
 }
@@ -34,7 +31,6 @@ fn conversion(dimension: UnitDimension, factor: f64, offset: f64) -> Option<Conv
     Some(Conversion { dimension, factor, offset })
 }
 
-/// Returns the unit of the only variable.
 fn unit(text: &str) -> Option<DeclaredUnit> {
     let description = ModelDescription::from_xml(text).unwrap_or_else(|error| panic!("{error}"));
     description.variables.first().expect("a variable").unit.clone()
@@ -125,8 +121,7 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
     assert_eq!(ModelDescription::from_xml(&escaped).unwrap().variables[0].name, "<x>");
 }
 
-/// A text of 1 MiB of each kind takes some hundredths of a second, and some tenths without optimisation. Time that grows with the
-/// square of the length would be minutes.
+/// Each text of 1 MiB takes less than a second, even without optimisation; quadratic time would be minutes.
 #[test]
 fn descriptions_are_read_in_linear_time() {
     const BYTES: usize = 1 << 20;

@@ -1,4 +1,4 @@
-//! The calls of FMI 2.0 (chapters 2.1 and 4.2), for co-simulation.
+//! Co-simulation calls of FMI 2.0 (chapters 2.1 and 4.2).
 
 #![allow(unsafe_code)]
 
@@ -20,7 +20,6 @@ unsafe extern "C" {
     fn free(memory: *mut c_void);
 }
 
-/// `fmi2CallbackFunctions`.
 #[repr(C)]
 struct Fmi2Callbacks {
     logger: Fmi2Logger,
@@ -30,8 +29,8 @@ struct Fmi2Callbacks {
     environment: *mut c_void,
 }
 
-/// The logger of the standard takes more arguments, which are for its message as for `printf`. A function that does not look at
-/// them is called the same way by the C conventions of x86-64 and of AArch64, so they are left where they are.
+/// The standard declares a variadic logger. By the C conventions of x86-64 and AArch64, a function that ignores the
+/// variadic arguments can be called the same way.
 extern "C" fn log(_: *mut c_void, _: *const c_char, status: Fmi2Status, _: *const c_char, message: *const c_char) {
     log_message(status, message);
 }
@@ -53,7 +52,6 @@ type Fmi2SetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *co
 type Fmi2SetInteger = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const c_int) -> Fmi2Status;
 type Fmi2GetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *mut f64) -> Fmi2Status;
 
-/// An FMU of FMI 2.0.
 pub(super) struct Fmi2 {
     instantiate: Fmi2Instantiate,
     free: Fmi2FreeInstance,
@@ -71,7 +69,7 @@ pub(super) struct Fmi2 {
     resources: CString,
     callbacks: Box<Fmi2Callbacks>,
     component: Fmi2Component,
-    /// The functions above are its own: it is closed after all of them.
+    /// Dropped last, because the functions above belong to it.
     _library: Library,
 }
 
@@ -111,7 +109,6 @@ impl Fmi2 {
 
 impl FmiFunctions for Fmi2 {
     fn instantiate(&mut self) -> Result<(), String> {
-        /// `fmi2CoSimulation`.
         const CO_SIMULATION: c_int = 1;
         let (token, resources, callbacks) = (self.token.as_ptr(), self.resources.as_ptr(), &raw const *self.callbacks);
         // SAFETY: the texts end in NUL; they and the callbacks live as long as the instance, and do not move.
@@ -179,25 +176,24 @@ impl FmiFunctions for Fmi2 {
     }
 }
 
-/// Passes on what an FMU logs, to standard error. A message of FMI 2 may hold places for arguments, which stay as they are.
+/// Writes a log message of an FMU to standard error. `printf` placeholders of FMI 2 are not replaced.
 pub(super) fn log_message(status: Fmi2Status, message: *const c_char) {
     if !message.is_null() {
         // SAFETY: a text of the standard ends in NUL, and is there until the call returns.
         let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
-        // Whether anybody reads it is not the FMU's affair.
+        // A closed standard error must not affect the FMU.
         let _ = writeln!(std::io::stderr(), "status {status}: {}", message.trim_end());
     }
 }
 
-/// A function of a library, which stays valid while that is open.
+/// Returns a function of a library, which must stay open while the function is used.
 pub(super) fn load_symbol<F: Copy>(library: &Library, name: &CStr) -> Result<F, String> {
-    // SAFETY: the standard says of each name what function it is; whoever asks keeps the library open.
+    // SAFETY: the standard defines the signature of each name, and the caller keeps the library open.
     let found: Symbol<'_, F> = unsafe { library.get(name.to_bytes_with_nul()) }
         .map_err(|_| format!("its library has no function {}", name.to_string_lossy()))?;
     Ok(*found)
 }
 
-/// A path as it stands in an address.
 fn percent_encode(path: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte);
     let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };

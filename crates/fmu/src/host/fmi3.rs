@@ -1,4 +1,4 @@
-//! The calls of FMI 3.0 (chapters 2.3 and 4.2), for co-simulation without events or intermediate updates.
+//! Co-simulation calls of FMI 3.0 (chapters 2.3 and 4.2), without events and intermediate updates.
 
 #![allow(unsafe_code)]
 
@@ -43,7 +43,6 @@ type Fmi3SetInt32 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *co
 type Fmi3SetBoolean = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const bool, usize) -> Fmi3Status;
 type Fmi3GetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *mut f64, usize) -> Fmi3Status;
 
-/// An FMU of FMI 3.0.
 pub(super) struct Fmi3 {
     instantiate: Fmi3Instantiate,
     free: Fmi3FreeInstance,
@@ -59,14 +58,14 @@ pub(super) struct Fmi3 {
     token: CString,
     resources: CString,
     instance: Fmi3Instance,
-    /// The functions above are its own: it is closed after all of them.
+    /// Dropped last, because the functions above belong to it.
     _library: Library,
 }
 
 impl Fmi3 {
     pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
-        // With a separator at its end, as the standard wants it.
+        // The standard requires a separator at the end.
         let location = resources_folder(made.folder).join("").to_string_lossy().into_owned();
         // SAFETY: loading runs the library's initializers, which is what this process is for.
         let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
@@ -154,7 +153,7 @@ impl FmiFunctions for Fmi3 {
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
         let (mut event, mut ends, mut early, mut last_s) = (false, false, false, time_s + step_s);
-        // SAFETY: an initialized instance of this library, and room for what it says of the step.
+        // SAFETY: an initialized instance of this library, and room for all results of the step.
         let status = unsafe {
             (self.do_step)(
                 self.instance,

@@ -1,4 +1,4 @@
-//! An FMU that runs.
+//! Running FMU.
 
 use std::path::{Path, PathBuf};
 
@@ -7,30 +7,27 @@ use super::fmi3::Fmi3;
 use super::unpacked_folder::UnpackedFolder;
 use crate::{Causality, FmiVersion, Fmu, ModelDescription, Variable, VariableType};
 
-/// What is set, and what is read.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct VariableMap {
-    /// A variable for each number that is seen.
+    /// Variable of each observed quantity, in order.
     pub(super) inputs: Vec<String>,
-    /// The variable that is the answer.
+    /// Variable of the commanded acceleration.
     pub(super) output: String,
-    /// What parameters begin with.
     pub(super) parameters: Vec<(String, f64)>,
-    /// Time between decisions in seconds; none for the scenario's step.
+    /// Time between decisions, in seconds; none for the scenario's step.
     pub(super) interval_s: Option<f64>,
 }
 
-/// A variable as the library knows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct VariableRef {
     pub(super) value_reference: u32,
     pub(super) kind: VariableType,
 }
 
-/// How a call ended: both editions of the standard number these alike.
+/// Checks the status of a call; both editions use the same numbers.
 pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
     let said = match status {
-        // Done, and done with a warning, which the FMU has logged.
+        // Success, and success with a warning, which the FMU has logged.
         0 | 1 => return Ok(()),
         2 => "discarded it",
         3 => "reports an error",
@@ -41,7 +38,7 @@ pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
     Err(format!("the FMU {said} ({call})"))
 }
 
-/// The calls that both editions have. Those that are about an instance come after it was made and before it is freed.
+/// Calls of both editions. All but `instantiate` require an instance that is not yet freed.
 pub(super) trait FmiFunctions {
     fn instantiate(&mut self) -> Result<(), String>;
     fn reset(&mut self) -> Result<(), String>;
@@ -50,32 +47,26 @@ pub(super) trait FmiFunctions {
     fn exit_initialization(&mut self) -> Result<(), String>;
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String>;
     fn get(&mut self, wire: VariableRef) -> Result<f64, String>;
-    /// What the FMU says to it changes nothing.
+    /// The returned status is ignored.
     fn terminate(&mut self);
     fn free(&mut self);
 }
 
-/// What every instance of an FMU is made with.
 pub(super) struct InstanceParams<'a> {
     pub(super) library: &'a Path,
     pub(super) folder: &'a Path,
     pub(super) description: &'a ModelDescription,
 }
 
-/// How far a run is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum InstanceState {
-    /// There is no instance.
     None,
-    /// There is one, which is not initialized.
     Instantiated,
-    /// It steps.
     Initialized,
-    /// A call has failed: the standard leaves little that may be called then, and the process is about to end.
+    /// A call has failed. The standard allows few calls after that, and the process is about to end.
     Failed,
 }
 
-/// An FMU, wired.
 pub(super) struct Instance {
     functions: Box<dyn FmiFunctions>,
     inputs: Vec<VariableRef>,
@@ -83,13 +74,11 @@ pub(super) struct Instance {
     parameters: Vec<(VariableRef, f64)>,
     is_once_per_process: bool,
     state: InstanceState,
-    /// Removed already if the FMU needs no file but its library. Dropped after `calls`, whose library may read its files until
-    /// it is closed.
+    /// Unpacked files; none if only the library is needed. Dropped after `functions`, which may read them.
     _folder: Option<UnpackedFolder>,
 }
 
 impl Instance {
-    /// Unpacks and loads an FMU.
     pub(super) fn load(path: &Path, wiring: &VariableMap) -> Result<Self, String> {
         let mut fmu = Fmu::open(path).map_err(|error| error.to_string())?;
         let description = fmu.description();
@@ -112,7 +101,7 @@ impl Instance {
             FmiVersion::Two => Box::new(Fmi2::load(&made)?),
             FmiVersion::Three => Box::new(Fmi3::load(&made)?),
         };
-        // A process that is killed leaves nothing then. An open library needs its file no longer, except on Windows.
+        // Early removal leaves nothing behind if the process is killed. Only Windows needs the file of an open library.
         let is_needed = cfg!(windows) || fmu.has_resources() || has_sibling_libraries(&library);
         let is_instantiated_once = fmu.description().is_once_per_process;
         let _folder = is_needed.then_some(folder);
@@ -127,7 +116,6 @@ impl Instance {
         })
     }
 
-    /// Begins a run.
     pub(super) fn start_run(&mut self) -> Result<(), String> {
         if self.state == InstanceState::Initialized {
             self.functions.terminate();
@@ -148,9 +136,8 @@ impl Instance {
         Ok(())
     }
 
-    /// The answer to what is seen.
     pub(super) fn decide(&mut self, time_s: f64, interval_s: f64, see: &[f64]) -> Result<f64, String> {
-        // What is seen first is what the FMU is initialized with.
+        // The first observation initializes the FMU.
         let is_first = match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::Instantiated => true,
             InstanceState::Initialized => false,
@@ -195,13 +182,13 @@ fn invalid_value_message(name: &str, kind: VariableType, value: f64) -> String {
     format!("{name}: {value} is no value of a variable that is {}", kind.name())
 }
 
-/// Whether a library lies beside others, which it may load when it wants to.
+/// True if the folder of the library holds other files, which it may load later.
 fn has_sibling_libraries(library: &Path) -> bool {
     let entries = library.parent().and_then(|folder| std::fs::read_dir(folder).ok());
     entries.is_none_or(|entries| entries.count() > 1)
 }
 
-/// Returns the reason that the system's loader gives, without the folder that the FMU is unpacked into, and a way out.
+/// Returns the loader's reason without the temporary folder, and a hint.
 pub(super) fn load_error_message(error: &libloading::Error, folder: &Path) -> String {
     let reason = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
     let reason = reason.replace(&folder.join("").to_string_lossy().into_owned(), "");
@@ -211,7 +198,6 @@ pub(super) fn load_error_message(error: &libloading::Error, folder: &Path) -> St
     )
 }
 
-/// Where an FMU's resources lie.
 pub(super) fn resources_folder(folder: &Path) -> PathBuf {
     folder.join("resources")
 }

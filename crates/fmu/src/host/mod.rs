@@ -1,14 +1,14 @@
-//! The program `crumple-fmu`: loads an FMU's library and answers crumple's questions by it.
+//! Program `crumple-fmu`: loads the library of an FMU and answers crumple's requests.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | `instance` | an FMU that runs: the order of calls that the standard asks for |
-//! | `fmi2`, `fmi3` | the calls of each edition, and their `unsafe` |
-//! | `unpacked` | the folder that an FMU is unpacked into, and the removal of those that ended processes left behind |
-//! | `serve` | the protocol of controllers, `docs/controllers.md` of crumple |
+//! | `instance` | running FMU: order of calls by the standard |
+//! | `fmi2`, `fmi3` | calls of each edition, and their `unsafe` |
+//! | `unpacked_folder` | folder of an unpacked FMU, and removal of folders of ended processes |
+//! | `serve` | protocol of controllers (`docs/controllers.md`) |
 //!
-//! At each decision the inputs are set, one step of the decision interval is made, and what then stands at the output is the
-//! answer. So what an FMU calculates from its inputs acts without delay, and what it integrates has gone on by one interval.
+//! At each decision the host sets the inputs, performs one step of the decision interval, and answers with the output.
+//! Direct feedthrough thus acts without delay; integrated states have advanced by one interval.
 
 mod fmi2;
 mod fmi3;
@@ -24,7 +24,7 @@ use clap::{Parser, Subcommand};
 use crate::Fmu;
 use instance::VariableMap;
 
-/// Drives by an FMU for crumple, in a process of its own
+/// Runs an FMU as a controller of crumple, in its own process
 #[derive(Parser)]
 #[command(name = "crumple-fmu", version, about)]
 struct HostArguments {
@@ -34,34 +34,34 @@ struct HostArguments {
 
 #[derive(Subcommand)]
 enum HostCommand {
-    /// Lists what an FMU can be wired to
+    /// Lists the variables of an FMU that a controller file can use
     Describe {
         /// The FMU
         #[arg(value_name = "F.fmu")]
         fmu: PathBuf,
     },
-    /// Answers crumple's questions on standard input; crumple starts this itself
+    /// Answers crumple's requests on standard input; crumple starts this itself
     Drive {
         /// The FMU
         #[arg(value_name = "F.fmu")]
         fmu: PathBuf,
-        /// A variable for each number that is seen, in order
+        /// Variable of each observed quantity, in order
         #[arg(long = "input", value_name = "VARIABLE")]
         inputs: Vec<String>,
-        /// The variable that is the answer
+        /// Variable of the commanded acceleration
         #[arg(long, value_name = "VARIABLE")]
         output: String,
-        /// A value that a parameter begins with; booleans are 0 or 1
+        /// Initial value of a parameter; booleans are 0 or 1
         #[arg(long = "parameter", value_name = "VARIABLE=VALUE", value_parser = parse_parameter)]
         parameters: Vec<(String, f64)>,
-        /// Time between decisions, in seconds; the scenario's step unless it is said
+        /// Time between decisions, in seconds; by default the scenario's step
         #[arg(long, value_name = "S")]
         interval_s: Option<f64>,
     },
 }
 
 fn parse_parameter(text: &str) -> Result<(String, f64), String> {
-    // Names of variables hold equals signs sooner than numbers do.
+    // Names of variables contain equal signs more often than numbers do.
     let (name, value) = text.rsplit_once('=').ok_or("must be VARIABLE=VALUE")?;
     Ok((name.to_owned(), value.parse().map_err(|_| format!("{value:?} is no number"))?))
 }

@@ -1,4 +1,4 @@
-//! The protocol of controllers, version 1: lines of JSON, each answered by one.
+//! Protocol of controllers, version 1: each line of JSON is answered by one line.
 
 use std::fs::File;
 use std::io::{self, BufRead, Write};
@@ -8,10 +8,9 @@ use serde::Deserialize;
 
 use super::instance::{Instance, VariableMap};
 
-/// Longest line that is read, in bytes.
 const MAX_LINE_BYTES: u64 = 1 << 20;
 
-/// A question; crumple writes no others to who does not answer in batches.
+/// Request of crumple to a controller without batches.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum HostRequest {
@@ -40,7 +39,6 @@ struct HelloBody {
     history: usize,
 }
 
-/// Answers until standard input ends.
 pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
     let io_failed = |error: io::Error| format!("standard input or output: {error}");
     let mut answers = redirect_stdout().map_err(io_failed)?;
@@ -86,7 +84,7 @@ pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
     }
 }
 
-/// Standard output for answers alone: what an FMU prints goes to standard error.
+/// Returns standard output for answers alone, and redirects output of the FMU to standard error.
 #[cfg(unix)]
 fn redirect_stdout() -> io::Result<File> {
     let own = rustix::io::dup(rustix::stdio::stdout())?;
@@ -94,7 +92,7 @@ fn redirect_stdout() -> io::Result<File> {
     Ok(own.into())
 }
 
-/// Processes drive where there is Unix.
+/// Returns an error, because controllers that are processes need Unix.
 #[cfg(not(unix))]
 fn redirect_stdout() -> io::Result<File> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "controllers that are processes need Unix"))

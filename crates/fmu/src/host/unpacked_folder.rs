@@ -1,30 +1,29 @@
-//! Folders that FMUs are unpacked into. A process locks its folder; the system releases the lock when the process ends, however
-//! it ends. Each start removes the folders of earlier processes that hold no lock any more.
+//! Folders of unpacked FMUs. A process locks its folder; the system releases the lock at any end of the process. Each
+//! start removes unlocked folders of earlier processes.
 //!
-//! The temporary folder may belong to all users: only real folders of the own user are locked and removed, and no link is
-//! followed.
+//! Other users may share the temporary folder, so only real folders of the same user are locked and removed.
 
 use std::io;
 use std::path::Path;
 
 use tempfile::{Builder, TempDir};
 
-/// Beginning of the name of each folder. Releases before the lock used other names, which are left alone.
+/// Prefix of the name of each folder. Releases before the lock used other names, which are ignored.
 const PREFIX: &str = "crumple-fmu-run-";
 
-/// Most folders that are created until one is locked: another process may remove a folder before its owner locks it.
+/// Maximum number of attempts to create and lock a folder; another process may remove it before it is locked.
 const MAX_ATTEMPTS: usize = 100;
 
-/// Locked temporary folder, removed when dropped.
+/// Locked temporary folder that is removed when dropped.
 pub(super) struct UnpackedFolder {
-    // Dropped before the lock: a folder without a lock is free to be removed.
+    // Dropped before the lock, because other processes remove unlocked folders.
     folder: TempDir,
     #[cfg(unix)]
     _lock: Option<std::fs::File>,
 }
 
 impl UnpackedFolder {
-    /// Creates an empty folder that no other user can open, and removes the folders that ended processes left behind.
+    /// Creates an empty folder that no other user can open, and removes the folders of ended processes.
     ///
     /// # Errors
     /// The system's error if the folder cannot be created.
@@ -69,14 +68,12 @@ mod unix {
 
     use super::PREFIX;
 
-    /// Opens a folder itself, not what a link points to.
     fn open(path: &Path) -> io::Result<File> {
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
         Ok(rustix::fs::open(path, flags, Mode::empty())?.into())
     }
 
-    /// Locks a new folder; none if another process has removed it, or is about to. On a file system without locks no process
-    /// locks a folder, and none removes one.
+    /// Locks a new folder; none if another process removes it. Without file locks, no folder is removed.
     ///
     /// # Errors
     /// The system's error if the folder cannot be opened.
@@ -94,7 +91,7 @@ mod unix {
         Ok(is_there.then_some(folder))
     }
 
-    /// Removes each folder of the own user whose process has ended. What cannot be removed stays.
+    /// Removes each folder of the same user whose process has ended, and ignores errors.
     pub(super) fn remove_abandoned(temporary: &Path) {
         let Ok(entries) = fs::read_dir(temporary) else { return };
         for entry in
@@ -126,7 +123,6 @@ mod tests {
         names
     }
 
-    /// Creates a folder as a process leaves it that was killed.
     fn create_abandoned(temporary: &Path, name: &str) -> PathBuf {
         let path = temporary.join(format!("{PREFIX}{name}"));
         fs::create_dir_all(path.join("binaries/linux64")).unwrap();
@@ -152,7 +148,7 @@ mod tests {
         assert!(sorted_names(temporary.path()).is_empty());
     }
 
-    /// Other users can put anything into a shared temporary folder.
+    /// Other users can create any entry in a shared temporary folder.
     #[test]
     fn links_files_and_other_names_are_left_alone() {
         let temporary = tempfile::tempdir().unwrap();
@@ -171,7 +167,7 @@ mod tests {
         assert_eq!(sorted_names(precious.path()), ["precious"]);
     }
 
-    /// Eight starts at once, again and again: none loses its folder to the others.
+    /// Eight concurrent starts, repeated: each keeps its folder.
     #[test]
     fn starts_at_the_same_time_keep_their_folders() {
         let temporary = tempfile::tempdir().unwrap();

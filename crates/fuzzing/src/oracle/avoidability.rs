@@ -1,20 +1,20 @@
-//! What convex programs say no driver can do, no driver does.
+//! Oracle: no driver does what the convex programs prove impossible.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_search::worst_case::AvoidanceVerdict;
 use crumple_world::sim::Outcome;
 
-/// What is proved of all drivers in exact arithmetic, the simulation may miss by rounding, in metres.
+/// Tolerance for rounding in the simulation, in metres: the proof holds in exact arithmetic.
 const ROUNDING_M: f64 = 1e-6;
-/// Longer scenarios are not asked about: dozens of programs with a variable or more a step take seconds, and with a fuzzer's
-/// counters in the solver's loops half a minute.
+/// Maximum number of steps of a scenario that is checked: longer ones take seconds, and half a minute with the counters
+/// of a fuzzer in the solver's loops.
 const MAX_STEPS: usize = 500;
 
-/// No run is without contact in a scenario proved unavoidable, and none keeps a larger gap than is proved possible.
+/// Checks that no run avoids a collision that is proved unavoidable, or keeps a larger gap than is proved possible.
 ///
 /// # Errors
-/// [`Law::Avoidability`].
+/// [`Invariant::Avoidability`].
 pub fn avoidability_bound_holds(question: &OracleContext<'_>) -> OracleResult {
     let is_long = question.test_case.scenario.steps() > MAX_STEPS;
     if is_long || question.result.outcome != Outcome::NoCollision {

@@ -1,15 +1,15 @@
-//! The two engines are one.
+//! Oracle: the scalar and the batch engine agree.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Track};
 
-/// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the test case
-/// itself twice, and the same line of vehicles with other noise, slower, on another road.
+/// Checks that the batch engine gives the results of the scalar engine to the last bit. The batch holds the test case
+/// twice, and variants with other noise, speeds and roads.
 ///
 /// # Errors
-/// [`Law::Engines`].
+/// [`Invariant::Engines`].
 pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let others = [
@@ -42,13 +42,12 @@ pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// Everything a result holds, as bits: 0 and -0 are different here.
+/// Returns all numbers of a result as bits; 0 and -0 differ.
 #[must_use]
 pub fn result_bits(result: &SimulationResult) -> Vec<u64> {
     result_numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
 }
 
-/// Where two results differ first.
 fn first_difference(alone: &SimulationResult, batch: &SimulationResult) -> String {
     let (one, other) = (result_numbers(alone), result_numbers(batch));
     let differing = one.iter().zip(&other).find(|(one, other)| one.2.to_bits() != other.2.to_bits());
@@ -59,7 +58,7 @@ fn first_difference(alone: &SimulationResult, batch: &SimulationResult) -> Strin
     }
 }
 
-/// Everything a result holds: a name, the index of the impact, vehicle or sample, and the number.
+/// Returns all numbers of a result: a name, the index of the impact, vehicle or sample, and the number.
 fn result_numbers(result: &SimulationResult) -> Vec<(&'static str, usize, f64)> {
     let mut numbers = Vec::new();
     for (index, impact) in result.impacts.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What vehicles see is near the truth.
+//! Oracle: observations are near the true state.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
@@ -7,20 +7,18 @@ use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::scenario::{Driver, VehicleSpec};
 use crumple_world::sim::Motion;
 
-/// Instants this close are one, in seconds.
 const TIME_TOLERANCE_S: f64 = 1e-9;
 
-/// Standard deviations of noise that no estimate is off by.
+/// Maximum error of an estimate, in standard deviations of the noise.
 const MAX_DEVIATIONS: f64 = 12.0;
 
-/// Every number seen is finite and no speed is negative; who sees the truth sees the truth; and where no measurement is
-/// lost, estimated gaps and speeds are off by no more than noise, and what the filter lags behind, explain.
-///
-/// The lag is that of a third-order Butterworth filter of bandwidth ω. A jump Δa of acceleration makes it misjudge
-/// distance by about Δa/ω² and speed by about Δa/ω, a jump Δv of speed by Δv/ω and Δv; here both are allowed three times.
+/// Checks that observations are finite and speeds are not negative, that the true state is observed exactly, and that
+/// without lost measurements the errors of gaps and speeds stay within noise and lag. The lag is that of a third-order
+/// Butterworth filter of bandwidth ω. A jump Δa of acceleration causes errors of about Δa/ω² in distance and Δa/ω in
+/// speed; a jump Δv of speed causes Δv/ω and Δv. The bounds are three times as large.
 ///
 /// # Errors
-/// [`Law::Estimates`].
+/// [`Invariant::Estimates`].
 pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
     let bounds = EstimateBounds::new(question);
     let mut finding = None;
@@ -51,7 +49,6 @@ pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// What is true for a vehicle, among those that are in the lane.
 fn true_observation(
     motion: &[Motion],
     vehicles: &[VehicleSpec],
@@ -76,7 +73,7 @@ fn true_observation(
     }
 }
 
-/// How far estimates may be off; infinitely far where measurements are lost.
+/// Maximum errors of estimates; infinite if measurements are lost.
 struct EstimateBounds {
     gap_m: f64,
     own_speed_mps: f64,
@@ -96,7 +93,7 @@ impl EstimateBounds {
         let accelerations = tracks.flat_map(|track| &track.acceleration_mps2);
         let hardest_mps2 = accelerations.fold(0.0_f64, |most, a| most.max(a.abs()));
         let jumps_mps: f64 = question.result.impacts.iter().map(|impact| impact.contact.impact_speed_mps).sum();
-        // Two vehicles may each do their worst, in opposite directions.
+        // Worst case: the two vehicles deviate in opposite directions.
         let lag_mps = 3.0 * (2.0 * hardest_mps2 / BANDWIDTH_RAD_PER_S + jumps_mps);
         Self {
             gap_m: lag_mps / BANDWIDTH_RAD_PER_S + MAX_DEVIATIONS * gap_deviation_m,

@@ -1,12 +1,12 @@
-//! Scenario files keep scenarios.
+//! Oracle: scenario files preserve scenarios.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::{Invariant, ScenarioFormat};
 
-/// A scenario survives both file formats, to the last bit of every number.
+/// Checks that a scenario survives both file formats, to the last bit of every number.
 ///
 /// # Errors
-/// [`Law::Files`].
+/// [`Invariant::Files`].
 pub fn files_round_trip(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     for format in ScenarioFormat::ALL {

@@ -1,16 +1,17 @@
-//! What impacts do: vehicles stick together with common momentum.
+//! Oracle: impacts are perfectly inelastic.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_world::sim::{AfterContact, Impact, Trace};
 
-/// Where two vehicles that stick together may seem to be apart, in metres.
+/// Largest gap between two vehicles that stick together, in metres.
 const CONTACT_TOLERANCE_M: f64 = 1e-8;
 
-/// Every impact keeps the momentum of its two bodies and adds no energy; bodies that touched stay together and touch once.
+/// Checks that every impact conserves momentum and adds no energy, and that collided bodies stay together and collide
+/// once.
 ///
 /// # Errors
-/// [`Law::Momentum`], [`Law::Energy`] or [`Law::Sticking`].
+/// [`Invariant::Momentum`], [`Invariant::Energy`] or [`Invariant::Sticking`].
 pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     let impacts = &question.result.impacts;

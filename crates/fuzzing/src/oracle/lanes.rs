@@ -1,4 +1,4 @@
-//! Who is in the lane: told once, and nobody else counts.
+//! Oracles of lane changes: times in the lane are consistent, and vehicles outside the lane have no influence.
 
 use super::engines::result_bits;
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
@@ -7,14 +7,14 @@ use crumple_world::measure::LeadMeasures;
 use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, SimulationResult, Track};
 
-/// Instants and gaps that are one but for rounding, in seconds and metres.
+/// Tolerance of equal times and gaps, in seconds and metres.
 const TOLERANCE: f64 = 1e-6;
 
-/// Times in the lane, impacts and smallest gaps tell one story: nobody touches who is beside the lane, nobody leaves before it
-/// entered, whoever keeps the lane was there throughout, and what is measured on the trace is what the engine saw.
+/// Checks times in the lane, impacts and smallest gaps. No vehicle collides outside the lane or leaves before it
+/// enters; a vehicle without lane changes is always in the lane; measures of the trace agree with the engine.
 ///
 /// # Errors
-/// [`Law::Lanes`].
+/// [`Invariant::Lanes`].
 pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result) = (question.trace()?, &question.result);
     for (vehicle, (track, spec)) in trace.vehicles.iter().zip(question.test_case.scenario.vehicles()).enumerate() {
@@ -43,7 +43,7 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
             })?;
         }
     }
-    // Between two samples a trace does not say what an impact did to speeds.
+    // A trace does not show the effect of an impact on speeds between two samples.
     let goes_on = question.run.options().after_contact == AfterContact::Continue && !result.impacts.is_empty();
     for (index, summary) in result.vehicles.iter().enumerate().filter(|_| !goes_on) {
         let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index).and_then(|ahead| ahead.min_gap_m);
@@ -55,10 +55,11 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// To enter at the start is to have been there: the same run, to the last bit, but for the times in the lane.
+/// Checks that entering at the start equals being there: the same run to the last bit, except for the times in the
+/// lane.
 ///
 /// # Errors
-/// [`Law::Lanes`].
+/// [`Invariant::Lanes`].
 pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let changed = |to: Option<LaneChange>| {
@@ -66,7 +67,7 @@ pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> Oracle
             spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters.is_some()).for_each(|vehicle| vehicle.enters = to);
         })
     };
-    // Who leaves at 0 s cannot enter then.
+    // A vehicle that leaves at 0 s cannot enter then.
     let (Ok(enters), Ok(there)) = (changed(Some(LaneChange::At(0.0))), changed(None)) else {
         return Ok(OracleOutcome::NotApplicable);
     };
@@ -81,10 +82,11 @@ pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> Oracle
     Ok(OracleOutcome::Holds)
 }
 
-/// Behind those who look ahead alone and change lanes by the clock, the last vehicle may leave or stay: up to the first impact the others move alike, to the last bit.
+/// Checks that the last vehicle has no influence on the others up to the first impact, to the last bit, if they ignore
+/// their followers and change lanes by time.
 ///
 /// # Errors
-/// [`Law::Lanes`].
+/// [`Invariant::Lanes`].
 pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let looks_ahead = |vehicle: &VehicleSpec| match &vehicle.driver {
@@ -97,7 +99,7 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
         }
     });
     let Ok(keeps) = keeps else { return Ok(OracleOutcome::NotApplicable) };
-    // A gap or a time to collision may be that to the last vehicle.
+    // A trigger by gap or TTC may refer to the last vehicle.
     let is_by_time = |change: &LaneChange| matches!(change, LaneChange::At(_));
     let others = scenario.vehicles().iter().rev().skip(1).flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
     let is_free = others.flatten().all(|change| is_by_time(&change));
@@ -127,7 +129,6 @@ fn simulate_variant(question: &OracleContext<'_>, scenario: &Scenario) -> Option
     Some(question.system.simulate(&run, RecordingLevel::Trace))
 }
 
-/// Everything but the times in the lane.
 fn without_lane_times(mut result: SimulationResult) -> SimulationResult {
     for track in result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
         track.in_lane_s = Track::THROUGHOUT_S;

@@ -1,4 +1,4 @@
-//! Verdict, summary, trace and report tell one story.
+//! Oracle: verdict, summary, trace and report agree.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
@@ -6,11 +6,11 @@ use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{AfterContact, Outcome, VehiclePair};
 
-/// The recorded motion, the outcome and whose contact it is said to be agree, and no vehicle goes beyond what road and
-/// vehicle allow.
+/// Checks that trace, outcome and role in the collision agree, and that no vehicle exceeds the limits of road and
+/// vehicle.
 ///
 /// # Errors
-/// [`Law::OneStory`], [`Law::Limits`] or [`Law::ContactRole`].
+/// [`Invariant::MetricsAgree`], [`Invariant::Limits`] or [`Invariant::ContactRole`].
 pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result, scenario) = (question.trace()?, &question.result, &question.test_case.scenario);
     let story = |holds: bool, finding: &dyn Fn() -> String| ensure(holds, Invariant::MetricsAgree, finding);
@@ -32,7 +32,7 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     story(ended, &|| format!("the trace ends at {end_s} s, with {:?}", result.outcome))?;
     story(result.vehicles.len() == scenario.vehicles().len(), &|| "a vehicle is missing".to_owned())?;
     for (index, (summary, track)) in result.vehicles.iter().zip(&trace.vehicles).enumerate() {
-        // Nothing is held after the last sample: what stands there may be what an impact just before it made of it.
+        // The last sample is not held for a step, and an impact just before it may have changed its acceleration.
         let held = track.acceleration_mps2.len().saturating_sub(usize::from(!result.impacts.is_empty() && !stops));
         let hardest_mps2 = track.acceleration_mps2.iter().take(held).fold(0.0_f64, |hardest, a| hardest.max(-a));
         let braked = summary.max_brake_mps2 == hardest_mps2;
@@ -51,7 +51,7 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
         let ends_m = gaps_m.last().copied().unwrap_or(f64::NAN);
         story(min_gap_m >= 0.0, &|| format!("vehicle {index}: a smallest gap of {min_gap_m} m is told"))?;
         let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
-        // A run ends at its first contact, the foremost if there are several at one instant: the others are not told.
+        // A run ends at its first collision, the foremost of simultaneous ones; the others are not recorded.
         let at_once = stops && first.is_some() && !touches && ends_m.abs() < ROUNDING_M;
         if at_once {
             continue;
@@ -67,12 +67,12 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// Only a controller from outside fails.
+/// True for external controllers; only they can fail.
 fn can_controller_fail(question: &OracleContext<'_>) -> bool {
     question.run.options().controller.is_external()
 }
 
-/// Where there is neither noise nor an impact that pushes, accelerations are within limits.
+/// Checks the limits of acceleration for vehicles without noise or impacts that push them.
 fn check_limits(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
@@ -92,7 +92,7 @@ fn check_limits(question: &OracleContext<'_>) -> Result<(), (Invariant, String)>
     Ok(())
 }
 
-/// Whose contact it was, judged by the trace alone: by the pair whose gap is closed at its end.
+/// Checks the role in the collision against the pair whose gap is closed at the end of the trace.
 fn check_contact_role(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     let Some(contact) = question.result.outcome.contact() else { return Ok(()) };

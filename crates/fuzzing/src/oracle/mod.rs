@@ -1,4 +1,4 @@
-//! The oracles: each asks one question of a test case.
+//! Oracles: checks of invariants on a test case.
 
 mod avoidability;
 mod engines;
@@ -29,27 +29,26 @@ pub use motion::motion_is_physical;
 pub use shield::shield_prevents_front_collisions;
 pub use step_size::{check_same_impacts, step_size_changes_nothing};
 
-/// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
+/// Tolerance of a zero gap, in metres: positions are of the order of 10 km.
 pub(crate) const ROUNDING_M: f64 = 1e-9;
 
-/// What an oracle found nothing wrong with.
+/// Outcome of an oracle without a violation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OracleOutcome {
-    /// The law holds.
+    /// The invariant holds.
     Holds,
-    /// The test case says nothing about the law: rounding decides it.
+    /// The test case decides nothing: the result depends on rounding.
     Undecided,
-    /// The law says nothing about the test case.
+    /// The invariant does not apply to the test case.
     NotApplicable,
 }
 
-/// An oracle: a question to a test case.
+/// An oracle: a function that checks an invariant on a test case.
 pub type OracleFn = fn(&OracleContext<'_>) -> OracleResult;
 
-/// What an oracle says: a broken law comes with what was seen.
 pub(crate) type OracleResult = Result<OracleOutcome, (Invariant, String)>;
 
-/// Every oracle, the cheapest first.
+/// All oracles, the cheapest first.
 pub const ORACLES: [OracleFn; 10] = [
     motion_is_physical,
     metrics_agree,
@@ -63,8 +62,8 @@ pub const ORACLES: [OracleFn; 10] = [
     avoidability_bound_holds,
 ];
 
-/// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] ask about a shield and about what
-/// anybody could do, which refuse such scenarios and say so.
+/// Oracles that apply to scenarios with lane changes. The other [`ORACLES`] check shields and avoidability, which do
+/// not support lane changes.
 pub const LANE_ORACLES: [OracleFn; 11] = [
     motion_is_physical,
     lane_times_are_consistent,
@@ -79,18 +78,18 @@ pub const LANE_ORACLES: [OracleFn; 11] = [
     step_size_changes_nothing,
 ];
 
-/// How many of [`ORACLES`], the first ones, look at one run only.
+/// Number of the first [`ORACLES`], which examine a single run.
 pub(crate) const RUN_ORACLE_COUNT: usize = 3;
 
-/// A test case, the system that is questioned about it, and the run it made of it.
+/// A test case, the system under test and its run.
 pub struct OracleContext<'t> {
-    /// The test case.
+    /// Test case to check.
     pub test_case: &'t TestCase,
-    /// Who is questioned.
+    /// System under test.
     pub system: &'t dyn System,
-    /// The test case made ready to run.
+    /// Run that the test case makes.
     pub run: Run,
-    /// What came of it, with its trace.
+    /// Result of the run, with its trace.
     pub result: SimulationResult,
 }
 
@@ -98,7 +97,7 @@ impl<'t> OracleContext<'t> {
     /// Runs a test case.
     ///
     /// # Errors
-    /// [`Violation`] of [`Law::Runs`] if it cannot be run.
+    /// [`Violation`] of [`Invariant::Runnable`] if it cannot be run.
     pub fn new(test_case: &'t TestCase, system: &'t dyn System) -> Result<Self, Violation> {
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
         let run = Run::new(&test_case.scenario, options).map_err(|error| Violation {
@@ -110,22 +109,21 @@ impl<'t> OracleContext<'t> {
         Ok(Self { test_case, system, run, result })
     }
 
-    /// Asks an oracle.
+    /// Checks an oracle.
     ///
     /// # Errors
-    /// The [`Violation`] it found.
+    /// The [`Violation`] that the oracle found.
     pub fn check(&self, oracle: OracleFn) -> Result<OracleOutcome, Violation> {
         let reproducer = || self.test_case.reproducer();
         oracle(self).map_err(|(law, finding)| Violation { invariant: law, finding, reproducer: reproducer() })
     }
 
-    /// The trace of the run.
     fn trace(&self) -> Result<&Trace, (Invariant, String)> {
         self.result.trace.as_ref().ok_or_else(|| (Invariant::MetricsAgree, "no trace was kept".to_owned()))
     }
 }
 
-/// Whether two vehicles came so near to touching without it, or touched so softly, that rounding may decide the verdict.
+/// True if a gap is so small, or an impact so soft, that rounding may decide the verdict.
 #[must_use]
 pub fn is_grazing(result: &SimulationResult) -> bool {
     let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
@@ -133,7 +131,6 @@ pub fn is_grazing(result: &SimulationResult) -> bool {
     soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
 }
 
-/// Goes on if a law holds, and says what was seen if not.
 fn ensure(holds: bool, law: Invariant, finding: impl FnOnce() -> String) -> Result<(), (Invariant, String)> {
     if holds { Ok(()) } else { Err((law, finding())) }
 }

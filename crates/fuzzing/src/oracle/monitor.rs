@@ -1,4 +1,4 @@
-//! Formulas of signal temporal logic are judged as they are defined, and "never touch" as the run was.
+//! Oracle: STL formulas have the robustness of the definition, and "always a gap" agrees with the verdict.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
@@ -9,17 +9,17 @@ use crumple_world::measure::stl::{
 };
 use crumple_world::sim::Trace;
 
-/// Samples that random formulas are judged on: the definition takes quadratic time.
+/// Maximum number of samples for random formulas: evaluation by the definition takes quadratic time.
 const MAX_SAMPLES: usize = 40;
 
-/// The gap to nobody, in metres: farther than anybody is, and a number of which sums are numbers.
+/// Gap without a vehicle, in metres: larger than any gap, and finite so that sums remain finite.
 const NO_VEHICLE_GAP_M: f64 = 1e6;
 
-/// "Always a gap" holds on the trace if and only if the verdict is no collision, and random formulas over gaps and speeds
-/// have the robustness of the definition at every sample.
+/// Checks that "always a gap" holds on the trace exactly if there is no collision, and that random formulas over gaps
+/// and speeds have the robustness of the definition at every sample.
 ///
 /// # Errors
-/// [`Law::Monitor`].
+/// [`Invariant::Monitor`].
 pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     let wrong = |finding: String| (Invariant::Monitor, finding);
@@ -38,7 +38,7 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let few =
         trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES)).map_err(|error| wrong(error.to_string()))?;
     let names: Vec<&str> = few.names().collect();
-    // What is chosen here follows from the scenario alone, so that a test case stays one.
+    // Derived from the scenario, so that a test case is deterministic.
     let mut bytes = Vec::new();
     for vehicle in question.test_case.scenario.vehicles() {
         bytes.extend(vehicle.position_m.to_bits().to_le_bytes());
@@ -50,7 +50,6 @@ pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// Robustness over time is that of the definition, and truth its sign.
 fn check_definition(
     question: &OracleContext<'_>,
     formula: &Formula,
@@ -81,7 +80,6 @@ fn first_robustness(
     over_time.first().copied().ok_or_else(|| (Invariant::Monitor, "no robustness at the first sample".to_owned()))
 }
 
-/// Every gap is above zero, always.
 fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     let gap = |rear: usize| -> Result<Formula, FormulaError> {
         let comparison = LinearPredicate::new([(1.0, format!("gap{rear}_m"))], ComparisonOp::Above, 0.0)?;
@@ -90,7 +88,7 @@ fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     (2..vehicles).try_fold(gap(1)?, |all, rear| Ok(Formula::And(Box::new(all), Box::new(gap(rear)?))))
 }
 
-/// Gaps and speeds of a trace, at every `every`-th sample.
+/// Returns gaps and speeds of a trace, at every `every`-th sample.
 fn trace_signals(trace: &Trace, step_s: f64, every: usize) -> Result<SampledSignals<'static>, SignalsError> {
     let every = every.max(1);
     let mut signals = SampledSignals::new(step_s * every as f64, trace.len().div_ceil(every))?;

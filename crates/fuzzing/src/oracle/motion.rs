@@ -1,13 +1,13 @@
-//! How vehicles move: forwards, continuously, and never faster for braking.
+//! Oracle: vehicles move forwards and continuously, and braking adds no energy.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure};
 use crate::Invariant;
 use crumple_world::sim::SimulationResult;
 
-/// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
+/// Checks that no vehicle reverses, that positions follow from speeds, and that braking never adds energy.
 ///
 /// # Errors
-/// [`Law::ForwardMotion`], [`Law::Continuity`] or [`Law::Energy`].
+/// [`Invariant::ForwardMotion`], [`Invariant::Continuity`] or [`Invariant::Energy`].
 pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
@@ -38,7 +38,6 @@ pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-/// Whether a vehicle was involved in an impact between two instants.
 fn is_hit_between(result: &SimulationResult, vehicle: usize, from_s: f64, to_s: f64) -> bool {
     result
         .impacts

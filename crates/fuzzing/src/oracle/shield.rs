@@ -1,4 +1,4 @@
-//! What a shield promises, whatever it is wrapped around.
+//! Oracle: a shield prevents collisions with the leader.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
@@ -7,11 +7,11 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions};
 
-/// Behind a shield that knows the truth, full throttle hits the vehicle ahead only where there was no way out when the
-/// shield first had to brake.
+/// Checks that full throttle behind a shield with the true state hits its leader only if the collision was unavoidable
+/// when the shield first had to brake.
 ///
 /// # Errors
-/// [`Law::Shield`].
+/// [`Invariant::Shield`].
 pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let options =
@@ -19,7 +19,7 @@ pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleR
     let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
     let run = match Run::new(scenario, options) {
         Ok(run) => run,
-        // A shield refuses vehicles it cannot vouch for.
+        // A shield refuses vehicles that it cannot protect.
         Err(RunError::Shield { .. }) => return Ok(OracleOutcome::NotApplicable),
         Err(error) => return Err((Invariant::Runnable, error.to_string())),
     };

@@ -1,28 +1,25 @@
-//! How finely motion is integrated decides nothing.
+//! Oracle: the integration step has no influence.
 
 use super::{OracleContext, OracleOutcome, OracleResult, ensure, is_grazing};
 use crate::Invariant;
 use crumple_world::scenario::ScenarioSpec;
 use crumple_world::sim::{Impact, RecordingLevel, Run, SimulationResult, Trace};
 
-/// How much finer the second integration is.
 const REFINEMENT: usize = 10;
-/// How far two equal motions may be apart, in metres: rounding, over some hundred steps.
+/// Tolerance of equal positions, in metres: rounding over some hundred steps.
 const TOLERANCE_M: f64 = 1e-7;
-/// Disturbances, in metres and m/s: far above rounding, far below anything a sensor sees.
+/// Disturbances, in metres and m/s: far above rounding, far below the resolution of sensors.
 const DISTURBANCES: [f64; 2] = [1e-8, -1e-8];
-/// A run that a disturbance throws off by a hundredth of what was found explains what was found.
+/// Fraction of a difference that a disturbance must cause to explain the difference.
 const EXPLAINED_SHARE: f64 = 0.01;
 
-/// Ten times finer integration, with controllers, sensors and noise at the same instants, is the same motion, and
-/// accelerations are held from one such instant to the next.
-///
-/// A threshold that is met within rounding may be crossed at one step and not at another, and a learned driver rounds to
-/// single precision. What two integrations differ by is therefore compared with what a disturbance of 10 nm does: a run
-/// that it throws off its way as well decides nothing.
+/// Checks that a ten times finer integration gives the same motion, and that accelerations are held between decisions.
+/// Controllers, sensors and noise act at the same times in both. A threshold that is met within rounding may be crossed
+/// at one step size and not at the other, and a policy rounds to single precision. The difference is therefore compared
+/// with the effect of a disturbance of 10 nm: a run that the disturbance changes as well decides nothing.
 ///
 /// # Errors
-/// [`Law::StepSize`].
+/// [`Invariant::StepSize`].
 pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let (run, coarse) = (&question.run, &question.result);
     let options = run.options().clone().with_dt_s(run.dt_s() / REFINEMENT as f64);
@@ -46,7 +43,7 @@ pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Undecided)
 }
 
-/// Whether accelerations change only where a step of the scenario begins, or vehicles touch.
+/// Checks that accelerations change only at the start of a scenario step or at an impact.
 fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: usize) -> Result<(), String> {
     let impacts_s: Vec<f64> = result.impacts.iter().map(|impact| impact.contact.time_s).collect();
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
@@ -63,8 +60,8 @@ fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: 
     Ok(())
 }
 
-/// How far two runs are apart at most at a sample of the first, or at an impact, in metres; infinitely far if their impacts
-/// are not between the same vehicles.
+/// Returns the largest distance of two runs at the samples of the first or at impacts, in metres; infinite if different
+/// vehicles collide.
 fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usize) -> f64 {
     let who = |result: &SimulationResult| -> Vec<[usize; 3]> {
         let of = |impact: &Impact| [impact.contact.rear_vehicle, impact.first_involved, impact.last_involved];
@@ -75,24 +72,22 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usi
     }
     let impacts = coarse.impacts.iter().zip(&fine.impacts).map(|(coarse, fine)| {
         let apart_s = (coarse.contact.time_s - fine.contact.time_s).abs();
-        // Times are what the root of a gap says, so a slow impact may be off by much time for little way.
+        // Times are roots of a gap, so a slow impact may have a large error in time with a small one in distance.
         if apart_s < 1e-9 { 0.0 } else { 10.0 * apart_s * coarse.contact.impact_speed_mps.abs() }
     });
     let impacts_m = impacts.fold(0.0, f64::max);
     let (Some(coarse), Some(fine)) = (&coarse.trace, &fine.trace) else { return f64::INFINITY };
     let tracks = coarse.vehicles.iter().zip(&fine.vehicles);
     let samples = tracks.flat_map(|(coarse_track, fine_track)| {
-        // The last sample of either may be the instant of contact.
+        // The last sample of either run may be the time of a collision.
         let samples = coarse_track.position_m.iter().zip(fine_track.position_m.iter().step_by(finer));
         samples.take(coarse.len().saturating_sub(1))
     });
     samples.map(|(x, y)| (x - y).abs()).fold(impacts_m, f64::max)
 }
 
-/// Whether the first vehicle to move differently is one with noise that stood.
-///
-/// A vehicle that stands and does not want to move is held, noise included; one that wants to move by as little as
-/// rounding is at the mercy of its noise.
+/// True if the first vehicle to move differently stood and has noise. A standing vehicle that wants no motion is held,
+/// noise included. If it wants as little motion as rounding causes, noise decides.
 fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
     let Some(coarse) = &question.result.trace else { return false };
     let first_differences =
@@ -107,7 +102,7 @@ fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
     noisy && before_mps == Some(&0.0)
 }
 
-/// How far the run goes elsewhere when all gaps, or all speeds, are changed by next to nothing, in metres.
+/// Returns the largest change of the run if all gaps or all speeds are disturbed, in metres.
 fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
     let gaps = |by_m: f64| {
         move |spec: &mut ScenarioSpec| {
@@ -116,7 +111,7 @@ fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
     };
     let speeds = |by_mps: f64| {
         move |spec: &mut ScenarioSpec| {
-            // Followers only, and each more than the one ahead: closing speeds change.
+            // Followers only, each more than its leader, so that closing speeds change.
             for (vehicle, index) in spec.vehicles.iter_mut().zip(0_u32..).skip(1) {
                 vehicle.speed_mps = (vehicle.speed_mps + by_mps * f64::from(index)).max(0.0);
             }
@@ -131,9 +126,8 @@ fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
     apart.fold(0.0, f64::max)
 }
 
-/// Whether two runs have the same impacts, apart from the numbers of the vehicles and the time, which may differ by a shift.
-///
-/// Rounding moves positions by 1e-11 m or so: times may differ by what that is at the impact speed.
+/// Checks that two runs have the same impacts, except for a shift of vehicle indices and of time. Rounding moves
+/// positions by about 1e-11 m; times may differ accordingly, given the impact speed.
 ///
 /// # Errors
 /// The first difference.

@@ -1,4 +1,4 @@
-//! Whether a round is accepted.
+//! Acceptance of a round.
 
 use std::fmt;
 
@@ -9,67 +9,67 @@ use super::regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
 use crumple_core::digits::format_rounded;
 use crumple_evidence::DiscordantPairs;
 
-/// What became of a candidate.
+/// Decision on a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Acceptance {
-    /// It takes the place of the policy before it.
+    /// The candidate replaces the policy before it.
     Accepted,
-    /// It does not.
+    /// The candidate is discarded; the learner continues.
     Rejected {
-        /// Why not: everything that speaks against it.
+        /// All reasons.
         objections: Vec<RejectionReason>,
     },
 }
 
-/// What speaks against a candidate.
+/// Reason to reject a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum RejectionReason {
-    /// It touches a vehicle in scenarios of the paper in which the policy before it did not.
+    /// The candidate collides in scenarios of the paper in which the policy before it did not.
     Paper {
-        /// Which, each with the estimator.
+        /// Scenarios, each with the estimator.
         scenarios: Vec<String>,
     },
-    /// It touches a vehicle in draws of the paper's distribution in which the policy before it did not.
+    /// The candidate collides in random scenarios of the paper's distribution in which the policy before it did not.
     Nominal {
-        /// Which, by index.
+        /// Indices of the scenarios.
         draws: Vec<u64>,
     },
-    /// It touches vehicles more often in the draws kept aside.
+    /// The candidate collides more often in the validation set.
     #[serde(rename = "kept-aside")]
     ValidationSet {
-        /// Contacts of the policy before it.
+        /// Collisions of the policy before it.
         before: usize,
-        /// Its own.
+        /// Collisions of the candidate.
         after: usize,
     },
-    /// It touches vehicles more often in a regression space, beyond chance.
+    /// The candidate collides significantly more often in a regression space.
     #[serde(rename = "worse")]
     MoreCollisions {
         /// Name of the space.
         space: String,
-        /// The draws in which one of the two policies does, and the other does not.
+        /// Scenarios in which exactly one of the two policies collides.
         contacts: DiscordantPairs,
     },
-    /// It is less often of use in a regression space in which `idm` always is, beyond chance.
+    /// The candidate is useful significantly less often in a regression space in which `idm` always is.
     LessUseful {
         /// Name of the space.
         space: String,
-        /// The draws in which one of the two policies is of no use, and the other is.
+        /// Scenarios in which exactly one of the two policies is useful.
         drives: DiscordantPairs,
     },
-    /// It is the policy before it: no checkpoint was better.
+    /// No checkpoint was better than the policy before it.
     Unchanged,
     /// The training diverged, and there is no candidate.
     Diverged {
-        /// What was found.
+        /// Description of the divergence.
         problem: String,
     },
 }
 
-/// What differs between two lists of failures, each in order.
+/// Difference between two ordered lists of failures.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FailureChange {
@@ -77,14 +77,13 @@ pub struct FailureChange {
     pub before: usize,
     /// Failures after.
     pub after: usize,
-    /// Failures that are none any more.
+    /// Failures that are fixed.
     pub fixed: usize,
-    /// Failures that were none before.
+    /// Failures that are new.
     pub regressed: usize,
 }
 
 impl FailureChange {
-    /// Between two lists.
     #[must_use]
     pub(crate) fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
         Self {
@@ -103,14 +102,13 @@ impl fmt::Display for FailureChange {
     }
 }
 
-/// What of one list is not in the other.
 fn only_in_first<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item = &'a T> {
     one.iter().filter(|item| !other.contains(item))
 }
 
-/// Accepts a candidate if nothing of the paper's scenarios and distribution that was safe fails, the contacts in the draws kept
-/// aside do not rise, and it is worse in no regression space: by McNemar's exact one-sided test on the same draws
-/// ([`Discordant`]), at [`SIGNIFICANCE`] for each space and property.
+/// Accepts a candidate if it has no new failure in the paper's scenarios and distribution, no more collisions in the
+/// validation set, and is not worse in any regression space. The latter is McNemar's exact one-sided test on paired
+/// scenarios ([`DiscordantPairs`]) at [`SIGNIFICANCE`] for each space and property.
 #[must_use]
 pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) -> Acceptance {
     let mut objections = Vec::new();
@@ -134,7 +132,6 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
 }
 
-/// What is worse in one space.
 fn space_rejections(
     before: &RegressionSpaceResult,
     after: &RegressionSpaceResult,
@@ -149,7 +146,6 @@ fn space_rejections(
     worse.into_iter().chain(less)
 }
 
-/// Of two lists of failed draws, those that are in one alone.
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
     DiscordantPairs {
         only_second_fails: only_in_first(after, before).count() as u64,
@@ -158,7 +154,7 @@ pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs
 }
 
 impl Acceptance {
-    /// Whether the candidate is taken over.
+    /// True if the candidate replaces the policy before it.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
         *self == Self::Accepted
@@ -231,7 +227,7 @@ mod tests {
         };
         let paper = RejectionReason::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
         assert_eq!(objections(results(&["paper-1 (kalman)"], &[4], &[])), [paper]);
-        // One draw for another is a regression although the count stays.
+        // A new failure is a regression even if the number of failures stays.
         assert_eq!(objections(results(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
         assert_eq!(
             objections(results(&[], &[], &[1, 2, 3, 4])),

@@ -1,4 +1,4 @@
-//! The cases a policy is retrained on.
+//! Cases that a policy is retrained on.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use crumple_core::digest::sha256;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 
-/// Avoidable scenarios in which the policy of some round touched a vehicle: the file `retrained-on.json`.
+/// Avoidable scenarios in which the policy of some round collided: the file `retrained-on.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cases {
@@ -21,26 +21,25 @@ pub struct Cases {
     pub space_sha256: String,
     /// SHA-256 over the JSON of all cases, counterexamples first.
     pub scenarios_sha256: String,
-    /// Draws of the space, round by round.
+    /// Random scenarios of the space, by round.
     pub draws: Vec<CollidingDraws>,
-    /// Counterexamples of the searches, shrunk.
+    /// Shrunk counterexamples of the searches.
     pub counterexamples: Vec<ScenarioSpec>,
 }
 
-/// Draws of one seed.
+/// Random scenarios of one seed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CollidingDraws {
     /// Round that found them.
     pub round: u64,
-    /// Seed of the draws.
+    /// Seed of the scenarios.
     pub seed: u64,
-    /// Which of them, as [`Space::draw`] counts.
+    /// Indices for [`ScenarioSpace::draw`].
     pub indices: Vec<u64>,
 }
 
 impl Cases {
-    /// No cases yet.
     pub(super) fn empty(space: &ScenarioSpace) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
@@ -53,17 +52,16 @@ impl Cases {
         })
     }
 
-    /// All of them, counterexamples first.
+    /// Returns all cases, counterexamples first.
     ///
     /// # Errors
-    /// [`RetrainError::Scenario`] if one of them is none.
+    /// [`RetrainError::Scenario`] if one of them is invalid.
     pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
         let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
         let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
     }
 
-    /// These and those of another round.
     pub(super) fn with_round(
         mut self,
         space: &ScenarioSpace,

@@ -1,4 +1,4 @@
-//! Draws of a space, classed: which of their contacts were avoidable.
+//! Random scenarios of a space, classified by avoidability.
 
 use std::ops::Range;
 
@@ -18,15 +18,14 @@ use crumple_world::sim::{
     Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
 
-/// The version of corpus files.
+/// Version of corpus files.
 pub const CORPUS_VERSION: u32 = 1;
 
-/// Draws that are classed together, at most.
 const BATCH_SIZE: u64 = 500;
-/// A space of which less than this share can be avoided is given up, once that many have been looked at.
+/// Minimum share of avoidable scenarios after [`BATCH_SIZE`] scenarios; below it the space is abandoned.
 const MIN_AVOIDABLE_SHARE: f64 = 0.01;
 
-/// The avoidable ones among the first draws of a space by one seed. Nearly all are, so the others are listed.
+/// Avoidable scenarios among the first random scenarios of a space and seed. Stores the few exceptions.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Corpus {
@@ -36,22 +35,21 @@ pub struct Corpus {
     pub space: String,
     /// SHA-256 of the space as JSON.
     pub space_sha256: String,
-    /// Seed of the draws.
+    /// Seed of the random scenarios.
     pub seed: u64,
-    /// Draws that were classed: those from 0 to this, excluded.
+    /// Number of classified scenarios, which have the indices from 0 up.
     pub draws: u64,
-    /// How many of them were avoidable: they are the corpus.
+    /// Number of avoidable scenarios, which form the corpus.
     pub avoidable: u64,
-    /// Those that no driver could have avoided, by proof.
+    /// Scenarios that are proved unavoidable.
     pub unavoidable: Vec<u64>,
-    /// Those of which neither is known.
+    /// Undecided scenarios.
     pub undecided: Vec<u64>,
-    /// SHA-256 over the JSON of the corpus's scenarios, in order; empty until it is complete.
+    /// SHA-256 over the JSON of the corpus's scenarios, in order; empty until the corpus is complete.
     pub scenarios_sha256: String,
 }
 
 impl Corpus {
-    /// An empty one.
     pub(super) fn empty(space: &ScenarioSpace, seed: u64) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
@@ -67,23 +65,22 @@ impl Corpus {
         })
     }
 
-    /// Indices of the corpus's draws.
+    /// Yields the indices of the corpus's scenarios.
     pub fn indices(&self) -> impl Iterator<Item = u64> {
         let is_out =
             |index: &u64| self.unavoidable.binary_search(index).is_ok() || self.undecided.binary_search(index).is_ok();
         (0..self.draws).filter(move |index| !is_out(index))
     }
 
-    /// The corpus's scenarios, in order.
+    /// Returns the corpus's scenarios, in order.
     ///
     /// # Errors
-    /// [`RetrainError::Scenario`] if a draw is none; [`Space::draw`] has none.
+    /// [`RetrainError::Scenario`] if a scenario is invalid, which [`ScenarioSpace::draw`] excludes.
     pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
         Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
     }
 
-    /// Classes the next draws, as long as fewer than `wanted` are avoidable, and tells `seen` what each witness did in each
-    /// of those that are.
+    /// Classifies random scenarios until `wanted` are avoidable; passes each one's witness results to `seen`.
     pub(super) fn classify_next(
         &mut self,
         space: &ScenarioSpace,
@@ -92,7 +89,7 @@ impl Corpus {
         estimator: EstimatorKind,
         mut seen: impl FnMut(&[Option<Contact>]),
     ) -> Result<(), RetrainError> {
-        // No more than are missing: what a block holds beyond the last one wanted would be classed for nothing.
+        // Scenarios beyond the last one wanted would be classified in vain.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
         let classed = classify_draws(space, self.seed, range.clone(), witnesses, estimator)?;
         for (index, (class, contacts)) in range.zip(classed) {
@@ -114,7 +111,6 @@ impl Corpus {
         Ok(())
     }
 
-    /// States the hash of what has been gathered.
     pub(super) fn seal(&mut self, space: &ScenarioSpace) -> Result<(), RetrainError> {
         let mut digest = Sha256::default();
         for index in self.indices() {
@@ -124,7 +120,7 @@ impl Corpus {
         Ok(())
     }
 
-    /// The corpus in a file, gathered first if it is not there or not complete.
+    /// Reads the corpus from a file, or builds it if the file is missing or incomplete.
     pub(super) fn load_or_build(
         (work, name): (&RunFolder, &'static str),
         space: &ScenarioSpace,
@@ -154,7 +150,7 @@ impl Corpus {
     }
 }
 
-/// Class of each draw, and what became of it with each witness.
+/// Class of a scenario, and its first collision with each witness.
 type ClassifiedDraw = (AvoidabilityClass, Vec<Option<Contact>>);
 
 fn classify_draws(
@@ -175,7 +171,7 @@ fn classify_draws(
     Ok(classes.into_iter().zip(contacts).collect())
 }
 
-/// Classes of scenarios: what a witness has survived is avoidable; of the others convex programming says it.
+/// Classifies scenarios: avoidable if a witness passed, otherwise by convex programming.
 pub(super) fn classify_scenarios(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
     let class = |(scenario, &survived): (&Scenario, &bool)| {
         if survived { AvoidabilityClass::Avoidable } else { Avoidability::classify_contact(scenario).class() }
@@ -183,7 +179,6 @@ pub(super) fn classify_scenarios(scenarios: &[Scenario], survived: &[bool]) -> V
     scenarios.par_iter().zip(survived).map(class).collect()
 }
 
-/// The first contact of each run, if there is one.
 pub(super) fn first_contacts(
     scenarios: &[Scenario],
     controller: &ControllerKind,

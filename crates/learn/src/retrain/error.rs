@@ -1,4 +1,4 @@
-//! Why a retraining stops.
+//! Errors of a retraining.
 
 use crate::rl::TrainingError;
 use crumple_core::observer::Stopped;
@@ -9,34 +9,34 @@ use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
 
-/// Why a retraining stops.
+/// Reason why a retraining stops.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RetrainError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
     /// The folder holds another retraining.
     #[error("{0}")]
     Folder(String),
-    /// Hardly anything in the space can be avoided.
+    /// Too few scenarios of the space are avoidable.
     #[error(
         "of the first {draws} draws of the space `{space}` only {avoidable} could be avoided, and {wanted} are needed"
     )]
     TooFewAvoidable {
         /// Name of the space.
         space: String,
-        /// Draws that were classed.
+        /// Number of classified scenarios.
         draws: u64,
-        /// Those that could be avoided.
+        /// Number of avoidable scenarios.
         avoidable: u64,
-        /// How many were needed.
+        /// Number of scenarios that are needed.
         wanted: u64,
     },
-    /// The policy sees or acts otherwise than the preset says: its weights would mean something else.
+    /// Policy and preset disagree on observation or action, so the weights would have another meaning.
     #[error(
         "the policy `{policy}` and the training preset `{preset}` differ in {what}: use a preset that says what the policy file does"
     )]
@@ -45,7 +45,7 @@ pub enum RetrainError {
         policy: String,
         /// Name of the preset.
         preset: String,
-        /// In what they differ.
+        /// Difference between them.
         what: &'static str,
     },
     /// A search failed.
@@ -57,7 +57,7 @@ pub enum RetrainError {
     /// A scenario cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A draw is no scenario.
+    /// A random scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
     /// A policy cannot be read or written.

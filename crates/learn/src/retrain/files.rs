@@ -11,22 +11,19 @@ use crumple_world::scenario::Scenario;
 pub(super) const REPORT_JSON: &str = "report.json";
 pub(super) const REPORT_MARKDOWN: &str = "report.md";
 pub(super) const REPORT_SVG: &str = "report.svg";
-/// The record of a round, which completes it.
+/// Record that completes a round.
 pub(super) const ROUND_RECORD: &str = "round.json";
-/// The files of the results.
 pub(super) const POLICY: &str = "policy.safetensors";
 pub(super) const TRAINING_CASES: &str = "retrained-on.json";
 pub(super) const TEST_SET: &str = "judged-on.json";
 pub(super) const VALIDATION_SET: &str = "kept-aside.json";
 pub(super) const SELECTION_SET: &str = "selection.json";
-/// The file of the learner on its way.
 pub(super) const LEARNER: &str = "learner.safetensors";
-/// The list of checkpoints while a training is under way.
+/// Evaluated checkpoints of a training in progress.
 pub(super) const CHECKPOINTS: &str = "checkpoints.json";
-/// The plan.
 pub(super) const PLAN: &str = "retrain.toml";
 
-/// SHA-256 over the JSON of scenarios, one after the other.
+/// Returns the SHA-256 over the JSON of scenarios, one after the other.
 pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>) -> Result<String, RetrainError> {
     let mut digest = Sha256::default();
     for scenario in scenarios {
@@ -44,12 +41,10 @@ pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
     Ok(serde_json::to_string_pretty(value).map_err(RetrainError::encoding)? + "\n")
 }
 
-/// Writes a value as JSON.
 pub(super) fn write_json(work: &RunFolder, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
     Ok(work.write(name, to_json(value)?)?)
 }
 
-/// The value in a file; none if there is no such file.
 pub(super) fn read_json<T: DeserializeOwned>(work: &RunFolder, name: &str) -> Result<Option<T>, RetrainError> {
     let Some(bytes) = work.read(name)? else { return Ok(None) };
     let problem = |error: serde_json::Error| format!("not what a retraining wrote: {error}");

@@ -1,34 +1,34 @@
-//! Retraining a policy: search for failures, train on those that could have been avoided, accept what breaks nothing; again.
+//! Retraining of a policy in rounds: search, training on avoidable counterexamples, and acceptance without regressions.
 //!
 //! A round of [`RetrainingPlan::run`]:
 //!
-//! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a stated budget against the policy as it stands, and a number
-//!    of draws of the space. If nothing avoidable is found, the retraining is over.
-//! 2. **Keep.** Distinct counterexamples, and draws that ended in contact, if they were avoidable: a witness drives through
-//!    without contact, or [`crumple_search::worst_case::avoid()`] finds an escape. What no driver can avoid teaches nothing.
-//! 3. **Train on.** The learner goes on with its networks and its memory, on a mixture of the paper's distribution, draws of
-//!    the space, and all cases kept so far. Of its checkpoints the best on a selection of avoidable draws is the candidate.
-//! 4. **Judge.** The candidate drives the paper's scenarios, draws of the paper's distribution, and a corpus kept aside. It is
-//!    accepted only if nothing of the paper's that was safe fails, the contacts kept aside do not rise, and in no regression
-//!    space it is worse beyond chance ([`rule`]).
+//! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a fixed budget searches the present policy
+//!   for counterexamples; random scenarios of the space are simulated too. Without an avoidable one the retraining
+//!   ends.
+//! 2. **Selection of cases.** Distinct counterexamples and random scenarios that ended in a collision become cases if
+//!   they are avoidable: a witness passes them, or [`crumple_search::worst_case::avoid()`] finds an escape.
+//! 3. **Training.** The learner continues on a mixture of the paper's distribution, random scenarios of the space, and
+//!   all cases so far. Its best checkpoint on the selection set is the candidate.
+//! 4. **Acceptance.** The candidate is simulated in the paper's scenarios, its distribution, the validation set and the
+//!   regression spaces. [`decide_acceptance`] accepts it if it is not worse.
 //!
-//! Sets of draws never meet: training, selection, kept aside and of regression spaces (acceptance), and judged, which is drawn after the
-//! last round and decides nothing. A rejected candidate is not taken over, but its learner goes on.
+//! The scenarios for training, selection of checkpoints, validation, regression and test are disjoint. The test set is
+//! drawn last and decides nothing. The learner continues after a rejection; the candidate does not.
 //!
-//! The folder of a retraining:
+//! Files of a retraining:
 //!
-//! | file | what it holds |
+//! | file | content |
 //! |---|---|
-//! | `retrain.toml` | everything that decides the results |
-//! | `policy.safetensors` | the policy at the end |
-//! | `retrained-on.json` | the cases it was trained on, beside draws of space and paper |
-//! | `kept-aside.json`, `selection.json` | the draws that accepted rounds, and those that selected checkpoints |
-//! | `judged-on.json` | the draws it was judged on, and what each controller did in them |
-//! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
-//! | `rounds/NN/` | the campaign, the candidate and the record of each round |
-//! | `work.json` | what the others are ([`crumple_store::work`]), and until it is complete the program at work, for no other build goes on with it |
+//! | `retrain.toml` | everything that determines the results |
+//! | `policy.safetensors` | final policy |
+//! | `retrained-on.json` | cases of the training, without random scenarios |
+//! | `kept-aside.json`, `selection.json` | validation set, and the set that selects checkpoints |
+//! | `judged-on.json` | test set, and the result of each controller |
+//! | `report.md`, `report.json`, `report.svg` | results of each round, with the hashes of all these files |
+//! | `rounds/NN/` | campaign, candidate and record of each round |
+//! | `work.json` | manifest ([`crumple_store::run_folder`]); names the build until the retraining is complete |
 //!
-//! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
+//! One seed determines everything, on any number of threads and after any interruption.
 
 mod acceptance;
 mod cases;

@@ -1,4 +1,4 @@
-//! What a retraining is: everything that decides its results, as a file.
+//! Plan of a retraining: everything that determines its results, as a file.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -22,59 +22,59 @@ use crumple_world::random::derived_seed;
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 
-/// The version of the file `retrain.toml`.
+/// Version of the file `retrain.toml`.
 pub const RETRAIN_VERSION: u32 = 1;
 
-/// Everything that decides the results of a retraining.
+/// Everything that determines the results of a retraining.
 #[derive(Debug, Clone)]
 pub struct RetrainingPlan {
-    /// The policy to begin with.
+    /// Policy at the start.
     pub initial_policy: Arc<Policy>,
-    /// What it is called: a built-in name or a path.
+    /// Built-in name or path of the policy.
     pub initial_policy_name: String,
-    /// Where failures are looked for.
+    /// Scenario space that is searched for counterexamples.
     pub space: ScenarioSpace,
-    /// Spaces in none of which a round may make the policy worse, each with a name of its own.
+    /// Spaces in which no round may make the policy worse, with distinct names.
     pub regression_spaces: Vec<ScenarioSpace>,
-    /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
-    /// distribution, and its ranking draws are avoidable draws of the space; its own spaces are not drawn from.
+    /// Configuration of the learner. The settings replace its number of episodes, and avoidable random scenarios of the
+    /// space replace its ranking scenarios. Its spaces are ignored.
     pub training: TrainingConfig,
     /// Search method.
     pub method: Method,
     /// Seed of searches and trainings.
     pub seed: u64,
-    /// How much of everything.
+    /// Sizes of all parts.
     pub settings: RetrainingSettings,
-    /// Draws the report's picture, an SVG, to which its text refers.
+    /// Function that renders the figure of the report as SVG.
     pub render_svg: fn(&RetrainingReport) -> String,
 }
 
-/// How much of everything.
+/// Sizes of the parts of a retraining.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RetrainingSettings {
-    /// Rounds at most.
+    /// Maximum number of rounds.
     pub rounds: u64,
-    /// Episodes of training in a round.
+    /// Episodes of training per round.
     pub episodes: u64,
-    /// Evaluations of the search method in a round, and of each reference search.
+    /// Evaluations of the search method per round, and of each reference search.
     pub budget: u64,
-    /// Draws of the space that a round's search drives beside.
+    /// Random scenarios of the space that each round simulates besides.
     pub draws: u64,
-    /// Avoidable draws kept aside, which accept or reject a round.
+    /// Avoidable random scenarios of the validation set, which accepts or rejects a round.
     #[serde(rename = "kept_aside")]
     pub validation_draws: u64,
-    /// Draws of the paper's distribution, likewise.
+    /// Random scenarios of the paper's distribution for acceptance.
     pub nominal: u64,
-    /// Draws of each regression space, likewise.
+    /// Random scenarios of each regression space for acceptance.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub regression: u64,
-    /// Avoidable draws on which the result is judged at the end.
+    /// Avoidable random scenarios of the test set.
     #[serde(rename = "judged")]
     pub test_draws: u64,
-    /// Share of the training episodes that are drawn from the paper's distribution.
+    /// Share of the training episodes from the paper's distribution.
     pub nominal_share: f64,
-    /// Share of the others that drive one of the cases kept; the rest are draws of the space.
+    /// Share of the other episodes that use a case; the rest are random scenarios of the space.
     pub case_share: f64,
 }
 
@@ -100,10 +100,10 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// The text of the preset of a retraining.
+/// Text of the training preset of a retraining.
 pub const TRAINING_PRESET_TEXT: &str = include_str!("preset.toml");
 
-/// How a learner learns in a retraining unless told otherwise.
+/// Returns the default configuration of the learner.
 ///
 /// # Errors
 /// None: a test reads it.
@@ -111,7 +111,6 @@ pub fn training_preset() -> Result<TrainingConfig, TrainingConfigError> {
     TrainingConfig::parse(TRAINING_PRESET_TEXT, Path::new("retrain"))
 }
 
-/// The file `retrain.toml`.
 #[derive(Serialize)]
 struct PlanFile<'a> {
     version: u32,
@@ -127,33 +126,31 @@ struct PlanFile<'a> {
     regression: Vec<SpaceHash<'a>>,
 }
 
-/// A space by name and hash.
 #[derive(Serialize)]
 struct SpaceHash<'a> {
     space: &'a str,
     sha256: String,
 }
 
-/// Seeds of the sets of draws that are the same for every retraining in a space, so that results can be compared.
+/// Seeds of the sets that are equal for all retrainings in a space, so that results can be compared.
 pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
 pub(super) const VALIDATION_SET_SEED: u64 = 0x006b_6570_7461_7364;
 pub(super) const TEST_SET_SEED: u64 = 0x006a_7564_6765_6420;
 pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
 pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 
-/// Indices of derived seeds: searches count from one, trainings from the other.
+/// Offsets of the derived seeds of searches and of trainings.
 const SEARCH_SEED_BASE: u64 = 1 << 32;
 const TRAINING_SEED_BASE: u64 = 2 << 32;
 
 impl RetrainingPlan {
-    /// What the vehicles under test look through.
+    /// Returns the estimator of the vehicles under test.
     #[must_use]
     pub fn estimator(&self) -> EstimatorKind {
         self.training.environment.estimator
     }
 
-    /// How the learner learns until so many episodes are done. What it draws from is the retraining's to say: spaces of the preset would stand
-    /// in the policy without ever having been drawn from.
+    /// Returns the configuration up to `episodes`, without the preset's spaces, which are never drawn from.
     pub(super) fn training_until(&self, episodes: u64) -> TrainingConfig {
         TrainingConfig { episodes, spaces: Vec::new(), ..self.training.clone() }
     }
@@ -166,7 +163,7 @@ impl RetrainingPlan {
         derived_seed(self.seed, TRAINING_SEED_BASE + round)
     }
 
-    /// The text of `retrain.toml`.
+    /// Returns the text of `retrain.toml`.
     ///
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
@@ -189,15 +186,15 @@ impl RetrainingPlan {
         toml::to_string(&file).map_err(RetrainError::encoding)
     }
 
-    /// SHA-256 of that text.
+    /// Returns the SHA-256 of that text.
     ///
     /// # Errors
-    /// As for the text.
+    /// As for [`RetrainingPlan::to_toml`].
     pub fn digest(&self) -> Result<String, RetrainError> {
         Ok(sha256(self.to_toml()?))
     }
 
-    /// Whether the policy can be trained on with the preset: what it sees and does must mean the same.
+    /// Checks that the preset and the policy agree on observation, action and decision interval.
     pub(super) fn check_policy(&self) -> Result<(), RetrainError> {
         let (header, environment) = (self.initial_policy.header(), &self.training.environment);
         let interval_s = f64::from(environment.action_repeat) * PAPER_STEP_S;
@@ -217,7 +214,7 @@ impl RetrainingPlan {
         })
     }
 
-    /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
+    /// Opens the folder if it is empty or belongs to this plan; otherwise the error lists the differences.
     pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<RunFolder, RetrainError> {
         let configuration = self.to_toml()?;
         let asked = RunFolderOptions {

@@ -6,13 +6,13 @@ use crumple_search::falsify::campaign::CampaignProgress;
 /// Progress of a retraining.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RetrainingProgress {
-    /// Draws are classed for a corpus.
+    /// Random scenarios are classified for a corpus.
     Gathering {
-        /// Corpus file that the scenarios are gathered for.
+        /// File of the corpus.
         file: &'static str,
-        /// Avoidable ones so far.
+        /// Avoidable scenarios so far.
         done: u64,
-        /// How many are wanted.
+        /// Number of scenarios that are needed.
         wanted: u64,
     },
     /// A campaign is under way.
@@ -22,14 +22,14 @@ pub enum RetrainingProgress {
         /// Progress of the campaign.
         progress: CampaignProgress,
     },
-    /// Draws of the space are driven and classed.
+    /// Random scenarios of the space are simulated and classified.
     SimulatingDraws {
         /// Round, from 1.
         round: u64,
-        /// How many.
+        /// Number of random scenarios.
         draws: u64,
     },
-    /// The learner is at work.
+    /// The learner trains.
     Training {
         /// Round, from 1.
         round: u64,
@@ -37,15 +37,15 @@ pub enum RetrainingProgress {
         episode: u64,
         /// Episodes of the round.
         episodes: u64,
-        /// Fewest contacts of any checkpoint in the selection.
+        /// Fewest collisions of any checkpoint in the selection set.
         fewest_contacts: Option<u64>,
     },
-    /// A candidate is judged.
+    /// A candidate is evaluated.
     Evaluating {
         /// Round, from 1.
         round: u64,
     },
 }
 
-/// Receives the progress, and may stop the retraining.
+/// Observer of the progress, which can stop the retraining.
 pub(super) type RetrainingObserver<'a> = dyn Observer<RetrainingProgress> + 'a;

@@ -1,4 +1,4 @@
-//! Where a policy stands: what it does in everything that a round must not make worse.
+//! Results of a policy in everything that a round must not make worse.
 
 use std::sync::Arc;
 
@@ -13,24 +13,23 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::ControllerKind;
 
-/// Everything in which a policy touches a vehicle.
+/// Failures of a policy that decide on acceptance.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegressionResults {
-    /// The paper's scenarios, each with the estimator through which it happens.
+    /// Scenarios of the paper, each with the estimator.
     pub paper: Vec<String>,
-    /// Draws of the paper's distribution, by index.
+    /// Indices of random scenarios of the paper's distribution.
     pub nominal: Vec<u64>,
-    /// Draws kept aside, by index.
+    /// Indices of the validation set.
     #[serde(rename = "kept_aside")]
     pub validation_set: Vec<u64>,
-    /// Draws of each regression space.
+    /// Results in each regression space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regression: Vec<RegressionSpaceResult>,
 }
 
 impl RegressionResults {
-    /// Drives a policy through all of it.
     pub(super) fn evaluate(
         policy: &Arc<Policy>,
         plan: &RetrainingPlan,

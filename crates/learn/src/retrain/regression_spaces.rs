@@ -11,32 +11,31 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
 
-/// Significance of the test by which a policy is worse in a regression space: where it is no worse, it is found to be with a
-/// probability of at most this, for each space and each of contacts and usefulness.
+/// Significance level in a regression space, for collisions and for usefulness each.
 pub const SIGNIFICANCE: f64 = 0.01;
 
-/// Draws that are driven together: each keeps its motion.
+/// Scenarios that are simulated together; limits memory, because each keeps its trace.
 const BATCH_SIZE: usize = 100;
 
-/// What a policy did in draws of a regression space.
+/// Results of a policy in random scenarios of a regression space.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegressionSpaceResult {
     /// Name of the space.
     pub space: String,
-    /// Draws.
+    /// Number of random scenarios.
     pub draws: u64,
-    /// Those that ended in contact, by index.
+    /// Indices of the scenarios that ended in a collision.
     pub contacts: Vec<u64>,
-    /// Where `idm` touches nobody and never fails to be of use: those that ended in contact, with braking harder than 4 m/s²
-    /// where less than 3 m/s² had a cause, or with the vehicle left behind. None in other spaces: in an emergency such a brake
-    /// may be the way out.
+    /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
+    /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
+    /// necessary.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "of_no_use")]
     pub not_useful: Option<Vec<u64>>,
 }
 
-/// The draws of all regression spaces, and in which of them there is nothing to fear.
+/// Random scenarios of all regression spaces, and whether `idm` is always useful in each space.
 pub(super) struct RegressionSpaces {
     estimator: EstimatorKind,
     spaces: Vec<RegressionSpace>,
@@ -120,14 +119,13 @@ mod tests {
     use crumple_world::policy::Policy;
     use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, file};
 
-    /// A standing vehicle 40 to 120 m ahead of 10 to 80 km/h, and nobody behind.
+    /// Standing vehicle 40 to 120 m ahead of an ego vehicle at 10 to 80 km/h, without a follower.
     const QUEUE: &str = include_str!("queue.toml");
 
-    /// What `retrained` was before products were fused.
+    /// Built-in policy `retrained` of an earlier release.
     const RUNS_INTO_STANDING: &[u8] = include_bytes!("runs-into-standing.safetensors");
 
-    /// An earlier `retrained` runs into standing vehicles and `policy` does not; in emergencies it is the other way round. Whoever retrains on
-    /// standing vehicles alone trades the one for the other.
+    /// Retraining on standing vehicles must not trade them for emergencies, in which `policy` collides.
     #[test]
     fn standing_vehicles_are_not_bought_with_emergencies() {
         let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());

@@ -1,4 +1,4 @@
-//! What a retraining reached, for programs and for readers.
+//! Report of a retraining as JSON, Markdown and SVG.
 
 use std::fmt::Write;
 
@@ -17,17 +17,17 @@ use crumple_core::digest::sha256;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
-/// Why a retraining ended.
+/// Reason why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum RetrainingEnding {
-    /// All rounds were made.
+    /// All rounds are done.
     #[serde(rename = "rounds-spent")]
     RoundsExhausted,
-    /// A search found nothing that could have been avoided.
+    /// A search found no avoidable counterexample.
     NothingFound {
-        /// That search.
+        /// Results of that search.
         search: Box<RoundFindings>,
     },
 }
@@ -36,7 +36,7 @@ pub enum RetrainingEnding {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FileHash {
-    /// Its name in the folder.
+    /// Name in the folder.
     pub file: String,
     /// SHA-256.
     pub sha256: String,
@@ -52,11 +52,11 @@ pub struct RetrainingReport {
     pub crumple: String,
     /// SHA-256 of `retrain.toml`.
     pub plan_sha256: String,
-    /// The policy to begin with: a name or a path.
+    /// Name or path of the initial policy.
     pub first: String,
-    /// SHA-256 of its file.
+    /// SHA-256 of the initial policy.
     pub first_sha256: String,
-    /// SHA-256 of the policy at the end.
+    /// SHA-256 of the final policy.
     pub retrained_sha256: String,
     /// Name of the space.
     pub space: String,
@@ -66,26 +66,26 @@ pub struct RetrainingReport {
     pub method: String,
     /// Seed.
     pub seed: u64,
-    /// How much of everything.
+    /// Sizes of all parts.
     pub settings: RetrainingSettings,
-    /// The rounds.
+    /// Records of the rounds.
     pub rounds: Vec<Round>,
-    /// Why there are no more.
+    /// Reason of the end.
     pub ending: RetrainingEnding,
-    /// Where the first policy stands.
+    /// Results of the initial policy.
     #[serde(rename = "first_standing")]
     pub first_results: RegressionResults,
-    /// Where the retrained one stands.
+    /// Results of the retrained policy.
     #[serde(rename = "retrained_standing")]
     pub retrained_results: RegressionResults,
-    /// Avoidable draws on which controllers were judged.
+    /// Avoidable random scenarios of the test set.
     #[serde(rename = "judged_draws")]
     pub test_draws: u64,
-    /// What each of them did.
+    /// Results of each controller in the test set.
     pub tallies: Vec<ControllerTally>,
-    /// The two policies on the same draws.
+    /// Paired results of the two policies.
     pub pairs: PairedOutcomes,
-    /// The policy and the corpora.
+    /// Hashes of the policy and the corpora.
     pub files: Vec<FileHash>,
 }
 
@@ -128,13 +128,12 @@ impl RetrainingReport {
         })
     }
 
-    /// Whether any round was accepted.
+    /// True if any round was accepted.
     #[must_use]
     pub fn is_retrained(&self) -> bool {
         self.rounds.iter().any(|round| round.acceptance.is_accepted())
     }
 
-    /// Writes it into its folder, with its picture.
     pub(super) fn write_files(&self, work: &RunFolder, picture: String) -> Result<(), RetrainError> {
         let mut changes = work.transaction();
         changes
@@ -144,7 +143,7 @@ impl RetrainingReport {
         Ok(changes.commit()?)
     }
 
-    /// The text of `report.json`.
+    /// Returns the text of `report.json`.
     ///
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
@@ -152,15 +151,16 @@ impl RetrainingReport {
         to_json(self)
     }
 
-    /// How many times rarer contacts are than with the first policy, at least: the lower end of the first policy's interval over
-    /// the upper end of the retrained one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
+    /// Returns a lower bound of the factor by which the collision rate decreased: the lower end of the initial policy's
+    /// interval over the upper end of the retrained policy's. Each end is wrong with a probability of at most 2.5 %, so
+    /// the bound has a confidence level of 95 %.
     #[must_use]
     pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
         Some(first.interval(self.test_draws).lower / retrained.interval(self.test_draws).upper)
     }
 
-    /// The text of `report.md`.
+    /// Returns the text of `report.md`.
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let mut text = String::new();
@@ -264,7 +264,7 @@ impl RetrainingReport {
         }
     }
 
-    /// What became of the first policy's failures in regression spaces.
+    /// Writes the changes of the initial policy's failures in regression spaces.
     fn write_regression(&self, out: &mut String) -> std::fmt::Result {
         if self.first_results.regression.is_empty() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! One round: search, keep, train on, judge.
+//! One round: search, training, evaluation and decision.
 
 use std::sync::Arc;
 
@@ -21,92 +21,91 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// What a search found.
+/// Results of a search.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundFindings {
-    /// Evaluations of the campaign, of all its methods together.
+    /// Evaluations of the campaign, by all its methods.
     pub evaluations: u64,
-    /// Those that ended in contact.
+    /// Evaluations that ended in a collision.
     pub failures: u64,
-    /// Distinct counterexamples among them that a driver could have avoided.
+    /// Distinct avoidable counterexamples.
     pub avoidable: usize,
-    /// Those that no driver could have avoided, by proof.
+    /// Counterexamples that are proved unavoidable.
     pub unavoidable: usize,
-    /// Those of which neither is known.
+    /// Undecided counterexamples.
     pub undecided: usize,
-    /// Draws of the space that were driven beside.
+    /// Random scenarios of the space that were simulated besides.
     pub draws: u64,
-    /// Those that ended in contact.
+    /// Random scenarios that ended in a collision.
     #[serde(rename = "draws_touched")]
     pub colliding_draws: usize,
-    /// Those of them that a driver could have avoided.
+    /// Avoidable random scenarios among them.
     #[serde(rename = "draws_avoidable")]
     pub avoidable_draws: CollidingDraws,
-    /// The avoidable counterexamples, as scenarios.
+    /// Avoidable counterexamples, by the file of the scenario.
     pub counterexamples: Vec<String>,
 }
 
-/// How a round trained.
+/// Record of the training of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundTraining {
-    /// Seed of the learner. It goes on from round to round, unless a training diverges.
+    /// Seed of the learner, which continues from round to round unless a training diverges.
     pub seed: u64,
-    /// Episodes it had done before the round.
+    /// Episodes before the round.
     pub from_episode: u64,
-    /// Episodes it has done after it; 0 if it diverged.
+    /// Episodes after the round; 0 if the training diverged.
     pub to_episode: u64,
     /// Episode after which the candidate was taken.
     pub best_episode: u64,
-    /// Its checkpoints, in order.
+    /// Evaluated checkpoints, in order.
     pub checkpoints: Vec<Checkpoint>,
 }
 
-/// A policy on the way, as the selection saw it.
+/// Evaluation of a checkpoint on the selection set.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Checkpoint {
     /// Episodes done.
     pub episode: u64,
-    /// Contacts among the avoidable draws of the selection; none if it touched a vehicle in the paper's scenarios or draws.
+    /// Collisions in the selection set; none if the policy collides in the paper's scenarios or the screening.
     pub contacts: Option<u64>,
 }
 
-/// The record of a round.
+/// Record of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Round {
     /// Number, from 1.
     pub round: u64,
-    /// SHA-256 of the policy that was searched for failures.
+    /// SHA-256 of the policy that was searched.
     pub before_sha256: String,
-    /// What the search found.
+    /// Results of the search.
     #[serde(rename = "found")]
     pub findings: RoundFindings,
-    /// Cases trained on: those of all rounds so far.
+    /// Number of cases of all rounds so far.
     pub cases: usize,
-    /// The training.
+    /// Record of the training.
     #[serde(rename = "trained")]
     pub training: RoundTraining,
     /// SHA-256 of the candidate; none if the training diverged.
     pub candidate_sha256: Option<String>,
-    /// Contacts in all cases, before and after.
+    /// Collisions in the cases, before and after.
     pub in_cases: FailureChange,
-    /// In draws kept aside.
+    /// Collisions in the validation set.
     #[serde(rename = "in_kept_aside")]
     pub in_validation_set: FailureChange,
-    /// In the paper's scenarios, through the filter and with the true state.
+    /// Collisions in the paper's scenarios, with the filter and with the true state.
     pub in_paper: FailureChange,
-    /// In draws of the paper's distribution.
+    /// Collisions in random scenarios of the paper's distribution.
     pub in_nominal: FailureChange,
-    /// The decision.
+    /// Decision on the candidate.
     pub acceptance: Acceptance,
-    /// Where the candidate stands.
+    /// Results of the candidate.
     pub after: RegressionResults,
 }
 
-/// What a round starts from.
 pub(super) struct RoundContext<'a> {
     pub(super) plan: &'a RetrainingPlan,
     pub(super) run_folder: &'a RunFolder,
@@ -119,20 +118,16 @@ pub(super) struct RoundContext<'a> {
     pub(super) previous_round: Option<&'a Round>,
 }
 
-/// The file of a candidate.
 const CANDIDATE: &str = "candidate.safetensors";
-/// What the search found.
 const FINDINGS: &str = "found.json";
-/// The folder of the search.
 const SEARCH: &str = "search";
 
-/// Where a file of a round is in the folder of the retraining.
 pub(super) fn round_path(round: u64, name: &str) -> String {
     format!("rounds/{round:02}/{name}")
 }
 
 impl Round {
-    /// The candidate that was judged, and no other.
+    /// Reads the candidate and checks its hash.
     pub(super) fn candidate(&self, work: &RunFolder) -> Result<Policy, RetrainError> {
         let name = round_path(self.round, CANDIDATE);
         let candidate = Policy::from_bytes(&work.read_required(&name)?)?;
@@ -149,12 +144,11 @@ impl RoundContext<'_> {
         self.previous_round.map_or(1, |last| last.round + 1)
     }
 
-    /// Where a file of this round is in the folder of the retraining.
     pub(super) fn path(&self, name: &str) -> String {
         round_path(self.round_number(), name)
     }
 
-    /// Searches for failures; all that was kept is in the result.
+    /// Searches for counterexamples, or returns the stored result.
     pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
         if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
             return Ok(found);
@@ -201,7 +195,7 @@ impl RoundContext<'_> {
         Ok(found)
     }
 
-    /// Draws that end in contact: how many, and which of them could have been avoided.
+    /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
     fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
         let (plan, round) = (self.plan, self.round_number());
         let seed = plan.search_seed(round);
@@ -221,7 +215,6 @@ impl RoundContext<'_> {
         Ok((touched.len(), CollidingDraws { round, seed, indices }))
     }
 
-    /// The cases so far and those of this round.
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.run_folder.path(&self.path(SEARCH));
         let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
@@ -234,7 +227,7 @@ impl RoundContext<'_> {
         self.cases.clone().with_round(&self.plan.space, found.avoidable_draws.clone(), counterexamples)
     }
 
-    /// Trains on, judges and decides; leaves the record of the round behind.
+    /// Trains and evaluates the candidate, decides on it, and writes the record of the round.
     pub(super) fn finish(
         &self,
         found: RoundFindings,
@@ -296,7 +289,6 @@ impl RoundContext<'_> {
     }
 }
 
-/// The avoidable draws that select checkpoints.
 pub(super) fn load_selection_set(
     plan: &RetrainingPlan,
     work: &RunFolder,
@@ -305,7 +297,7 @@ pub(super) fn load_selection_set(
     load_corpus(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
 }
 
-/// A corpus of the plan in its file.
+/// Reads a corpus of the plan from its file, or builds it.
 pub(super) fn load_corpus(
     plan: &RetrainingPlan,
     work: &RunFolder,

@@ -1,4 +1,4 @@
-//! Running a retraining, from its first search to its report.
+//! Execution of a retraining, from the first search to the report.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,15 +20,13 @@ use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// What the policy at the end is called in tables.
 const RETRAINED_NAME: &str = "retrained";
 
 impl RetrainingPlan {
-    /// Runs the retraining in `folder`, or continues it with `resume`; of a complete one, reads the report.
+    /// Runs the retraining in `folder`, or continues it with `resume`. Of a complete one, reads the report.
     ///
     /// # Errors
-    /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, hardly anything in the space
-    /// is avoidable, or `watch` stops the retraining.
+    /// [`RetrainError`] if the folder is unusable, a part fails, or `watch` stops the retraining.
     pub fn run(
         &self,
         folder: &Path,

@@ -1,4 +1,4 @@
-//! What controllers did in the draws on which the result is judged.
+//! Results of controllers in the test set.
 
 use std::path::Path;
 
@@ -13,68 +13,66 @@ use crumple_evidence::RateInterval;
 use crumple_store::run_folder::RunFolder;
 use crumple_world::sim::{Contact, NamedController};
 
-/// Confidence of the intervals in reports.
 pub(super) const CONFIDENCE: f64 = 0.95;
 
-/// A corpus and what each controller did in it: the file `judged-on.json`.
+/// Test set and the results of all controllers in it: the file `judged-on.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TestSetResults {
-    /// The draws.
+    /// Scenarios of the test set.
     pub corpus: Corpus,
-    /// One entry a controller: the first policy, the retrained one, and others to compare with.
+    /// One entry per controller: initial policy, retrained policy, and baselines.
     pub tallies: Vec<ControllerTally>,
-    /// The first policy and the retrained one on the same draws.
+    /// Paired results of initial and retrained policy.
     pub pairs: PairedOutcomes,
 }
 
-/// Contacts of one controller.
+/// Collisions of one controller.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerTally {
-    /// Its name.
+    /// Name of the controller.
     pub controller: String,
     /// SHA-256 of the policy file, if it is a policy.
     pub policy_sha256: Option<String>,
-    /// Draws that ended in contact.
+    /// Scenarios that ended in a collision.
     pub contacts: u64,
-    /// Those in which the vehicle under test ran into the one ahead; in the others it was hit from behind.
+    /// Collisions of the vehicle under test with its leader; in the others the follower hits it.
     pub into_the_leader: u64,
 }
 
-/// Draws by what happened with each of two policies.
+/// Paired results of two policies.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PairedOutcomes {
-    /// Contact with both.
+    /// Collisions of both.
     pub both: u64,
-    /// Contact with the first policy alone: fixed.
+    /// Collisions of the initial policy only: fixed.
     pub first_only: u64,
-    /// Contact with the retrained policy alone: new.
+    /// Collisions of the retrained policy only: new.
     pub retrained_only: u64,
-    /// Contact with neither.
+    /// Scenarios without a collision of either.
     pub neither: u64,
 }
 
 impl ControllerTally {
-    /// The exact interval of its collision rate over `runs` draws.
+    /// Returns the exact interval of the collision rate over `runs` scenarios.
     #[must_use]
     pub fn interval(&self, runs: u64) -> RateInterval {
         RateInterval::clopper_pearson(self.contacts, runs, CONFIDENCE)
     }
 }
 
-/// Names of those that are compared with the two policies.
 const BASELINES: [&str; 5] = ["idm", "acc-aeb", "match-leader", "constant-brake", "baseline"];
 
-/// The built-in controllers that may show that a scenario can be avoided, beside some policies.
+/// Returns the controllers that can show that a scenario is avoidable: some policies and the baselines.
 pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
     let others = BASELINES.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok());
     policies.iter().cloned().chain(others).collect()
 }
 
 impl TestSetResults {
-    /// The judgement in a file, made first if it is not there or not complete. The first two contenders are compared.
+    /// Reads the results from a file, or completes them first. Compares the first two contenders.
     pub(super) fn load_or_evaluate(
         (work, name): (&RunFolder, &'static str),
         plan: &RetrainingPlan,

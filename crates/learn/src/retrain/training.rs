@@ -1,4 +1,4 @@
-//! The training of a round.
+//! Training of a round.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
 
 impl RoundContext<'_> {
-    /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
+    /// Returns the seed of the learner and its episodes so far. A new learner follows one that diverged.
     pub(super) fn learner_start(&self) -> (u64, u64) {
         match self.previous_round {
             Some(last) if last.training.to_episode > 0 => (last.training.seed, last.training.to_episode),
@@ -23,14 +23,13 @@ impl RoundContext<'_> {
         }
     }
 
-    /// What a round draws its episodes from.
     fn scenario_source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
         let (space, settings) = (&self.plan.space, &self.plan.settings);
         let mixed = CaseMixture::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
         Ok(Arc::new(SourceMixture::new(Arc::new(PaperSource), settings.nominal_share, Arc::new(mixed))))
     }
 
-    /// The learner as it goes into the round, or as it was when it was interrupted.
+    /// Returns the learner at the start of the round, or at its last checkpoint, and the episode at the start.
     fn load_learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
         let (seed, from_episode) = self.learner_start();
         let episodes = from_episode + self.plan.settings.episodes;
@@ -82,7 +81,6 @@ impl RoundContext<'_> {
     }
 }
 
-/// Writes down how a training goes.
 struct CheckpointWriter<'a, 'b, 'c> {
     context: &'a RoundContext<'b>,
     from_episode: u64,
@@ -107,7 +105,7 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
     }
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
-        // The learner last: what the list has beyond it is cut off.
+        // Written together; list entries after the checkpoint are dropped on resume.
         let before = self.context;
         let (lists, learner) = (before.path(CHECKPOINTS), before.path(LEARNER));
         let checkpoints = to_json(&self.checkpoints)?;

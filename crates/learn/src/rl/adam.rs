@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba, 2015, algorithm 1) and the targets' soft update, in one pass over the parameters.
+//! Adam (Kingma and Ba, 2015, algorithm 1) and the soft update of targets, in one pass over the parameters.
 
 use pulp::Arch;
 
@@ -8,7 +8,7 @@ const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
-/// The moments of one network's gradients.
+/// Optimiser of one network, with the moments of its gradients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
     pub(crate) first_moment: Vec<f32>,
@@ -17,18 +17,16 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// No moments yet, for so many parameters.
+    /// Creates an optimiser of `parameters` parameters with zero moments.
     #[must_use]
     pub fn new(parameters: usize) -> Self {
         Self { first_moment: vec![0.0; parameters], second_moment: vec![0.0; parameters], steps: 0 }
     }
 
-    /// One step down the gradient.
-    ///
-    /// With `follow`, a target network and a share τ, the target then becomes (1 - τ) target + τ parameters.
+    /// Performs one gradient step. `follow` is a target network and τ: target ← (1 - τ) target + τ parameters.
     pub fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32, follow: Option<(&mut [f32], f32)>) {
         self.steps += 1;
-        // Not `powi`, whose rounding differs between platforms.
+        // `powi` rounds differently between platforms.
         let unbias = |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
         let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
         let (first, second) = (self.first_moment.as_mut_slice(), self.second_moment.as_mut_slice());
@@ -92,7 +90,7 @@ mod tests {
         for _ in 0..100 {
             adam.step(&mut parameters, &[0.0], 0.1, Some((&mut target, 0.005)));
         }
-        // After n updates 1 - (1 - τ)ⁿ of the way is covered.
+        // After n updates a share of 1 - (1 - τ)ⁿ is covered.
         assert!((f64::from(target[0]) - (1.0 - 0.995_f64.powi(100))).abs() < 1e-6, "{target:?}");
     }
 }

@@ -1,16 +1,15 @@
-//! Forward and backward through a network, by hand.
+//! Forward and backward pass of a network, with explicit gradients.
 //!
-//! With a loss L, layer inputs x, outputs z = x W + b and δ = ∂L/∂z for every row of a batch: ∂L/∂W = xᵀ δ,
-//! ∂L/∂b = Σ δ and ∂L/∂x = δ Wᵀ, which a rectified layer below passes on where its output is positive.
+//! For a loss L, layer inputs x, outputs z = x W + b and δ = ∂L/∂z for every row of a batch: ∂L/∂W = xᵀ δ, ∂L/∂b = Σ δ
+//! and ∂L/∂x = δ Wᵀ. A ReLU layer below passes ∂L/∂x on where its output is positive.
 
 use pulp::Arch;
 
 use crumple_world::policy::{Lhs, Network, PackedPanels, Rhs, SimdClosure, multiply_vector};
 
-/// What a forward pass leaves for the backward pass, and working space for both.
+/// Activations of a forward pass for the backward pass, and working memory of both.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tape {
-    /// The input, then every layer's output.
     activations: Vec<Vec<f32>>,
     delta: Vec<f32>,
     delta_below: Vec<f32>,
@@ -18,7 +17,6 @@ pub(crate) struct Tape {
 }
 
 impl Tape {
-    /// Runs a batch through a network and returns the output, one row after the other.
     pub(crate) fn forward(&mut self, network: &Network, batch: usize, fill: impl FnOnce(&mut Vec<f32>)) -> &[f32] {
         let layers = network.layers();
         let count = layers.len();
@@ -34,17 +32,16 @@ impl Tape {
         &self.activations[count]
     }
 
-    /// The output of the last forward pass.
     pub(crate) fn output(&self) -> &[f32] {
         self.activations.last().map_or(&[], Vec::as_slice)
     }
 
-    /// Gradients of all parameters, given ∂L/∂output of the last forward pass.
+    /// Computes the gradients of all parameters from ∂L/∂output of the last forward pass.
     pub(crate) fn backward(&mut self, network: &Network, output_gradient: &[f32], gradients: &mut [f32]) {
         self.backpropagate(network, output_gradient, Some(gradients));
     }
 
-    /// ∂L/∂(last input) of every row, given ∂L/∂output of the last forward pass.
+    /// Computes ∂L/∂(last input) of every row from ∂L/∂output of the last forward pass.
     pub(crate) fn backward_to_last_input(&mut self, network: &Network, output_gradient: &[f32], out: &mut [f32]) {
         self.backpropagate(network, output_gradient, None);
         if let Some(first) = network.layers().next() {
@@ -53,7 +50,7 @@ impl Tape {
         }
     }
 
-    /// Takes δ from the output down to the first layer's outputs.
+    /// Propagates δ from the output to the outputs of the first layer.
     fn backpropagate(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
         let Self { activations: values, delta, delta_below: below, panels } = self;
         delta.clear();
@@ -87,7 +84,7 @@ impl Tape {
     }
 }
 
-/// Σ over rows of factor · row.
+/// Computes Σ over rows of factor · row.
 fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
     Arch::new().dispatch(SimdClosure(
         #[inline(always)]
@@ -116,7 +113,7 @@ fn row_sum(rows: &[f32], out: &mut [f32]) {
     ));
 }
 
-/// Row b of `out` becomes factor b times `row`, and 0 where `gate` is not positive.
+/// Sets row b of `out` to factor b times `row`, and to 0 where `gate` is not positive.
 fn outer_product_relu_backward(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f32]) {
     Arch::new().dispatch(SimdClosure(
         #[inline(always)]
@@ -131,7 +128,6 @@ fn outer_product_relu_backward(factors: &[f32], row: &[f32], gate: &[f32], out: 
     ));
 }
 
-/// Sets `out` to 0 where `gate` is not positive.
 fn relu_backward(gate: &[f32], out: &mut [f32]) {
     Arch::new().dispatch(SimdClosure(
         #[inline(always)]

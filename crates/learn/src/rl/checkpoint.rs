@@ -1,4 +1,4 @@
-//! A training on disk: everything that decides how it goes on.
+//! Checkpoint of a training: everything that determines its continuation.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -20,18 +20,17 @@ use crumple_world::policy::Network;
 
 const METADATA_KEY: &str = "crumple_training";
 
-/// What a checkpoint says beside its arrays.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CheckpointHeader {
     version: u32,
-    /// The program that wrote it: another one may train differently, and a training that goes on must go on as it began.
+    /// Identity of the program that wrote the checkpoint. Another build may compute different results.
     program: String,
-    /// SHA-256 of everything else: this header with an empty string here, and each array's name and bytes.
+    /// SHA-256 of everything else: this header with an empty string here, and the name and bytes of each array.
     sha256: String,
     config: TrainingConfig,
     seed: u64,
-    /// Where its scenarios come from, unless it is the paper's distribution.
+    /// Identity of the scenario source; none for the paper's distribution.
     scenarios: Option<String>,
     episode: u64,
     decisions: u64,
@@ -58,7 +57,7 @@ impl CheckpointHeader {
     }
 }
 
-/// An array as the file holds it, without a copy of it where numbers lie in memory as in the file.
+/// View of an array in the byte order of the file, without a copy if that is the native order.
 struct Array<'a> {
     shape: [usize; 1],
     values: &'a [f32],
@@ -86,7 +85,7 @@ impl View for Array<'_> {
     }
 }
 
-/// Refuses what another build wrote, whatever else its header says.
+/// Refuses a checkpoint of another build, without reading the rest of its header.
 fn check_build(text: &str) -> Result<(), TrainingError> {
     let header: serde_json::Value = serde_json::from_str(text).map_err(checkpoint_error)?;
     let field = |name| header.get(name).cloned().unwrap_or_default();
@@ -101,10 +100,10 @@ fn checkpoint_error(problem: impl std::fmt::Display) -> TrainingError {
 }
 
 impl Trainer {
-    /// The training as bytes: between two episodes, it can be taken up again from here.
+    /// Encodes the training between two episodes.
     ///
     /// # Errors
-    /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
+    /// [`TrainingError::Checkpoint`] in principle, if encoding fails.
     pub(crate) fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
         let (stored, replay) = self.replay.as_raw_parts();
         let mut header = CheckpointHeader {
@@ -147,11 +146,10 @@ impl Trainer {
         safetensors::serialize(arrays, Some([(METADATA_KEY.to_owned(), text)].into())).map_err(checkpoint_error)
     }
 
-    /// Reads the training on scenarios of `source` that [`Trainer::to_checkpoint`] wrote. It must be one of `config` and `seed`; only the
-    /// number of episodes may differ.
+    /// Decodes a result of [`Trainer::to_checkpoint`]. `config` may differ from it only in the number of episodes.
     ///
     /// # Errors
-    /// [`TrainingError::Checkpoint`] for a checkpoint of another build, another training or another source, and for damaged ones.
+    /// [`TrainingError::Checkpoint`] if it is damaged, or of another build, training or source.
     pub(crate) fn from_checkpoint(
         bytes: &[u8],
         config: &TrainingConfig,

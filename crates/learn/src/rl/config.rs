@@ -1,4 +1,4 @@
-//! The training configuration: what a preset file states.
+//! Training configuration: the content of a preset file.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,10 +16,10 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::ResidualControl;
 use crumple_world::scenario::file;
 
-/// Version of the preset format this release reads.
+/// Version of the preset format that this release reads.
 pub const TRAINING_VERSION: u32 = 1;
 
-/// Everything that decides a training, apart from the seed.
+/// Everything that determines a training, apart from the seed.
 ///
 /// ```
 /// use crumple_learn::rl::TrainingConfig;
@@ -34,26 +34,26 @@ pub const TRAINING_VERSION: u32 = 1;
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
-    /// Name of the preset, which policies and tables state.
+    /// Name of the preset; policies and tables state it.
     #[cfg_attr(feature = "schema", schemars(length(min = 1)))]
     pub name: String,
-    /// Episodes at most.
+    /// Maximum number of episodes.
     pub episodes: u64,
-    /// What the agent lives in.
+    /// Environment of the agent.
     pub environment: EnvironmentConfig,
-    /// The two networks.
+    /// Shapes and initial weights of the networks.
     pub network: NetworkConfig,
-    /// How they learn.
+    /// Parameters of the update.
     pub learning: LearningConfig,
-    /// How actions are tried out.
+    /// Noise on actions.
     pub exploration: ExplorationConfig,
-    /// What is remembered.
+    /// Parameters of the replay memory.
     pub replay: ReplayConfig,
-    /// Twin delayed DDPG (Fujimoto, van Hoof and Meger, 2018): options beside plain DDPG.
+    /// Options of TD3 (Fujimoto, van Hoof and Meger, 2018).
     pub td3: Td3Config,
-    /// How checkpoints are judged.
+    /// Evaluation scenarios, and the criterion that ends the training.
     pub evaluation: EvaluationConfig,
-    /// Spaces that episodes are drawn from; without any, the paper's distribution.
+    /// Scenario spaces that episodes are drawn from; if empty, the paper's distribution.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spaces: Vec<TrainingSpace>,
 }
@@ -67,44 +67,44 @@ pub struct EnvironmentConfig {
     /// Steps of 0.01 s between decisions; 1 in the paper.
     #[serde(rename = "decision_steps")]
     pub action_repeat: u32,
-    /// What the ego looks through.
+    /// Estimator of the ego vehicle.
     pub estimator: EstimatorKind,
-    /// Reward of a step without contact; 15 in the paper.
+    /// Reward of a step without a collision; 15 in the paper.
     pub step_reward: f64,
-    /// Reward of a contact, which ends the episode; -3000 in the paper.
+    /// Reward of a collision, which ends the episode; -3000 in the paper.
     pub contact_reward: f64,
-    /// The learner sees rewards times this. Returns and logs are unscaled.
+    /// Factor on the rewards that the learner receives. Returns and logs are unscaled.
     pub reward_scale: f64,
-    /// What the end of the scenario's time means to the learner.
+    /// Meaning of the time limit to the learner.
     pub time_limit: TimeLimit,
-    /// Highest acceleration the actor can choose, in m/s²; the lowest is -7.5.
+    /// Highest acceleration of an action, in m/s²; the lowest is -7.5.
     pub max_accel_mps2: f64,
-    /// The law that actions depart from; without one an action is the acceleration itself, between -7.5 m/s² and the highest.
+    /// Base controller to which actions are added. Without one, an action is an acceleration of at least -7.5 m/s².
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "departs_from")]
     pub residual_over: Option<ResidualControl>,
-    /// What a step costs beside; nothing in the paper. A policy file that was made without costs states none.
+    /// Costs of a step; none in the paper. A policy file without costs omits the field.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,
-    /// What the agent sees. A policy file states its scaling anyway, and here only what is not the default.
+    /// Observation of the agent. A policy file omits the default, because it states the scaling separately.
     #[serde(default, skip_serializing_if = "ObservationConfig::is_default")]
     pub observation: ObservationConfig,
 }
 
-/// What the end of an episode's time means.
+/// Meaning of the time limit of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum TimeLimit {
-    /// The episode is cut off: life goes on, and the last state has a value.
+    /// Truncation: the value of the last state is bootstrapped.
     Truncation,
-    /// Life ends: nothing comes after.
+    /// Termination: the last state has no value.
     #[serde(rename = "end")]
     Termination,
 }
 
-/// Shapes and first weights.
+/// Shapes and initial weights of the networks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -112,67 +112,65 @@ pub enum TimeLimit {
 pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
-    /// Output weights start uniform within plus and minus this; 0 for the fan-in bound that all other layers have.
+    /// Bound of the output weights, which start uniform; 0 for the fan-in bound of all other layers.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub final_layer_bound: f32,
 }
 
-/// The update.
+/// Parameters of the update.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct LearningConfig {
-    /// Adam's step size of the actor.
+    /// Learning rate of the actor (Adam).
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub actor_rate: f32,
-    /// Adam's step size of the critic.
+    /// Learning rate of the critic (Adam).
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub critic_rate: f32,
-    /// Discount a decision.
+    /// Discount factor per decision.
     pub discount: f64,
-    /// Share of the new weights that the targets take on in an update.
+    /// Weight of the trained network in an update of its target network.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     #[serde(rename = "soft_update")]
     pub tau: f32,
-    /// Transitions in an update.
+    /// Transitions per update.
     pub batch: usize,
     /// Decisions between updates.
     pub decisions_per_update: u32,
-    /// Whether critics know besides what no driver sees: friction, what brakes and delays there are, who drives behind, what the leader's
-    /// script does next, and how many times costs count.
+    /// True if critics also receive privileged information: friction, braking capabilities, delays, the vehicle behind,
+    /// the leader's next accelerations and the cost multiplier.
     #[serde(default, skip_serializing_if = "is_false")]
     pub privileged_critic: bool,
-    /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
-    /// saturated gets no gradient back through the tanh, and this leads it out again.
+    /// Weight of the mean of max(0, |z| - 1)² in the actor's loss; z is the output before the tanh. Gives a saturated
+    /// actor a gradient.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub saturation_penalty: f32,
-    /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
-    /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
+    /// Weight of the mean of (π(s) - π(s'))² in the actor's loss; s' is the observation after s, unless nothing follows
+    /// (Mysore, Mabsout, Mancuso and Saenko 2021).
     #[serde(default, skip_serializing_if = "is_zero_weight", deserialize_with = "deserialize_f32_no_underflow")]
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
-    /// How Adam's step sizes fall; without it they stay.
+    /// Decay of the learning rates; without it they are constant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "rates_fall")]
     pub lr_decay: Option<LrDecay>,
 }
 
 impl LearningConfig {
-    /// Numbers that critics know besides what the actor sees.
     pub(super) fn privileged_width(&self) -> usize {
         if self.privileged_critic { PRIVILEGED_WIDTH } else { 0 }
     }
 }
 
-/// Numbers that a privileged critic sees beside the observation.
 pub(super) const PRIVILEGED_WIDTH: usize = 10;
 
-/// Range of the weight of a penalty that is not 0. Less is lost in the rounding of the loss that it is added to.
+/// Range of a non-zero penalty weight. A smaller weight vanishes in the rounding of the loss.
 pub(super) const PENALTY_RANGE: [f64; 2] = [1e-6, 1e3];
 
-/// Of the schema: a penalty is none, or one that does something.
+/// Returns the schema of a penalty: 0, or a weight in [`PENALTY_RANGE`].
 #[cfg(feature = "schema")]
 fn penalty_schema() -> serde_json::Value {
     let [least, most] = PENALTY_RANGE;
@@ -189,22 +187,20 @@ fn is_zero_weight(weight: &f32) -> bool {
     *weight == 0.0
 }
 
-/// Step sizes that fall in a straight line from the end of the random episodes on: a training that goes to and fro around what is
-/// good comes to rest there.
+/// Linear decay of the learning rates after the random episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LrDecay {
-    /// Episode from which on they fall no further. It does not depend on how many episodes there are, so that a training that goes on
-    /// with more of them goes on as it began.
+    /// Episode at which the decay ends. Independent of the number of episodes, so that a training can be extended.
     pub until_episode: u64,
-    /// Share of them that is left then.
+    /// Factor on the learning rates at the end of the decay.
     #[serde(rename = "to_share")]
     pub final_factor: f64,
 }
 
 impl LrDecay {
-    /// Share of the step sizes in an episode, counted from 0, of a training that began with so many random ones.
+    /// Returns the factor in an episode, counted from 0, of a training with `random_episodes` random episodes.
     pub(super) fn factor(&self, episode: u64, random_episodes: u64) -> f64 {
         let falling = self.until_episode.saturating_sub(random_episodes).max(1);
         let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
@@ -218,27 +214,26 @@ impl LrDecay {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ExplorationConfig {
-    /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
+    /// Episodes of uniformly random actions before learning starts; many of them end in a collision.
     #[serde(rename = "random_episodes")]
     pub learning_starts_episode: u64,
-    /// Steps of 0.01 s for which a random action is held; at least until the next decision. Held longer, random actions
-    /// average out less, and more episodes end in contact.
+    /// Steps of 0.01 s for which a random action is held, at least until the next decision.
     pub random_hold_steps: u32,
-    /// Standard deviation of the noise on actions between -1 and 1, after that stage.
+    /// Standard deviation of the noise on actions in `[-1, 1]` after the random episodes.
     pub noise: f64,
-    /// Factor on it after each episode; 0.9995 in the paper.
+    /// Factor on the standard deviation after each episode; 0.9995 in the paper.
     pub noise_decay: f64,
 }
 
-/// The memory of transitions.
+/// Parameters of the replay memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ReplayConfig {
-    /// Transitions kept; 10 000 in the paper.
+    /// Maximum number of transitions; 10 000 in the paper.
     pub capacity: usize,
-    /// Share of a batch drawn among transitions that ended in contact, once there are any; 0 draws all alike.
+    /// Share of a batch sampled from transitions that ended in a collision, if any; 0 for uniform sampling.
     #[serde(rename = "contact_share")]
     pub collision_fraction: f64,
 }
@@ -248,38 +243,38 @@ pub struct ReplayConfig {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Td3Config {
-    /// Two critics, the smaller of which is believed.
+    /// True for two critics, of which the smaller value counts.
     pub twin_critic: bool,
-    /// Critic updates for each update of the actor and the targets.
+    /// Critic updates per update of the actor and the targets.
     pub actor_every: u32,
     /// Standard deviation of the noise on target actions; 0 for none.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub target_noise: f32,
-    /// Cut of that noise.
+    /// Clipping limit of that noise.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub target_noise_limit: f32,
 }
 
-/// Held-out scenarios and when training is done.
+/// Evaluation scenarios, and the criterion that ends a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct EvaluationConfig {
-    /// Episodes between evaluations, and between checkpoints.
+    /// Episodes between evaluations.
     pub every_episodes: u64,
-    /// Held-out draws that every evaluation drives, beside the paper's three scenarios.
+    /// Random validation scenarios of every evaluation, besides the paper's three scenarios.
     pub screening_draws: u64,
-    /// Held-out draws that rank a policy which survives all of those; without any, no policy counts as having mastered the task.
+    /// Random validation scenarios that rank a policy that passes the screening. With 0, no policy masters the task.
     pub ranking_draws: u64,
-    /// Held-out draws of the built-in space `traffic`, in which a policy that is ranked must be of use besides; 0 for none.
+    /// Random scenarios of the built-in space `traffic`, in which a ranked policy must also be useful; 0 for none.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[serde(rename = "useful_draws")]
     pub usefulness_draws: u64,
-    /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
+    /// Smallest gap, in metres, with which a policy must pass all of these to end the training; 0 never ends it.
     pub master_gap_m: f64,
-    /// Updates over which the policy that is judged and kept is the mean of the actor's weights, the last ones counting most (Polyak
-    /// and Juditsky 1992); 0 for the actor as it is. What it tries out and learns from is the actor as it is in any case.
+    /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky
+    /// 1992); 0 for the actor itself. Exploration and learning always use the actor itself.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[serde(rename = "mean_over_updates")]
     pub weight_average_updates: u64,
@@ -290,14 +285,14 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// JSON Schema of a training configuration.
+/// Returns the JSON Schema of a training configuration.
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(TrainingConfig).to_value()
 }
 
-/// The presets by name.
+/// Presets by name.
 pub const PRESETS: [(&str, &str); 4] = [
     ("fast", include_str!("presets/fast.toml")),
     ("paper", include_str!("presets/paper.toml")),
@@ -306,27 +301,27 @@ pub const PRESETS: [(&str, &str); 4] = [
 ];
 
 impl TrainingConfig {
-    /// A committed preset.
+    /// Returns a built-in preset.
     ///
     /// # Errors
-    /// [`ConfigError::Unknown`] for any other name.
+    /// [`TrainingConfigError::UnknownPreset`] for any other name.
     pub fn preset(name: &str) -> Result<Self, TrainingConfigError> {
         Self::parse(Self::preset_text(name)?, Path::new(name))
     }
 
-    /// The text of a preset, as a file would hold it.
+    /// Returns the text of a preset file.
     ///
     /// # Errors
-    /// [`ConfigError::Unknown`] if there is none of that name.
+    /// [`TrainingConfigError::UnknownPreset`] for any other name.
     pub fn preset_text(name: &str) -> Result<&'static str, TrainingConfigError> {
         let known = PRESETS.iter().find(|(known, _)| *known == name);
         known.map(|(_, text)| *text).ok_or_else(|| TrainingConfigError::UnknownPreset(name.to_owned()))
     }
 
-    /// A configuration from TOML; `path` only names it in errors.
+    /// Parses a configuration from TOML; `path` only names it in errors.
     ///
     /// # Errors
-    /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
+    /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
         let config: Self =
             file::parse_toml(text, path).map_err(|error| TrainingConfigError::Located(error.to_string()))?;
@@ -334,7 +329,6 @@ impl TrainingConfig {
         Ok(config)
     }
 
-    /// What is remembered of a decision.
     pub(super) fn transition_layout(&self) -> TransitionLayout {
         TransitionLayout {
             state_width: self.environment.observation.width(),
@@ -342,10 +336,10 @@ impl TrainingConfig {
         }
     }
 
-    /// What its episodes are drawn from.
+    /// Returns the source of the episodes' scenarios.
     ///
     /// # Errors
-    /// [`ConfigError`] if a space cannot be found, read, or trained on.
+    /// [`TrainingConfigError`] if a space cannot be found, read, or trained on.
     pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
         space_mixture::scenario_source(&self.spaces)
     }

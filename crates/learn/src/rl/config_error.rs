@@ -4,17 +4,17 @@ use std::path::Path;
 
 use crumple_world::scenario::file;
 
-/// A reason why a configuration cannot be trained with.
+/// Reason why a configuration is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainingConfigError {
-    /// No such preset.
+    /// There is no such preset.
     #[error("there is no preset `{0}`, and no such file; there are fast, paper, paper-net, road")]
     UnknownPreset(String),
-    /// A text is none: its file, line and field, and what is wrong.
+    /// A text is no valid configuration: its file, line, field and problem.
     #[error("{0}")]
     Located(String),
-    /// A field contradicts another, or names what cannot be trained on.
+    /// A field contradicts another field, or names a space that cannot be trained on.
     #[error("{field}: {problem}")]
     Field {
         /// Path of the field.
@@ -27,9 +27,9 @@ pub enum TrainingConfigError {
     Range {
         /// Path of the field.
         field: String,
-        /// The least that it may be.
+        /// Minimum.
         low: f64,
-        /// The most.
+        /// Maximum.
         high: f64,
         /// Number as written.
         found: f64,
@@ -37,7 +37,7 @@ pub enum TrainingConfigError {
 }
 
 impl TrainingConfigError {
-    /// With the file and the line of its field, and numbers as they are written there: `found` may have been rounded since.
+    /// Adds the file and the line of the field, and reports numbers as written, because `found` may have been rounded.
     #[must_use]
     pub fn with_location(self, text: &str, path: &Path) -> Self {
         let (field, said) = match &self {
@@ -53,7 +53,6 @@ impl TrainingConfigError {
     }
 }
 
-/// Refuses a number that is not within its range.
 pub(super) fn check_range(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), TrainingConfigError> {
     if (low..=high).contains(&found) {
         Ok(())

@@ -1,27 +1,26 @@
-//! Costs of driving in the reward.
+//! Driving costs in the reward.
 
 #[cfg(doc)]
 use crumple_world::measure::caused_brake_mps2;
 use serde::{Deserialize, Serialize};
 
-/// Largest weight.
 const MAX_WEIGHT: f64 = 100.0;
 
-/// Costs of a step, as a share of its reward: a step without contact earns
-/// `step_reward * (1 - sum of weight * term)`. Every weight is 0 unless it is given.
+/// Costs of a step, as a share of its reward. A step without a collision earns `step_reward * (1 - sum of weight *
+/// term)`. Every weight is 0 by default.
 ///
-/// | weight | its term, from the true state after the step |
+/// | weight | term, from the true state after the step |
 /// |---|---|
-/// | `far` | (gap - wanted) / wanted, from 0 to 1: falling behind |
-/// | `near` | (wanted - gap) / wanted, from 0 to 1: following closely |
-/// | `relative_speed` | difference of speed from the vehicle ahead / 10 m/s, at most 1 |
+/// | `far` | (gap - wanted) / wanted, in `[0, 1]`: large gap |
+/// | `near` | (wanted - gap) / wanted, in `[0, 1]`: small gap |
+/// | `relative_speed` | speed difference to the leader / 10 m/s, at most 1 |
 /// | `acceleration` | (acceleration / 7.5 m/s²)² |
-/// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
-/// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
-/// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`]) / 7.5 m/s² |
-/// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 |
+/// | `jerk` | jerk / 75 m/s³ |
+/// | `imposed` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
+/// | `needless` | unnecessary braking: more than 1 m/s² beyond [`caused_brake_mps2`] / 7.5 m/s² |
+/// | `departure` | size of the residual action, in `[0, 1]` |
 ///
-/// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
+/// The wanted gap is `standstill_m + headway_s * speed`. Terms about an absent vehicle are 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -29,25 +28,25 @@ const MAX_WEIGHT: f64 = 100.0;
 pub struct CostConfig {
     /// Wanted gap at a standstill, in metres.
     pub standstill_m: f64,
-    /// Wanted time headway beyond it, in seconds.
+    /// Wanted time headway in addition, in seconds.
     pub headway_s: f64,
-    /// Weight of falling behind.
+    /// Weight of a gap above the wanted one.
     pub far: f64,
-    /// Weight of following closely.
+    /// Weight of a gap below the wanted one.
     pub near: f64,
-    /// Weight of a difference of speed from the vehicle ahead.
+    /// Weight of the speed difference to the leader.
     pub relative_speed: f64,
     /// Weight of acceleration.
     pub acceleration: f64,
     /// Weight of jerk.
     pub jerk: f64,
-    /// Weight of braking imposed on the vehicle behind.
+    /// Weight of induced braking of the follower.
     #[serde(rename = "imposed")]
     pub induced_braking: f64,
-    /// Weight of braking without cause.
+    /// Weight of unnecessary braking.
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
-    /// Weight of departing from the law that the action is relative to.
+    /// Weight of the residual action.
     #[serde(skip_serializing_if = "is_zero")]
     #[serde(rename = "departure")]
     pub residual: f64,
@@ -76,7 +75,6 @@ impl Default for CostConfig {
 }
 
 impl CostConfig {
-    /// Name and value of every weight.
     fn weights(&self) -> [(&'static str, f64); 8] {
         [
             ("environment.costs.far", self.far),
@@ -90,7 +88,7 @@ impl CostConfig {
         ]
     }
 
-    /// Every number, its name and its range.
+    /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let wanted = [
             ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
@@ -100,13 +98,11 @@ impl CostConfig {
         wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
     }
 
-    /// Returns whether every weight is 0, as in the paper's reward.
     #[must_use]
     pub(crate) fn is_free(&self) -> bool {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)
     }
 
-    /// With every weight so many times as large.
     pub(super) fn scaled_by(&self, times: f64) -> Self {
         let Self {
             standstill_m,
@@ -134,7 +130,7 @@ impl CostConfig {
         }
     }
 
-    /// About the largest cost of a step, as a share of its reward.
+    /// Returns approximately the largest cost of a step, as a share of its reward.
     pub(super) fn max_cost(&self) -> f64 {
         self.weights().iter().map(|(_, weight)| weight).sum()
     }

@@ -1,11 +1,10 @@
-//! The learning curve of one or more trainings, from their logs.
+//! Learning curve of one or more trainings from their logs.
 
 use std::collections::BTreeMap;
 
 use crumple_world::policy::LearningCurve;
 use serde::Deserialize;
 
-/// The parts of a log line that the curve needs.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum LogLine {
@@ -18,7 +17,7 @@ struct LoggedEvaluation {
     mean_reward: f64,
 }
 
-/// The episode a log line is about.
+/// Returns the episode of a log line.
 #[must_use]
 pub fn parse_episode(line: &str) -> Option<u64> {
     match serde_json::from_str(line).ok()? {
@@ -26,7 +25,7 @@ pub fn parse_episode(line: &str) -> Option<u64> {
     }
 }
 
-/// The episode after which a log line says how the actor was judged; none of other lines.
+/// Returns the episode of an evaluation; none for other log lines.
 pub(super) fn parse_evaluation_episode(line: &str) -> Option<u64> {
     match serde_json::from_str(line).ok()? {
         LogLine::Evaluation { episode, .. } => Some(episode),

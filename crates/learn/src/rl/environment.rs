@@ -1,4 +1,4 @@
-//! The paper's Markov decision process on the simulator (section "Markov decision process").
+//! Simulation of the paper's Markov decision process (section "Markov decision process").
 
 use std::cell::Cell;
 use std::ops::ControlFlow;
@@ -12,40 +12,39 @@ use crumple_world::policy::{ActionBounds, HeldAction, ObservationScaling, STATE_
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Motion, Run, StepView, Stepper};
 
-/// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
-/// then chosen to stay where it is more than once.
+/// Time for which all vehicles must have stood before an episode ends at rest, in seconds. It spans several decisions.
 const MIN_REST_S: f64 = 0.5;
 
-/// How an episode stands after a decision.
+/// Ending of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum EpisodeEnding {
-    /// It goes on.
+    /// The episode continues.
     None,
-    /// Vehicles touched: termination.
+    /// Termination by a collision.
     Contact,
-    /// Every vehicle stands for good, and the rest of the reward is credited: termination.
+    /// Termination at permanent standstill of all vehicles; the rest of the reward is credited.
     AtRest,
-    /// The scenario's time is over: truncation, or termination if the configuration says so.
+    /// Time limit of the scenario: truncation, or termination if configured.
     #[serde(rename = "time-over")]
     TimeLimit,
 }
 
-/// What a decision led to.
+/// Result of a decision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepOutcome {
-    /// Reward for the learner, scaled. At rest it includes the value of standing still from then on.
+    /// Scaled reward. At rest it includes the value of all further standstill.
     pub reward: f32,
-    /// What is seen next.
+    /// Next observation.
     pub next_state: [f32; STATE_LEN],
-    /// Whether and how the episode ended.
+    /// Ending of the episode, if it ended.
     pub ending: EpisodeEnding,
-    /// Whether the value of the next state counts.
+    /// True if the value of the next state is bootstrapped.
     pub continues: bool,
 }
 
-/// What all episodes of a configuration have in common: a thousand of them step in turn, and then fetch it from memory once.
+/// Constants of all episodes of a configuration, shared to save memory traffic when many episodes are stepped in turn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeConfig {
     environment: EnvironmentConfig,
@@ -55,7 +54,7 @@ pub struct EpisodeConfig {
 }
 
 impl EpisodeConfig {
-    /// The terms of a configuration. `discount` is that of one decision.
+    /// Creates the constants of a configuration. `discount` is per decision.
     #[must_use]
     pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
         Arc::new(Self {
@@ -66,7 +65,7 @@ impl EpisodeConfig {
         })
     }
 
-    /// The terms of episode `index` of a source, where costs may count more or less than elsewhere.
+    /// Returns the constants of episode `index` of a source, which can scale the costs.
     #[must_use]
     pub fn for_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
         match source.cost_multiplier(seed, index) {
@@ -78,14 +77,14 @@ impl EpisodeConfig {
         }
     }
 
-    /// What they are of.
+    /// Returns the environment.
     #[must_use]
     pub fn environment(&self) -> &EnvironmentConfig {
         &self.environment
     }
 }
 
-/// One episode under way.
+/// Episode in progress.
 pub struct TrainingEpisode {
     stepper: Stepper,
     config: Arc<EpisodeConfig>,
@@ -98,7 +97,7 @@ pub struct TrainingEpisode {
 }
 
 impl TrainingEpisode {
-    /// An episode on a run with one vehicle under test behind the leader.
+    /// Starts an episode of a run with one vehicle under test behind the leader.
     #[must_use]
     pub fn new(run: &Run, terms: &Arc<EpisodeConfig>) -> Self {
         let stepper = Stepper::without_summaries(run);
@@ -114,12 +113,12 @@ impl TrainingEpisode {
         }
     }
 
-    /// The state now.
+    /// Returns the present observation.
     pub fn state(&mut self) -> [f32; STATE_LEN] {
         self.stepper.observe(EGO).map_or([0.0; STATE_LEN], |seen| self.config.scaling.state(&seen))
     }
 
-    /// Holds an action, between -1 and 1, until the next decision.
+    /// Holds an action, in `[-1, 1]`, until the next decision.
     pub fn step(&mut self, action: f32) -> StepOutcome {
         self.held_action.set(action);
         let Self {
@@ -177,8 +176,7 @@ impl TrainingEpisode {
         }
     }
 
-    /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end, where each
-    /// step earns the same.
+    /// Returns the discounted reward of standing still for the decisions left; a truncation has no end.
     fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
         let each = step_reward * f64::from(self.config.environment.action_repeat);
         let for_ever = each / (1.0 - self.config.discount);
@@ -188,26 +186,25 @@ impl TrainingEpisode {
         }
     }
 
-    /// The episode's reward so far as the paper counts it: undiscounted, unscaled, 22 500 when nothing touched.
+    /// Returns the reward so far as in the paper: undiscounted and unscaled, 22 500 for an episode without a collision.
     #[must_use]
     pub(crate) fn total_reward(&self) -> f64 {
         self.undiscounted_return
     }
 
-    /// Where every vehicle is, front to rear.
+    /// Returns the motion of all vehicles, front to rear.
     #[must_use]
     pub fn motion(&self) -> &[Motion] {
         self.stepper.motion()
     }
 
-    /// Steps that were simulated.
     #[must_use]
     pub(crate) fn steps_made(&self) -> usize {
         self.stepper.step_count()
     }
 }
 
-/// The accelerations an agent of this configuration chooses from.
+/// Returns the range of accelerations of the actions.
 #[must_use]
 pub fn action_bounds(config: &EnvironmentConfig) -> ActionBounds {
     ActionBounds {
@@ -225,7 +222,7 @@ mod tests {
     use crumple_world::scenario::{Driver, LeadProfile, built_in_scenario};
     use crumple_world::sim::RunOptions;
 
-    /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
+    /// Simulates paper-2 with a constant action; returns the total reward and all outcomes.
     fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<StepOutcome>) {
         let scenario = built_in_scenario("paper-2").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
@@ -243,7 +240,7 @@ mod tests {
 
     #[test]
     fn a_safe_episode_is_worth_22_500_and_standing_is_credited() {
-        // -2.9 m/s² from the start stops behind the leader, and the follower's emergency brake stops behind the ego.
+        // At -2.9 m/s² the ego vehicle, and then its follower by emergency braking, stops without a collision.
         let action = (-2.9 + 2.25) / 5.25;
         let (total, all) = drive_paper_2(&config(), action as f32);
         let last = all.last().unwrap();
@@ -267,7 +264,7 @@ mod tests {
 
     #[test]
     fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
-        // 0 m/s² behind a leader that holds its speed: no vehicle ever stops.
+        // At 0 m/s² behind a leader of constant speed no vehicle stops.
         let scenario = built_in_scenario("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
         let scenario = scenario.edited(|spec| spec.vehicles[0].driver = hold).unwrap();

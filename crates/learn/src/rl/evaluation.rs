@@ -1,4 +1,4 @@
-//! How good a policy is: held-out scenarios, driven without noise.
+//! Evaluation of a policy on validation scenarios, without noise.
 
 use std::sync::Arc;
 
@@ -12,52 +12,50 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
-/// Seed of the held-out draws: the same for every training, and never a seed of training draws.
+/// Seed of the validation scenarios of all trainings. Never a seed of training scenarios.
 const EVALUATION_SEED: u64 = 0x0068_656c_646f_7574;
 
-/// Seed of the held-out draws of traffic.
 const TRAFFIC_SEED: u64 = 0x0075_7365_6675_6c20;
 
-/// The scenarios of all evaluations.
+/// Scenarios of all evaluations.
 #[derive(Debug, Clone)]
 pub struct EvaluationSet {
     paper: Vec<Scenario>,
     screening: Vec<Scenario>,
     ranking: Vec<Scenario>,
-    /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
+    /// Number of the paper's scenarios, in order, that a policy must pass to be ranked.
     required_paper_scenarios: usize,
     environment: EnvironmentConfig,
     traffic: Option<TrafficBenchmark>,
 }
 
-/// The paper's scenarios.
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
-/// What an evaluation found.
+/// Result of an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PolicyEvaluation {
-    /// Whether each of the paper's scenarios stayed without contact, through the filter and with the true state.
+    /// True for each of the paper's scenarios without a collision, both with the filter and with the true state.
     pub paper_safe: [bool; 3],
-    /// Share of screening draws without contact.
+    /// Share of screening scenarios without a collision.
     pub safe_share: f64,
-    /// Mean reward over screening draws, as the paper counts it.
+    /// Mean reward of the screening scenarios, as in the paper.
     pub mean_reward: f64,
-    /// Ranking draws that ended in contact; none if ranking was not reached, or there are no such draws.
+    /// Ranking scenarios that ended in a collision; none if the policy was not ranked, or there are no such scenarios.
     pub ranking_contacts: Option<u64>,
-    /// Smallest gap between any two vehicles over everything that was driven, in metres.
+    /// Smallest gap between any two vehicles in all simulations, in metres.
     pub smallest_gap_m: f64,
-    /// What a ranked policy did in everyday traffic; none if it was not ranked, or there are no such draws.
+    /// Usefulness of a ranked policy in everyday traffic; none if it was not ranked, or there are no such scenarios.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "useful")]
     pub usefulness: Option<TrafficUsefulness>,
-    /// Share of ranking draws that ended in contact, and what was at fault in traffic, added up; none as above.
+    /// Collision share of the ranking scenarios plus the penalty of usefulness; none like `usefulness`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "both_sides")]
     pub combined_penalty: Option<f64>,
 }
 
 impl PolicyEvaluation {
-    /// Orders evaluations; greater is better: first safety where it was tested (with usefulness, where that was), then paper-3, then the margin.
+    /// Returns the rank, greater is better: first safety (and usefulness, if tested), then paper-3, then the gap.
     #[must_use]
     pub(crate) fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
@@ -74,8 +72,8 @@ impl PolicyEvaluation {
         ]
     }
 
-    /// Whether nothing touched anything, paper-3 included, and the margin is at least `gap_m`. Without ranking draws nothing is
-    /// mastered: the few screening draws cannot tell.
+    /// True if no scenario, paper-3 included, ended in a collision and the smallest gap is at least `gap_m`. Without
+    /// ranking scenarios always false, because the screening scenarios are too few.
     #[must_use]
     pub fn is_mastered(&self, gap_m: f64) -> bool {
         self.paper_safe == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
@@ -83,7 +81,7 @@ impl PolicyEvaluation {
 }
 
 impl EvaluationSet {
-    /// Draws the scenarios.
+    /// Creates the paper's scenarios and samples the others from the paper's distribution.
     #[must_use]
     pub fn new(evaluation: &EvaluationConfig, environment: &EnvironmentConfig) -> Self {
         let draws = PaperDistribution { seed: EVALUATION_SEED };
@@ -99,8 +97,7 @@ impl EvaluationSet {
         }
     }
 
-    /// What a configuration asks for: where it trains on spaces, ranking draws are of these; where it wants a policy that is of use,
-    /// so are draws of traffic.
+    /// Creates the scenarios of a configuration: ranking in its spaces, if any, and traffic for usefulness.
     ///
     /// # Errors
     /// [`TrainingError`] if its spaces cannot be drawn from.
@@ -119,14 +116,14 @@ impl EvaluationSet {
         Ok(held_out)
     }
 
-    /// With other scenarios for the ranking, which only policies reach that survive all three of the paper's.
+    /// Replaces the ranking scenarios. Only policies that pass all three scenarios of the paper are ranked.
     #[must_use]
     pub(crate) fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
         (self.ranking, self.required_paper_scenarios) = (ranking, PAPER_SCENARIOS.len());
         self
     }
 
-    /// Drives a policy through the screening and, if it survives that, through the ranking.
+    /// Simulates a policy in the screening scenarios and, if it passes, in the ranking scenarios.
     ///
     /// # Errors
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
@@ -167,7 +164,7 @@ impl EvaluationSet {
         Ok(evaluation)
     }
 
-    /// The paper's reward of a run of 1500 steps.
+    /// Returns the paper's reward of a run of 1500 steps.
     fn reward(&self, run: &EvaluationRun) -> f64 {
         match run.contact_s {
             None => run.steps as f64 * self.environment.step_reward,
@@ -178,13 +175,13 @@ impl EvaluationSet {
     }
 }
 
-/// Draws in the final test of a policy.
+/// Number of random scenarios in the final test of a policy.
 pub const UNSEEN_DRAWS: u64 = 1000;
 
-/// Seed of those draws: what `crumple assess` draws unless it is told otherwise. Neither training nor evaluation sees them.
+/// Seed of the final test, the default of `crumple assess`. Training and evaluation use other seeds.
 const UNSEEN_SEED: u64 = 0;
 
-/// Contacts among [`UNSEEN_DRAWS`] draws of the paper's distribution that took no part in training or selection.
+/// Counts collisions in [`UNSEEN_DRAWS`] scenarios of the paper's distribution, unused before.
 ///
 /// # Errors
 /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
@@ -194,10 +191,8 @@ pub fn count_unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> 
     Ok(drive(&scenarios, policy, estimator)?.iter().filter(|run| run.contact_s.is_some()).count() as u64)
 }
 
-/// One evaluated run.
 struct EvaluationRun {
     contact_s: Option<f64>,
-    /// Smallest gap between any two vehicles, in metres.
     smallest_gap_m: f64,
     steps: usize,
     step_s: f64,

@@ -1,10 +1,9 @@
-//! Numbers of single precision, as people write them.
+//! Deserialization of single-precision numbers.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
-/// A number of single precision, which is 0 only where 0 was written: what is nearer to it than any number of that precision would be taken
-/// for 0 without a word.
+/// Deserializes an f32 and rejects non-zero values that underflow to 0.
 pub(super) fn deserialize_f32_no_underflow<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     let written = f64::deserialize(deserializer)?;
     let kept = written as f32;

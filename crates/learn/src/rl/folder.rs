@@ -1,4 +1,4 @@
-//! A training in a folder: kept so that an interruption loses little, and damage is known.
+//! Training in a run folder: limits the loss of an interruption, and detects damage.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,40 +16,40 @@ use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{MANIFEST_FILE, RunFolder, RunFolderError, RunFolderOptions};
 
-/// How it was trained: a file as `--preset` takes it.
+/// Configuration of the training: a file for `--preset`.
 pub(super) const CONFIGURATION: &str = "training.toml";
 const LOG: &str = "log.jsonl";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const POLICY: &str = "policy.safetensors";
 const RESULT: &str = "result.json";
 
-/// What the training of one seed came to: the file `result.json`.
+/// Result of the training of one seed: the file `result.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeedResult {
     /// The seed.
     pub seed: u64,
     /// Episodes done.
     pub episodes: u64,
-    /// The episode after which the policy was taken.
+    /// Episode after which the policy was evaluated.
     pub best_episode: Option<u64>,
-    /// How it did then.
+    /// Evaluation of the policy.
     #[serde(flatten)]
     pub evaluation: Option<PolicyEvaluation>,
-    /// Contacts among draws that took no part in training or selection: [`super::UNSEEN_DRAWS`] of them.
+    /// Collisions in the final test of [`super::UNSEEN_DRAWS`] random scenarios.
     pub unseen_contacts: u64,
-    /// SHA-256 of the policy file; none if no checkpoint was better than the untrained network, which is not kept.
+    /// SHA-256 of the policy file; none if no checkpoint was better than the untrained network, which is not stored.
     pub policy_sha256: Option<String>,
 }
 
 impl SeedResult {
-    /// Whether any checkpoint was better than the untrained network.
+    /// True if any checkpoint was better than the untrained network.
     #[must_use]
     pub fn has_learned(&self) -> bool {
         self.policy_sha256.is_some()
     }
 }
 
-/// The training of one seed, in its folder.
+/// Training of one seed in its folder.
 #[derive(Debug)]
 pub struct TrainingFolder<'a> {
     run_folder: RunFolder,
@@ -58,17 +58,17 @@ pub struct TrainingFolder<'a> {
     log: String,
 }
 
-/// Where the training of a seed is kept among those of `out`.
+/// Returns the folder of a seed in `out`.
 #[must_use]
 pub fn seed_folder(out: &Path, seed: u64) -> PathBuf {
     out.join(format!("seed-{seed}"))
 }
 
 impl<'a> TrainingFolder<'a> {
-    /// Begins the training of a seed in its folder in `out`; where `resume` says so, goes on with what is there.
+    /// Starts the training of a seed in its folder in `out`, or continues it if `resume` is set.
     ///
     /// # Errors
-    /// [`TrainingError`] if the folder is in use, holds another training, or another build's, or anything there is damaged.
+    /// [`TrainingError`] if the folder is in use, damaged, or holds another training or one of another build.
     pub fn open(out: &Path, config: &'a TrainingConfig, seed: u64, resume: bool) -> Result<Self, TrainingError> {
         let work = open_run_folder(out, config, seed, resume)?;
         let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.scenario_source()?);
@@ -81,11 +81,11 @@ impl<'a> TrainingFolder<'a> {
         };
         let before = work.read(LOG)?.unwrap_or_default();
         let is_done = |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
-        // How it was judged because it was to end there: it is again, if it still is, and else a training without that end says nothing of it.
+        // Drop an evaluation that is only due at the end of the training. It is repeated if the end is the same.
         let is_of_the_end = |line: &&str| {
             parse_evaluation_episode(line).is_some_and(|episode| episode > 0 && !trainer.is_evaluation_episode(episode))
         };
-        // The log is written before the checkpoint: what it has beyond that is done again.
+        // Drop log entries after the checkpoint; their episodes are repeated.
         let log = match trainer.episode() {
             0 => String::new(),
             _ => {
@@ -96,7 +96,7 @@ impl<'a> TrainingFolder<'a> {
         Ok(Self { run_folder: work, config, trainer, log })
     }
 
-    /// Episodes that are done.
+    /// Returns the number of completed episodes.
     #[must_use]
     pub fn episode(&self) -> u64 {
         self.trainer.episode()
@@ -122,7 +122,7 @@ impl<'a> TrainingFolder<'a> {
         let log = keeper.log;
         let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
-            // What an untrained network does is no result of a training.
+            // An untrained network is no result of a training.
             self.run_folder.transaction().remove(POLICY).commit()?;
         }
         trained?;
@@ -135,7 +135,7 @@ impl<'a> TrainingFolder<'a> {
             unseen_contacts: count_unseen_contacts(&policy, self.config.environment.estimator)?,
             policy_sha256: has_learned.then(|| policy.digest()),
         };
-        // The checkpoint is from before the training was judged at its end, where it was for that reason alone.
+        // The checkpoint precedes a final evaluation that is not due otherwise.
         let mut changes = self.run_folder.transaction();
         changes.write(LOG, log).write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
         if has_learned {
@@ -147,7 +147,6 @@ impl<'a> TrainingFolder<'a> {
     }
 }
 
-/// Keeps one seed's log and checkpoints.
 struct FolderRecorder<'a> {
     run_folder: &'a RunFolder,
     log: String,
@@ -169,12 +168,10 @@ impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
     }
 }
 
-/// The finished trainings of a configuration in a folder, in the order of their seeds, each with its log.
-///
-/// Trainings that are under way, here or in another process, are left out.
+/// Returns the finished trainings of a configuration, in the order of seeds, with logs. Skips unfinished ones.
 ///
 /// # Errors
-/// [`TrainingError`] if a training was configured otherwise, or a file of one is damaged.
+/// [`TrainingError`] if a training has another configuration, or one of its files is damaged.
 pub fn read_finished_trainings(
     out: &Path,
     config: &TrainingConfig,
@@ -183,7 +180,7 @@ pub fn read_finished_trainings(
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
         let seed = name.to_str().and_then(|name| name.strip_prefix("seed-")?.parse::<u64>().ok());
-        // Of several ways to write a number one is its name.
+        // `seed-07` is not the name of a seed's folder.
         seeds.extend(seed.filter(|&seed| name == *format!("seed-{seed}") && seed_folder(out, seed).is_dir()));
     }
     seeds.sort_unstable();
@@ -194,7 +191,7 @@ pub fn read_finished_trainings(
             if [POLICY, CHECKPOINT].iter().any(|name| folder.join(name).exists()) {
                 return Err(RunFolderError::missing(&manifest).into());
             }
-            // Another process may be about to begin there.
+            // Another process may be about to start there.
             continue;
         }
         let work = match open_run_folder(out, config, seed, true) {
@@ -209,7 +206,7 @@ pub fn read_finished_trainings(
     Ok(finished)
 }
 
-/// The work of a seed; of an error that it was configured otherwise, in what.
+/// Opens the run folder of a seed. If its configuration differs, the error lists the differences.
 fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<RunFolder, TrainingError> {
     let folder = seed_folder(out, seed);
     let configuration = training_identity(config, seed)?;
@@ -230,7 +227,7 @@ fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool)
     }
 }
 
-/// What decides a training. It may be made longer.
+/// Returns everything that determines a training, except the number of episodes, which may grow.
 pub(super) fn training_identity(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
     Ok(format!("seed = {seed}\n{}", config_toml(&TrainingConfig { episodes: 0, ..config.clone() })?))
 }

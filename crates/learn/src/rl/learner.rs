@@ -1,7 +1,7 @@
-//! Deep deterministic policy gradient (Lillicrap et al. 2015, algorithm 1), by hand and in single precision.
+//! Deep deterministic policy gradient (Lillicrap et al. 2015, algorithm 1) in single precision.
 //!
-//! Critic: minimise the mean of (Q(s, a) - y)² with y = r + γ Q'(s', π'(s')), and y = r where nothing follows.
-//! Actor: maximise the mean of Q(s, π(s)). Targets Q', π' follow by soft update.
+//! Critic: minimise the mean of (Q(s, a) - y)² with y = r + γ Q'(s', π'(s')), and y = r after a termination.
+//! Actor: maximise the mean of Q(s, π(s)). The targets Q', π' follow by soft update.
 //! Options of TD3 (Fujimoto, van Hoof and Meger 2018): the smaller of two critics, noise on π'(s'), delayed actor.
 
 use rand::RngExt;
@@ -14,14 +14,14 @@ use super::replay::Batch;
 use crumple_world::policy::{Network, with_workers};
 use crumple_world::random::{self, Purpose, Stream};
 
-/// A network, the target that follows it, and its optimiser.
+/// Network with its target network and its optimiser.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainableNetwork {
-    /// The network that learns.
+    /// Network that is trained.
     pub network: Network,
-    /// The target.
+    /// Target network.
     pub target: Network,
-    /// Its optimiser.
+    /// Optimiser of the network.
     pub adam: Adam,
 }
 
@@ -31,25 +31,22 @@ impl TrainableNetwork {
     }
 }
 
-/// Actor and critics under training.
+/// Actor and critics in training.
 #[derive(Debug, Clone)]
 pub struct Learner {
     /// π, before its tanh.
     pub actor: TrainableNetwork,
     /// Q, or Q₁ and Q₂.
     pub critics: Vec<TrainableNetwork>,
-    /// Updates made.
+    /// Number of updates.
     pub updates: u64,
-    /// Numbers that the actor sees.
     state_width: usize,
-    /// Share of the step sizes that updates make at present.
     pub(super) lr_factor: f32,
     learning: LearningConfig,
     td3: Td3Config,
     workspace: UpdateWorkspace,
 }
 
-/// Working space of an update.
 #[derive(Debug, Clone, Default)]
 struct UpdateWorkspace {
     actor: Tape,
@@ -62,22 +59,21 @@ struct UpdateWorkspace {
     critic_gradients: Vec<f32>,
 }
 
-/// What an update found.
+/// Losses of an update.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Losses {
     /// Mean squared error of the (first) critic.
     pub critic: f64,
-    /// Mean value of the batch's states and actions.
+    /// Mean value of the batch.
     pub mean_value: f64,
 }
 
 impl Learner {
-    /// Every network, targets included.
     pub(super) fn networks(&self) -> impl Iterator<Item = &Network> {
         std::iter::once(&self.actor).chain(&self.critics).flat_map(|part| [&part.network, &part.target])
     }
 
-    /// First weights from `seed`.
+    /// Creates networks with initial weights from `seed`.
     #[must_use]
     pub fn new(config: &TrainingConfig, seed: u64) -> Self {
         let TrainingConfig { network, learning, td3, .. } = config;
@@ -100,7 +96,7 @@ impl Learner {
         }
     }
 
-    /// The actor's answers, between -1 and 1, to states row after row.
+    /// Returns the actions, in `[-1, 1]`, for observations row after row.
     pub fn act(&mut self, states: &[f32]) -> &[f32] {
         let UpdateWorkspace { actor, actions, .. } = &mut self.workspace;
         let batch = states.len() / self.state_width;
@@ -109,7 +105,7 @@ impl Learner {
         actions
     }
 
-    /// One update on a batch. `noise` feeds target smoothing.
+    /// Performs one update on a batch. `noise` is the source of target smoothing.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
         let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
         with_workers(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
@@ -140,7 +136,6 @@ impl Learner {
         losses
     }
 
-    /// y for every transition of the batch.
     fn compute_td_targets(&mut self, batch: &Batch, noise: &mut Stream) {
         let UpdateWorkspace { target, actions, td_targets, .. } = &mut self.workspace;
         let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
@@ -169,7 +164,7 @@ impl Learner {
         }
     }
 
-    /// Gradient of the mean squared error of critic `index` at the td_targets, into the working space.
+    /// Computes the gradient of the mean squared error of critic `index`, with the targets in `td_targets`.
     fn compute_critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
         let UpdateWorkspace { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.workspace;
         let network = &self.critics[index].network;
@@ -189,11 +184,11 @@ impl Learner {
         losses
     }
 
-    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)² + smoothness · mean (π(s) - π(s'))², into the
-    /// working space.
+    /// Computes the gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)² + smoothness ·
+    /// mean (π(s) - π(s'))².
     fn compute_actor_gradient(&mut self, batch: &Batch) {
         let n = batch.len() as f32;
-        // Rows of the next states follow those of the states where they count.
+        // The actor is evaluated on the states, then on the next states.
         let smoothness = 2.0 * self.learning.smoothness_penalty / n;
         let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
         let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } =
@@ -231,8 +226,7 @@ impl Learner {
         actor.backward(&self.actor.network, value_gradients, actor_gradients);
     }
 
-    /// Gradients of each critic and of the actor at the present weights, without changing them: for tests against other
-    /// formulations.
+    /// Returns the gradients of each critic and of the actor without an update, for tests against other formulations.
     pub fn gradients(&mut self, batch: &Batch, noise: &mut Stream) -> (Vec<Vec<f32>>, Vec<f32>) {
         self.compute_td_targets(batch, noise);
         let mut critics = Vec::new();
@@ -245,13 +239,12 @@ impl Learner {
     }
 }
 
-/// What an actor answers, between -1 and 1, of its outputs.
+/// Maps outputs of an actor to actions in `[-1, 1]`.
 fn squash_actions(raw: &[f32], actions: &mut Vec<f32>) {
     actions.clear();
     actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
 }
 
-/// Rows of states, of what else critics know, and the action as last number.
 fn fill_critic_input(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
     let widths = known.map(|rows| rows.len() / actions.len().max(1));
     for (row, &action) in actions.iter().enumerate() {
@@ -262,7 +255,7 @@ fn fill_critic_input(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) 
     }
 }
 
-/// Weights and biases uniform within 1/√(inputs), of the last layer within `final_bound` unless that is 0.
+/// Creates a network, uniform within 1/√(inputs); its last layer within `final_bound` unless that is 0.
 fn init_network(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Network {
     let mut network = Network::zeros(sizes);
     let layers = network.layers();

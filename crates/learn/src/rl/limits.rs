@@ -1,25 +1,24 @@
-//! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
+//! Validation of training configurations: the range of each number, and constraints between fields.
 
 use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
 use crumple_world::policy::ResidualControl;
 
-/// Most hidden layers.
 const MAX_LAYERS: usize = 16;
 
-/// Most bytes of memory of a training with one seed: several seeds at once take that much each.
+/// Memory limit of a training with one seed, in bytes. Several seeds in parallel take a multiple.
 const MAX_MEMORY_BYTES: u64 = 4 << 30;
-/// Copies of the weights of both networks: themselves, targets, moments, gradients, means, checkpoints, and the judged policy.
+/// Copies of all weights: networks, targets, moments, gradients, means, checkpoints, evaluated policy.
 const NETWORK_COPIES: u64 = 34;
-/// Copies of all layer outputs for a batch: activations, gradients and packed factors of both networks.
+/// Copies of all layer outputs of a batch: activations, gradients and packed factors of both networks.
 const BATCH_COPIES: u64 = 8;
-/// Bytes of a held-out scenario with its run: 2200 to 2700 as measured.
+/// Bytes of a validation scenario with its run; measured: 2200 to 2700.
 const SCENARIO_BYTES: u64 = 2600;
 
 fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
     let (weight, [least, most]) = (f64::from(weight), PENALTY_RANGE);
-    // As somebody wrote it, the least in single precision is no less.
+    // Compare with the f32 rounding of the minimum, so that the minimum itself passes.
     if 0.0 < weight && weight < f64::from(least as f32) {
         let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
         return Err(TrainingConfigError::Field { field: field.to_owned(), problem });
@@ -28,10 +27,10 @@ fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
 }
 
 impl TrainingConfig {
-    /// Whether it can be trained with.
+    /// Checks the configuration.
     ///
     /// # Errors
-    /// [`ConfigError::Range`] and [`ConfigError::Field`] name the first field that is wrong.
+    /// [`TrainingConfigError::Range`] and [`TrainingConfigError::Field`] name the first invalid field.
     pub fn check(&self) -> Result<(), TrainingConfigError> {
         if self.version != TRAINING_VERSION {
             let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
@@ -108,7 +107,7 @@ impl TrainingConfig {
         self.check_memory()
     }
 
-    /// Refuses a training that takes more than [`MOST_BYTES`], and names the field that takes most of them.
+    /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
     fn check_memory(&self) -> Result<(), TrainingConfigError> {
         let parts = self.memory_by_field();
         let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
@@ -126,7 +125,7 @@ impl TrainingConfig {
         }
     }
 
-    /// Returns an upper bound of the bytes that each part of a training takes, with the field that decides it.
+    /// Returns an upper bound of the bytes of each part of a training, with the field that determines it.
     fn memory_by_field(&self) -> [(&'static str, u64); 4] {
         let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
         let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
@@ -136,7 +135,7 @@ impl TrainingConfig {
         [
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
             ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
-            // The memory and its checkpoint.
+            // The replay memory and its checkpoint.
             (
                 "replay.capacity",
                 float_bytes(2 * (self.transition_layout().width() as u64 + 1) * self.replay.capacity as u64),

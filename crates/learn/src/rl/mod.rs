@@ -1,11 +1,11 @@
-//! Learning to drive: deep deterministic policy gradient on the paper's task.
+//! Reinforcement learning of a driving policy: deep deterministic policy gradient on the paper's task.
 //!
-//! [`TrainingConfig`] says how, a seed decides the rest: first weights, scenarios, tried actions, draws from memory. A
-//! training always does its arithmetic in the same order, on however many threads, so a seed gives the same policy file to
-//! the last byte, alone or beside others, in one go or resumed.
+//! [`TrainingConfig`] and a seed determine a training: initial weights, scenarios, exploration and samples from the
+//! replay memory. The order of all arithmetic is fixed, so a seed gives the same policy file to the last byte on any
+//! number of threads, in parallel with others, and after a resume.
 //!
-//! [`Learner`] contains the update, written out over the products that a policy acts with. The workspace member `oracle`
-//! compares it with the plain formulation on candle's automatic differentiation.
+//! [`Learner`] implements the update on the same products that a policy uses. The workspace member `oracle` compares it
+//! with a formulation on candle's automatic differentiation.
 
 mod adam;
 mod backprop;

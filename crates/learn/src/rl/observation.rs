@@ -1,37 +1,35 @@
-//! What the agent sees: which of the paper's eight numbers, and how they are made to be of order one.
+//! Observation of the agent: a selection of the paper's eight quantities, and their scaling.
 
 use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use crumple_world::policy::{MAX_HISTORY, ObservationScaling, STATE_LEN};
 
-/// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.
+/// Inputs of the networks, each as `(x - offset) / scale`, clipped to ±`limit`. Quantities that `inputs` omits are 0.
 ///
-/// The default is the paper's eight numbers (section "Markov decision process", paragraph S). The paper does not say how
-/// they are scaled; the scaling is ours. A policy file carries it ([`ObservationScaling`]), so that the policy drives alone.
+/// The default is the paper's eight quantities (section "Markov decision process", paragraph S). The paper does not
+/// state their scaling; this one is crumple's. A policy file contains it ([`ObservationScaling`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "schema", schemars(extend("if" = strided_history_schema(), "then" = required_history_schema())))]
 #[non_exhaustive]
 pub struct ObservationConfig {
-    /// Scaled numbers are cut to plus and minus this.
+    /// Clipping limit of scaled inputs.
     pub limit: f64,
-    /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
+    /// Gap to a vehicle that is absent, in metres; it has the ego vehicle's speed.
     pub empty_gap_m: f64,
-    /// Decisions whose numbers the networks see, the present one included: with 4, those of the present and of three decisions before.
-    /// Before the first decision the world is taken to have been as it was then.
+    /// Number of decisions in the observation, with the present one. At the start the first one is repeated.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history: u32,
-    /// Decisions from one of them to the next: with 5, and decisions 0.1 s apart, what was seen is half a second apart, and the least noise does not
-    /// hide how speeds have changed.
+    /// Decisions between two of them. A longer interval keeps noise from hiding changes of speed.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history_every: u32,
-    /// What is seen.
+    /// Selected inputs.
     pub inputs: ObservationInputs,
 }
 
-/// Of the schema: what says at which decisions it looks back must look back.
+/// Returns the schema condition: `history_every` of 2 or more requires a `history`.
 #[cfg(feature = "schema")]
 fn strided_history_schema() -> serde_json::Value {
     serde_json::json!({ "required": ["history_every"], "properties": { "history_every": { "minimum": 2 } } })
@@ -51,50 +49,50 @@ fn is_one(count: &u32) -> bool {
     *count == 1
 }
 
-/// What is seen, and how each number is scaled; none for what is not.
+/// Scaling of each input; none for an omitted input.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ObservationInputs {
-    /// Bumper gap to the vehicle ahead.
+    /// Gap to the leader.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap_ahead_m: Option<InputScaling>,
-    /// Bumper gap to the vehicle behind.
+    /// Gap to the follower.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap_behind_m: Option<InputScaling>,
-    /// Speed of the vehicle ahead.
+    /// Speed of the leader.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_ahead_mps: Option<InputScaling>,
-    /// Own speed.
+    /// Speed of the ego vehicle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_mps: Option<InputScaling>,
-    /// Speed of the vehicle behind.
+    /// Speed of the follower.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_behind_mps: Option<InputScaling>,
-    /// Acceleration of the vehicle ahead.
+    /// Acceleration of the leader.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration_ahead_mps2: Option<InputScaling>,
-    /// Own acceleration.
+    /// Acceleration of the ego vehicle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration_mps2: Option<InputScaling>,
-    /// Acceleration of the vehicle behind.
+    /// Acceleration of the follower.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration_behind_mps2: Option<InputScaling>,
 }
 
-/// `(x - offset) / scale`, both in the unit of the number.
+/// Linear scaling `(x - offset) / scale`, both in the unit of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InputScaling {
-    /// Subtracted.
+    /// Value that is subtracted.
     pub offset: f64,
-    /// Divided by; positive.
+    /// Positive divisor.
     pub scale: f64,
 }
 
-/// Names of the inputs, in the order of [`ObservationInputs::in_order`].
+/// Paths of the inputs, in the order of [`ObservationInputs::to_array`].
 const INPUT_FIELDS: [&str; STATE_LEN] = [
     "environment.observation.inputs.gap_ahead_m",
     "environment.observation.inputs.gap_behind_m",
@@ -106,11 +104,11 @@ const INPUT_FIELDS: [&str; STATE_LEN] = [
     "environment.observation.inputs.acceleration_behind_mps2",
 ];
 
-/// Divided by it every number is 0.
+/// Scaling that maps every value to 0.
 const MASKED_INPUT: InputScaling = InputScaling { offset: 0.0, scale: f64::MAX };
 
 impl ObservationInputs {
-    /// In the order in which networks see them: the paper's.
+    /// Returns the scalings in the order of the network inputs, which is that of the paper.
     fn to_array(&self) -> [Option<InputScaling>; STATE_LEN] {
         [
             self.gap_ahead_m,
@@ -145,22 +143,21 @@ impl Default for ObservationConfig {
 }
 
 impl ObservationConfig {
-    /// Whether it is the one that every policy had before it could be configured.
+    /// True for the observation of all policies from before it could be configured.
     pub(super) fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Numbers that an actor sees.
     pub(super) fn width(&self) -> usize {
         STATE_LEN * self.history as usize
     }
 
-    /// How far back its networks look: at so many decisions, each so many after the one before it.
+    /// Returns the number of decisions in the observation and the interval between them.
     pub(super) fn frames_and_stride(&self) -> [usize; 2] {
         [self.history as usize, self.history_every as usize]
     }
 
-    /// What a policy file carries of it.
+    /// Returns the scaling for a policy file.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
         let all = self.inputs.to_array().map(|input| input.unwrap_or(MASKED_INPUT));
@@ -174,7 +171,7 @@ impl ObservationConfig {
         }
     }
 
-    /// Every number, its name and its range.
+    /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let inputs =
             INPUT_FIELDS.into_iter().zip(self.inputs.to_array()).filter_map(|(name, input)| Some((name, input?)));
@@ -191,7 +188,7 @@ impl ObservationConfig {
         whole.into_iter().map(|(name, value, range)| (name.to_owned(), value, range)).chain(inputs)
     }
 
-    /// Refuses to see nothing, and to look back at intervals where it does not look back.
+    /// Refuses an observation without inputs, and an interval without a history.
     pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
         if self.history_every > 1 && self.history == 1 {
             let problem = "says how far apart decisions are that are looked back on, and without a `history` of 2 or more there are none";

@@ -1,8 +1,8 @@
-//! What a critic may know that no driver sees: the scenario itself, what its leader is about to do, and what costs count.
+//! Privileged information of a critic: scenario, the leader's next accelerations, cost multiplier.
 //!
-//! A critic is needed in training alone. One that knows more than the actor values what is done by what comes of it there, and not
-//! by the mean over all scenarios that look alike at the moment; the actor, which sees what it sees, still gets the mean of what
-//! they say (asymmetric actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
+//! Only training needs critics. A privileged critic values an action by its result in the present scenario, not by the
+//! mean over all scenarios with the same observation. The actor still learns from the mean of these values (asymmetric
+//! actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
 
 use super::config::PRIVILEGED_WIDTH;
 use super::environment::TrainingEpisode;
@@ -11,12 +11,12 @@ use super::source::EGO;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
 
-/// How far ahead the leader's script is known, in seconds.
+/// Times ahead at which the leader's acceleration is known, in seconds.
 const LOOKAHEAD_S: [f64; 2] = [1.0, 3.0];
-/// Costs count at least this many times, for a logarithm.
+/// Floor of the cost multiplier before log10.
 const MIN_COST_MULTIPLIER: f64 = 0.01;
 
-/// What stays as it is throughout an episode, and the script of who leads.
+/// Constants of an episode, and the scenario with the leader's script.
 #[derive(Debug)]
 pub(super) struct PrivilegedInfo<'s> {
     scenario: &'s Scenario,
@@ -24,12 +24,11 @@ pub(super) struct PrivilegedInfo<'s> {
 }
 
 impl<'s> PrivilegedInfo<'s> {
-    /// Of a scenario whose costs count so many times.
     pub(super) fn new(scenario: &'s Scenario, costs_times: f64) -> Self {
         let behind = scenario.vehicles().get(EGO + 1);
         let brake = |index: usize| scenario.usable_brake_mps2(index) / FULL_BRAKE_MPS2;
         let flag = |is: bool| f64::from(u8::from(is));
-        // `baseline` holds its speed until its emergency brake fires; all others answer to what is ahead of them.
+        // `baseline` holds its speed until its emergency brake fires; all other controllers react to their leader.
         let holds_its_speed =
             behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))));
         let of_episode = [
@@ -45,7 +44,7 @@ impl<'s> PrivilegedInfo<'s> {
         Self { scenario, episode_constants: of_episode.map(|number| number as f32) }
     }
 
-    /// Where its episode is now.
+    /// Returns the inputs of the critic at the present step of an episode.
     pub(super) fn observe(&self, episode: &TrainingEpisode) -> [f32; PRIVILEGED_WIDTH] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
@@ -72,7 +71,7 @@ mod tests {
     #[test]
     fn a_critic_knows_the_road_who_drives_and_what_the_leader_will_do() {
         let config = TrainingConfig::preset("fast").unwrap().environment;
-        // At 25 m/s throughout, with a leader that brakes at 3 m/s² from 1 s on and a lorry that brakes at 6 m/s².
+        // Speed 25 m/s, a leader that brakes at 3 m/s² from 1 s on, and a lorry that can brake at 6 m/s².
         let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));

@@ -1,4 +1,4 @@
-//! Replay memory: flat arrays, oldest transitions overwritten first.
+//! Replay memory in flat arrays; a new transition overwrites the oldest one.
 
 use std::collections::VecDeque;
 
@@ -6,39 +6,38 @@ use rand::RngExt;
 
 use crumple_world::random::Stream;
 
-/// One decision and what came of it.
+/// One decision and its result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transition<'a> {
-    /// What the networks saw at the decision.
+    /// Observation at the decision.
     pub state: &'a [f32],
-    /// What they saw at the next one.
+    /// Observation at the next decision.
     pub next_state: &'a [f32],
-    /// What critics know besides at the decision, and then what they know next; empty if they see what the actor sees.
+    /// Privileged information at the decision, then at the next one; empty without privileged critics.
     pub privileged: &'a [f32],
-    /// What was done, between -1 and 1.
+    /// Action, in `[-1, 1]`.
     pub action: f32,
     /// Scaled reward.
     pub reward: f32,
-    /// Whether the value of the next state counts.
+    /// True if the value of the next state is bootstrapped.
     pub continues: bool,
-    /// Whether it ended in contact.
+    /// True if the transition ended in a collision.
     pub contact: bool,
 }
 
-/// Numbers of a transition beside what is seen: action, reward, whether it continues, whether it is a contact.
+/// Numbers of a transition besides observations: action, reward, `continues`, `contact`.
 const SCALAR_COUNT: usize = 4;
 
-/// What is remembered of a transition.
+/// Layout of a stored transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TransitionLayout {
-    /// Numbers that the networks see at each decision.
+    /// Numbers of an observation.
     pub state_width: usize,
-    /// Numbers that critics know besides at each decision.
+    /// Numbers of privileged information at each decision.
     pub privileged_width: usize,
 }
 
 impl TransitionLayout {
-    /// All numbers of a transition.
     pub(super) fn width(self) -> usize {
         2 * (self.state_width + self.privileged_width) + SCALAR_COUNT
     }
@@ -66,27 +65,24 @@ impl<'a> Transition<'a> {
     }
 }
 
-/// The memory of a training.
+/// Replay memory of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReplayBuffer {
     capacity: usize,
     layout: TransitionLayout,
-    /// Numbers of a transition.
     width: usize,
-    /// Transitions ever stored.
     total_stored: u64,
-    /// Transitions in order of place.
     data: Vec<f32>,
-    /// Places of transitions that ended in contact, oldest first.
+    /// Indices of transitions that ended in a collision, oldest first.
     contact_indices: VecDeque<u32>,
 }
 
-/// Transitions drawn for one update, one row each.
+/// Transitions that are sampled for one update, one row each.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Batch {
     /// States, row after row.
     pub states: Vec<f32>,
-    /// What critics know besides, row after row; empty if nothing.
+    /// Privileged information, row after row; can be empty.
     pub privileged: Vec<f32>,
     /// Actions.
     pub actions: Vec<f32>,
@@ -94,20 +90,20 @@ pub struct Batch {
     pub rewards: Vec<f32>,
     /// Next states, row after row.
     pub next_states: Vec<f32>,
-    /// What critics know besides then, row after row.
+    /// Privileged information at the next states, row after row.
     pub next_privileged: Vec<f32>,
-    /// 1 where the value of the next state counts, else 0.
+    /// 1 if the value of the next state is bootstrapped, else 0.
     pub continues: Vec<f32>,
 }
 
 impl Batch {
-    /// Number of transitions.
+    /// Returns the number of transitions.
     #[must_use]
     pub fn len(&self) -> usize {
         self.actions.len()
     }
 
-    /// Whether there are none.
+    /// True if the batch is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.actions.is_empty()
@@ -141,7 +137,7 @@ impl Batch {
 }
 
 impl ReplayBuffer {
-    /// An empty memory for `capacity` transitions.
+    /// Creates an empty memory for `capacity` transitions.
     #[must_use]
     pub fn new(capacity: usize, remembered: TransitionLayout) -> Self {
         let width = remembered.width();
@@ -155,19 +151,19 @@ impl ReplayBuffer {
         }
     }
 
-    /// Number of transitions in memory.
+    /// Returns the number of stored transitions.
     #[must_use]
     pub fn len(&self) -> usize {
         self.data.len() / self.width
     }
 
-    /// Whether nothing was stored yet.
+    /// True if the memory is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.data.is_empty()
     }
 
-    /// Remembers a transition, in place of the oldest one if the memory is full.
+    /// Stores a transition; a full memory overwrites the oldest one.
     pub fn push(&mut self, transition: &Transition<'_>) {
         let place = (self.total_stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
@@ -191,8 +187,7 @@ impl ReplayBuffer {
         self.total_stored += 1;
     }
 
-    /// Room for all that it will ever hold, so that it never has to move to a larger place, and is held twice meanwhile. Where there is none, it
-    /// grows as it may.
+    /// Tries to reserve the full capacity at once, because growing would hold the data twice.
     fn reserve_capacity(&mut self) {
         if self.data.len() == self.data.capacity() {
             let missing = self.capacity.saturating_mul(self.width).saturating_sub(self.data.len());
@@ -200,8 +195,7 @@ impl ReplayBuffer {
         }
     }
 
-    /// Draws `count` transitions with replacement: `contact_share` of them among those that ended in contact, if there
-    /// are any, the others among all.
+    /// Samples with replacement; a `contact_share` from transitions that ended in a collision, if any.
     pub fn sample(&self, stream: &mut Stream, count: usize, contact_share: f64, batch: &mut Batch) {
         batch.clear();
         if self.data.is_empty() {
@@ -221,13 +215,13 @@ impl ReplayBuffer {
         }
     }
 
-    /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
+    /// Returns the state for a checkpoint: the number of transitions ever stored, and the stored transitions by index.
     #[must_use]
     pub(crate) fn as_raw_parts(&self) -> (u64, &[f32]) {
         (self.total_stored, &self.data)
     }
 
-    /// The memory of which [`ReplayBuffer::as_raw_parts`] tells; none if the numbers do not fit each other.
+    /// Restores the state of [`ReplayBuffer::as_raw_parts`]; none if its lengths are inconsistent.
     #[must_use]
     pub(crate) fn from_raw_parts(
         capacity: usize,
@@ -258,7 +252,6 @@ mod tests {
     use crumple_world::random::{Purpose, stream};
     use proptest::prelude::*;
 
-    /// Of networks that look back on three decisions.
     const LAYOUT: TransitionLayout = TransitionLayout { state_width: 24, privileged_width: 2 };
     const STATE_ROW: [f32; LAYOUT.state_width] = [0.25; LAYOUT.state_width];
     const PRIVILEGED_ROW: [f32; 2 * LAYOUT.privileged_width] = [0.5; 2 * LAYOUT.privileged_width];
@@ -276,7 +269,7 @@ mod tests {
     }
 
     proptest! {
-        /// The memory is always the last `capacity` transitions; contacts among them are known; it survives a checkpoint.
+        /// The memory holds the last `capacity` transitions and finds collisions, also after a checkpoint.
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
             let mut replay = ReplayBuffer::new(capacity, LAYOUT);
@@ -303,7 +296,7 @@ mod tests {
         let mut counts = [0_u32; 70];
         replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 70_000, 0.0, &mut batch);
         batch.rewards.iter().for_each(|&number| counts[number as usize] += 1);
-        // χ² with 69 degrees of freedom: 99.9 % lie below 111.
+        // The 99.9 % quantile of χ² with 69 degrees of freedom is 111.
         let chi_squared: f64 = counts.iter().map(|&n| (f64::from(n) - 1000.0).powi(2) / 1000.0).sum();
         assert!(chi_squared < 111.0, "{chi_squared}");
         replay.sample(&mut stream(1, Purpose::ReplaySampling, 0), 1000, 0.25, &mut batch);

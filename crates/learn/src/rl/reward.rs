@@ -1,8 +1,6 @@
-//! The reward of a step: what the paper pays for not touching, less what driving so costs others and passengers.
+//! Reward of a step: the paper's reward minus driving costs.
 //!
-//! The paper pays the same for every step without contact (section "Markov decision process"). A controller that brakes before
-//! anybody does, or stands in the road, earns all of it. [`CostConfig`] says what else counts; without it the reward is the
-//! paper's, to the last bit.
+//! The paper's reward is constant without a collision, even for unnecessary braking. [`CostConfig`] adds costs.
 
 use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
@@ -10,17 +8,16 @@ use super::source::EGO;
 use crumple_world::measure::{PairState, justified_brake_mps2};
 use crumple_world::sim::{Motion, StepView, Stepper};
 
-/// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
+/// Full braking on a dry road, in m/s²: the reference of decelerations.
 pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
-/// Jerk that costs as much as its weight, in m/s³: full braking within a tenth of a second.
+/// Jerk with a cost term of 1, in m/s³: full braking within 0.1 s.
 const FULL_JERK_MPS3: f64 = 75.0;
-/// Difference of speeds that costs as much as its weight, in m/s.
 const FULL_RELATIVE_SPEED_MPS: f64 = 10.0;
-/// By how much braking may exceed what has a cause, in m/s².
+/// Margin above the caused braking before it counts as unnecessary, in m/s².
 const UNNECESSARY_BRAKING_MARGIN_MPS2: f64 = 1.0;
 
 impl CostConfig {
-    /// Returns the cost of a step, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
+    /// Returns the cost as a share of the step's reward. `before_mps2` is the ego vehicle's last acceleration.
     fn step_cost(&self, now: &StepView<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
         let motion = now.motion;
         let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
@@ -53,7 +50,6 @@ impl CostConfig {
     }
 }
 
-/// What an agent earns, step by step.
 pub(super) struct RewardTracker {
     step_s: f64,
     previous_accel_mps2: f64,
@@ -65,7 +61,6 @@ impl RewardTracker {
         Self { step_s, previous_accel_mps2: ego_accel_mps2(stepper.motion()), is_free: costs.is_free() }
     }
 
-    /// The reward of the step just made, unscaled.
     #[inline]
     pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig, departure: f64) -> f64 {
         if now.has_collided {
@@ -94,7 +89,7 @@ mod tests {
     use crumple_world::scenario::built_in_scenario;
     use crumple_world::sim::{RecordingLevel, Run, RunOptions};
 
-    /// Paper-1 after one step in which the ego brakes at 4 m/s²: 25 m/s, a gap of 16 m, and a leader that keeps its speed.
+    /// Simulates one step of paper-1: 25 m/s, braking at 4 m/s², gap 16 m, leader of constant speed.
     fn relative_step_reward(costs: CostConfig) -> f64 {
         let config = EnvironmentConfig { costs, ..TrainingConfig::preset("fast").unwrap().environment };
         let scenario = built_in_scenario("paper-1").unwrap();
@@ -127,7 +122,7 @@ mod tests {
         near(relative_step_reward(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
         near(relative_step_reward(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
         near(relative_step_reward(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);
-        // The reference driver wants 42 m, and brakes at 0.73 (42 / 16)² m/s²: more than 4.
+        // The reference driver wants 42 m, so it brakes at 0.73 (42 / 16)² m/s², which exceeds 4 m/s².
         near(relative_step_reward(CostConfig { unnecessary_braking: 1.0, ..none() }), 0.0);
         near(relative_step_reward(CostConfig { induced_braking: 1.0, ..none() }), 0.0);
         near(relative_step_reward(CostConfig { residual: 2.0, ..none() }), 0.5);

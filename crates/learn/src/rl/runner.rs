@@ -1,4 +1,4 @@
-//! Driving trainings: one to its end, and several side by side.
+//! Execution of one training, or of several in parallel.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -9,25 +9,24 @@ use super::evaluation::{EvaluationSet, PolicyEvaluation};
 use super::trainer::{EpisodeRecord, Trainer, TrainingError};
 use crumple_core::observer::Observer;
 
-/// An event of a training.
+/// Event of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrainingEvent {
     /// An episode is over.
     Episode(EpisodeRecord),
-    /// The actor was judged.
+    /// The actor was evaluated.
     Evaluation {
         /// Episodes done.
         episode: u64,
-        /// Whether this is the best policy so far.
+        /// True if this is the best policy so far.
         best: bool,
-        /// How it did.
+        /// Result of the evaluation.
         result: PolicyEvaluation,
     },
 }
 
-/// A keeper of what a training produces.
 pub(crate) trait TrainingRecorder<E> {
     /// Receives all events, in order.
     ///
@@ -35,18 +34,16 @@ pub(crate) trait TrainingRecorder<E> {
     /// A reason to stop the training.
     fn record(&mut self, event: &TrainingEvent) -> Result<(), E>;
 
-    /// Called between episodes where a checkpoint makes sense, and after the last one: before it is judged, where it is judged only because
-    /// it is the last.
+    /// Receives the trainer for a checkpoint: between episodes, and after the last one.
     ///
     /// # Errors
     /// A reason to stop the training.
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), E>;
 }
 
-/// Evaluations between checkpoints: rarely enough to cost nothing, often enough to lose less than a minute.
+/// Evaluations between checkpoints; keeps their cost negligible, and the loss of an interruption below a minute.
 const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
 
-/// A recorder that keeps nothing and passes the events on.
 struct ForwardingRecorder<'a>(&'a dyn Observer<TrainingEvent>);
 
 impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
@@ -59,17 +56,17 @@ impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
     }
 }
 
-/// Trains until the last episode of the configuration. [`TrainingFolder`](super::TrainingFolder) does so in a folder, with checkpoints.
+/// Trains until the last episode. [`TrainingFolder`](super::TrainingFolder) adds checkpoints.
 ///
 /// # Errors
 /// [`TrainingError`] if the training diverges, a scenario cannot be run, or `observer` stops it.
 ///
 /// ```no_run
 /// use crumple_core::observer::Quiet;
-/// use crumple_learn::rl::{HeldOut, Trainer, TrainingConfig, train};
+/// use crumple_learn::rl::{EvaluationSet, Trainer, TrainingConfig, train};
 ///
 /// let config = TrainingConfig::preset("fast").unwrap();
-/// let held_out = HeldOut::new(&config.evaluation, &config.environment);
+/// let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
 /// let mut trainer = Trainer::new(&config, 1);
 /// train(&mut trainer, &held_out, &Quiet).unwrap();
 /// println!("{}", trainer.policy().unwrap().digest());
@@ -85,13 +82,13 @@ pub fn train(
 /// Trains until the last episode, and passes events and checkpoints to `recorder`.
 ///
 /// # Errors
-/// [`TrainingError`], or what the recorder returns.
+/// [`TrainingError`], or the error of the recorder.
 pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     trainer: &mut Trainer,
     held_out: &EvaluationSet,
     recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
-    // The untrained policy is judged first: what training is worth shows against it.
+    // The untrained policy is the reference for the value of the training.
     if trainer.episode() == 0 {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
@@ -107,7 +104,7 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
         }
     }
     recorder.checkpoint(trainer)?;
-    // A training that ends between two evaluations is judged there besides. A longer one is not, and goes on from before that.
+    // A longer training has no evaluation here, and resumes from the checkpoint above.
     if trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
@@ -125,10 +122,9 @@ fn evaluate_and_record<E: From<TrainingError>>(
     recorder.record(&TrainingEvent::Evaluation { episode, best, result })
 }
 
-/// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.
+/// Applies `work` to each item on `threads` threads and returns the results in order.
 ///
-/// Each item has a pool of its own: whatever runs in parallel inside `work` stays in it, and no training waits for another.
-/// Threads that have no item of their own from the start join the pools of the others.
+/// Each item has its own thread pool, so that none waits for another. Idle threads join other pools.
 pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let at_once = threads.clamp(1, items.len().max(1));
     let next = AtomicUsize::new(0);
@@ -148,7 +144,7 @@ pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn
             let share = threads.max(1) / at_once + usize::from(place < threads % at_once);
             scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
                 Ok(pool) => pool.install(take_turns),
-                // Without a pool of its own the thread uses the common one: slower, with the same results.
+                // Without its own pool the thread uses the global one: slower, with the same results.
                 Err(_) => take_turns(),
             });
         }

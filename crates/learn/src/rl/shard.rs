@@ -1,7 +1,6 @@
-//! Seeds of a training that are divided over machines, and put together again.
+//! Shards of a training with several seeds, for several machines, and their merge.
 //!
-//! The folder of a shard is that of any training of several seeds, with `shard.json` beside them: which shard it is, of how many seeds, and
-//! how they are trained.
+//! A shard's folder holds a folder for each seed, and `shard.json` with shard, seeds and configuration.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -18,19 +17,17 @@ use crumple_store::shard::{MergeError, MissingShards, Parts, ShardId, TooManySha
 
 const SHARD_FILE: &str = "shard.json";
 const VERSION: u32 = 1;
-/// The longest such file that is read.
 const MAX_BYTES: u64 = 1 << 20;
-/// The most seeds.
 const MAX_SEEDS: u64 = 100_000;
 
-/// Why trainings do not go together.
+/// Reason why trainings cannot be merged.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MergeTrainingsError {
-    /// A folder is damaged, or cannot be written.
+    /// A folder is damaged or cannot be written.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// Shards of several trainings.
+    /// The shards belong to different trainings.
     #[error(transparent)]
     Merge(#[from] MergeError),
     /// There are more shards than seeds.
@@ -47,19 +44,17 @@ pub enum MergeTrainingsError {
 pub struct TrainingShard {
     version: u32,
     shard: ShardId,
-    /// Of how many seeds, from 0.
     seeds: u64,
-    /// How they are trained, as TOML.
     configuration: String,
-    /// Of the file with an empty string here.
+    /// SHA-256 of the file with an empty string in this field.
     sha256: String,
 }
 
 impl TrainingShard {
-    /// A shard of a training of the seeds 0 to `seeds` - 1.
+    /// Creates a shard of a training with the seeds 0 to `seeds` - 1.
     ///
     /// # Errors
-    /// [`TrainingError`] in principle, if it cannot be encoded.
+    /// [`TrainingError`] in principle, if the configuration cannot be encoded.
     pub fn new(shard: ShardId, seeds: u64, config: &TrainingConfig) -> Result<Self, TrainingError> {
         let whole = Self { version: VERSION, shard, seeds, configuration: config_toml(config)?, sha256: String::new() };
         Ok(Self { sha256: sha256(whole.to_json()?), ..whole })
@@ -69,10 +64,10 @@ impl TrainingShard {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Says in a folder of trainings what it is a shard of; another shard has to be the same.
+    /// Writes `shard.json` into a folder of trainings, unless it is there already.
     ///
     /// # Errors
-    /// [`MergeTrainingsError`] if it cannot be written, or another one is there.
+    /// [`MergeTrainingsError`] if it cannot be written, or the folder holds another shard.
     pub fn write_to(&self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         match path.exists() {
@@ -82,10 +77,10 @@ impl TrainingShard {
         }
     }
 
-    /// The shard that a folder of trainings is.
+    /// Reads `shard.json` of a folder of trainings.
     ///
     /// # Errors
-    /// [`MergeTrainingsError`] if the file is not there, or not as it was written.
+    /// [`MergeTrainingsError`] if the file is missing or damaged.
     pub fn read(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         let bytes = disk::read(&path, MAX_BYTES).map_err(RunFolderError::from)?;
@@ -105,7 +100,7 @@ impl TrainingShard {
         Ok(read)
     }
 
-    /// Its seeds.
+    /// Returns the seeds of the shard.
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer seeds than shards.
@@ -113,10 +108,10 @@ impl TrainingShard {
         self.shard.range(self.seeds, "seeds")
     }
 
-    /// How they are trained.
+    /// Returns the configuration.
     ///
     /// # Errors
-    /// [`MergeTrainingsError`] if that is no configuration.
+    /// [`MergeTrainingsError`] if it is invalid.
     pub fn config(&self, folder: &Path) -> Result<TrainingConfig, MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         let config = TrainingConfig::parse(&self.configuration, &path);
@@ -124,19 +119,17 @@ impl TrainingShard {
     }
 }
 
-/// Shards of one training of several seeds. Nothing is written before all of them were looked at.
+/// Shards of one training with several seeds. Reads all of them before it writes anything.
 #[derive(Debug)]
 pub struct MergedTrainings {
     reference: TrainingShard,
     config: TrainingConfig,
-    /// Of seeds.
     parts: Parts<()>,
-    /// The seeds that are finished, each with the folder of its shard.
     finished_seeds: BTreeMap<u64, (PathBuf, CompletedRun)>,
 }
 
 impl MergedTrainings {
-    /// Begins with a shard.
+    /// Starts with one shard.
     ///
     /// # Errors
     /// [`MergeTrainingsError`] if it cannot be read.
@@ -148,11 +141,10 @@ impl MergedTrainings {
         Ok(merged)
     }
 
-    /// Takes in another shard, finished or not.
+    /// Adds another shard, finished or not.
     ///
     /// # Errors
-    /// [`MergeTrainingsError`] if it is one of another training, a file is damaged, some of it was trained by another shard, or the same seed came
-    /// to something else.
+    /// [`MergeTrainingsError`] if it is damaged, of another training, or contradicts a shard added before.
     pub fn add_shard(&mut self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let shard = TrainingShard::read(folder)?;
         let foreign = |field: &str| MergeTrainingsError::from(self.parts.foreign_error(folder, field.to_owned()));
@@ -188,28 +180,28 @@ impl MergedTrainings {
         Ok(())
     }
 
-    /// How they are trained.
+    /// Returns the configuration.
     #[must_use]
     pub fn config(&self) -> &TrainingConfig {
         &self.config
     }
 
-    /// Of how many seeds, from 0.
+    /// Returns the number of seeds of the whole training, which start at 0.
     #[must_use]
     pub fn seed_count(&self) -> u64 {
         self.reference.seeds
     }
 
-    /// Which shards are missing. Of those that are there seeds may be missing.
+    /// Returns the missing shards. A present shard may still lack seeds.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
-    /// Copies the seeds that are finished to the folder of the whole, beside those that are there.
+    /// Copies the finished seeds to the folder of the whole training.
     ///
     /// # Errors
-    /// [`MergeTrainingsError`] if there is something else: then nothing was written.
+    /// [`MergeTrainingsError`] if that folder holds other files; then nothing is written.
     pub fn write_to(&self, out: &Path) -> Result<(), MergeTrainingsError> {
         for (seed, (_, found)) in &self.finished_seeds {
             found.is_present_in(&seed_folder(out, *seed))?;
@@ -225,7 +217,7 @@ impl MergedTrainings {
     }
 }
 
-/// Whether a folder is one of trainings: its `shard.json` speaks of seeds, or it holds some. Other shards say in `work.json` what they are.
+/// True if a folder holds trainings: by its `shard.json`, or by folders of seeds.
 #[must_use]
 pub fn is_trainings_folder(folder: &Path) -> bool {
     let is_seed = |path: PathBuf| {

@@ -1,4 +1,4 @@
-//! Where the scenarios of a training come from.
+//! Sources of the scenarios of a training.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -11,36 +11,34 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 
-/// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
 
-/// Something to draw scenarios from, one an episode.
+/// Source of scenarios, one per episode.
 pub trait ScenarioSource: Debug + Send + Sync {
-    /// The scenario of episode `index`. The same seed and index give the same scenario, in any order.
+    /// Returns the scenario of episode `index`. It depends on seed and index alone.
     ///
     /// # Errors
-    /// [`InvalidField`] if what was drawn is no valid scenario.
+    /// [`InvalidField`] if the scenario is invalid.
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField>;
 
-    /// How many times their weights the costs of a step count in episode `index`.
+    /// Returns the factor on the weights of all costs in episode `index`.
     fn cost_multiplier(&self, _seed: u64, _index: u64) -> f64 {
         1.0
     }
 
-    /// How many times they count at most, and once at least.
+    /// Returns the largest factor, at least 1.
     fn max_cost_multiplier(&self) -> f64 {
         1.0
     }
 
-    /// What tells this source from every other: a training is resumed only with the source that it began with, and a policy
-    /// file states it. None for the paper's distribution, which needs no mention.
+    /// Returns an identity for resumed trainings and policy files; none for the paper's distribution.
     ///
     /// # Errors
-    /// If what is to be hashed cannot be encoded.
+    /// The error of the encoder.
     fn identity(&self) -> Result<Option<String>, serde_json::Error>;
 }
 
-/// The paper's distribution: what the presets train on.
+/// Paper's distribution, on which the presets train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaperSource;
 
@@ -54,7 +52,6 @@ impl ScenarioSource for PaperSource {
     }
 }
 
-/// Draws of a space by its distribution.
 impl ScenarioSource for ScenarioSpace {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         Self::draw(self, seed, index)
@@ -66,7 +63,7 @@ impl ScenarioSource for ScenarioSpace {
     }
 }
 
-/// Two sources by turns.
+/// Random mixture of two sources.
 #[derive(Debug, Clone)]
 pub struct SourceMixture {
     first: Arc<dyn ScenarioSource>,
@@ -75,8 +72,8 @@ pub struct SourceMixture {
 }
 
 impl SourceMixture {
-    /// A `share` of the episodes, cut to `[0, 1]`, is drawn from `first`, the others from `otherwise`; each episode is the same
-    /// as in its source alone.
+    /// Creates a mixture that draws a `share` of the episodes, clipped to `[0, 1]`, from `first`, the others from
+    /// `otherwise`. Each episode equals that of its source alone.
     #[must_use]
     pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
         Self { first, first_share: share.clamp(0.0, 1.0), second: otherwise }
@@ -89,7 +86,7 @@ impl SourceMixture {
     }
 }
 
-/// Sets the stream of the blend apart from that of a mixture inside it.
+/// Separates the random stream of a mixture from that of a mixture inside it.
 const MIXTURE_SEED_INDEX: u64 = u64::MAX - 2;
 
 impl ScenarioSource for SourceMixture {
@@ -115,7 +112,7 @@ fn source_name(source: &Arc<dyn ScenarioSource>) -> Result<String, serde_json::E
     Ok(source.identity()?.unwrap_or_else(|| "the paper's distribution".to_owned()))
 }
 
-/// A list of scenarios, such as counterexamples, mixed into another source.
+/// List of scenarios, such as counterexamples, mixed into another source.
 #[derive(Debug, Clone)]
 pub struct CaseMixture {
     cases: Vec<Scenario>,
@@ -124,14 +121,13 @@ pub struct CaseMixture {
 }
 
 impl CaseMixture {
-    /// A `share` of the episodes, cut to `[0, 1]`, drives one of `cases`, each of them equally likely and as it is, noise
-    /// included; the others are drawn from `otherwise`, and are the same episode by episode as without the cases.
+    /// Creates a mixture: a `share` of the episodes are `cases`, uniformly chosen; the rest are of `otherwise`.
     #[must_use]
     pub fn new(cases: Vec<Scenario>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
         Self { cases, case_share: share.clamp(0.0, 1.0), base: otherwise }
     }
 
-    /// The case whose turn it is; none if it is the other source's.
+    /// Returns the case of an episode; none if the other source provides it.
     fn case_for(&self, seed: u64, index: u64) -> Option<&Scenario> {
         let mut stream = random::stream(random::derived_seed(seed, CASE_SEED_INDEX), Purpose::ScenarioSampling, index);
         let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.case_share;
@@ -139,7 +135,7 @@ impl CaseMixture {
     }
 }
 
-/// Sets the stream of the mixture apart from those of what is mixed.
+/// Separates the random stream of the mixture from those of its sources.
 const CASE_SEED_INDEX: u64 = u64::MAX - 1;
 
 impl ScenarioSource for CaseMixture {
@@ -166,7 +162,7 @@ impl ScenarioSource for CaseMixture {
     }
 }
 
-/// Why the agent cannot be trained on a scenario; none if it can.
+/// Returns the reason why the agent cannot be trained on a scenario; none if it can.
 #[must_use]
 pub fn unsuitability(scenario: &Scenario) -> Option<String> {
     let vehicles = scenario.vehicles().iter().enumerate();

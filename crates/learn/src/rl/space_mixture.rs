@@ -1,4 +1,4 @@
-//! Training spaces by name, file or blend.
+//! Training spaces by name or file, and their mixture.
 
 use std::sync::Arc;
 
@@ -11,28 +11,25 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
-/// Most times that costs count.
 const MAX_COST_MULTIPLIER: f64 = 1e4;
 
-/// Least and most weight of a space.
 const WEIGHT_RANGE: [f64; 2] = [1e-6, 1e6];
 
-/// Weights of one space would add up where somebody may have meant the last to count, and `costs_times` could contradict itself.
+/// Hint for a space that is listed twice: its weights would add up, and its `costs_times` could contradict each other.
 const ONE_WEIGHT_HINT: &str = "give it one weight";
 
-/// Most spaces of a blend.
 const MAX_SPACES: usize = 32;
 
-/// One space of a training.
+/// Space of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSpace {
-    /// A built-in space, or a space file: from the folder that `crumple` runs in.
+    /// Built-in space, or space file relative to the working directory.
     pub space: String,
-    /// How many of the episodes are drawn from it, relative to the weights of the others.
+    /// Relative share of the episodes that are drawn from it.
     pub weight: f64,
-    /// How many times their weights the costs of a step count in its episodes: more where nothing is to be gained by paying them.
+    /// Factor on the weights of all costs in its episodes.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[serde(rename = "costs_times")]
     pub cost_multiplier: f64,
@@ -47,7 +44,7 @@ fn is_one(times: &f64) -> bool {
     *times == 1.0
 }
 
-/// Draws of several spaces by turns.
+/// Random mixture of several spaces.
 #[derive(Debug, Clone)]
 pub struct SpaceMixture {
     components: Vec<SpaceComponent>,
@@ -57,20 +54,18 @@ pub struct SpaceMixture {
 struct SpaceComponent {
     space: ScenarioSpace,
     share: f64,
-    /// Sum of the shares up to this one.
     cumulative_share: f64,
     cost_multiplier: f64,
 }
 
-/// Sets the stream of the turns apart from those of other mixtures.
+/// Separates the random stream of this mixture from those of other mixtures.
 const COMPONENT_SEED_INDEX: u64 = u64::MAX - 3;
 
 impl SpaceMixture {
-    /// The spaces of a configuration, each in proportion to its weight.
+    /// Creates the mixture of a configuration's spaces in proportion to their weights.
     ///
     /// # Errors
-    /// [`ConfigError`] if a space is unknown, cannot be read, holds what the agent cannot be trained on or is named twice, or a weight
-    /// is no positive number.
+    /// [`TrainingConfigError`] if a space is unknown, unreadable, unsuitable or duplicate, or a weight invalid.
     pub fn new(shares: &[TrainingSpace]) -> Result<Self, TrainingConfigError> {
         check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
@@ -83,7 +78,7 @@ impl SpaceMixture {
             if let Some(reason) = unsuitability(&first) {
                 return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
             }
-            // One space under the names of two files is one space.
+            // Two files can hold the same space.
             if let Some(same) = parts.iter().position(|part| part.space.spec() == space.spec()) {
                 return Err(problem(format!("`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}")));
             }
@@ -94,19 +89,18 @@ impl SpaceMixture {
         Ok(Self { components: parts })
     }
 
-    /// Its spaces.
+    /// Yields the spaces.
     pub fn spaces(&self) -> impl Iterator<Item = &ScenarioSpace> {
         self.components.iter().map(|part| &part.space)
     }
 }
 
 impl SpaceMixture {
-    /// Whose turn it is; none only where there are no spaces.
     fn component_for(&self, seed: u64, index: u64) -> Option<&SpaceComponent> {
         let mut stream =
             random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
         let turn = stream.random::<f64>();
-        // Shares add up to 1 but for rounding: the last one takes what is left.
+        // Rounding can leave the sum of the shares below 1: the last space takes the rest.
         self.components.iter().find(|part| turn < part.cumulative_share).or(self.components.last())
     }
 }
@@ -141,7 +135,7 @@ impl ScenarioSource for SpaceMixture {
     }
 }
 
-/// Whether shares are in their ranges and each of another space, as far as can be told without reading a file.
+/// Checks the ranges of weights and factors, and that no space is listed twice, without reading a file.
 pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
         let problem = format!("{MAX_SPACES} are the most, found {}", shares.len());
@@ -158,7 +152,7 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
     Ok(())
 }
 
-/// What a training of these spaces draws from; without any, the paper's distribution.
+/// Returns the source of these spaces; without any, the paper's distribution.
 pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
     if shares.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(shares)?)) }
 }
@@ -228,7 +222,7 @@ mod tests {
         assert!(refused.ends_with("other.toml` is the space of spaces[0]: give it one weight"), "{refused}");
     }
 
-    /// In the episodes of its space, and in no others; and a training of other costs is another one.
+    /// A cost multiplier affects only the episodes of its space, and changes the identity of the source.
     #[test]
     fn costs_count_as_often_as_the_space_says() {
         let ten = TrainingSpace { cost_multiplier: 10.0, ..training_space("traffic", 1.0) };

@@ -1,4 +1,4 @@
-//! Tests of several parts together.
+//! Tests of several modules together.
 
 mod presets;
 mod training;

@@ -24,14 +24,14 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
 
-/// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
+/// Factor over the largest possible value above which the mean value of a batch counts as diverged.
 const DIVERGENCE_FACTOR: f64 = 10.0;
 
-/// Why a training stops early.
+/// Reason why a training stops early.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainingError {
-    /// The networks hold numbers that are not finite, or values no return can have.
+    /// The networks hold numbers that are not finite, or values that no return can have.
     #[error(
         "seed {seed} diverged in episode {episode}: critic loss {}, mean value {} (no value can exceed {}); lower the learning \
          rates or scale the reward", format_rounded(*critic_loss, 4), format_rounded(*mean_value, 4), format_rounded(*largest_value, 4)
@@ -41,14 +41,14 @@ pub enum TrainingError {
         seed: u64,
         /// Episode, from 1.
         episode: u64,
-        /// Last critic loss.
+        /// Mean critic loss of the episode's updates.
         critic_loss: f64,
-        /// Mean value of the last batch.
+        /// Mean value over the episode's updates.
         mean_value: f64,
-        /// Largest value that can be right.
+        /// Largest possible value.
         largest_value: f64,
     },
-    /// It cannot be trained so.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] TrainingConfigError),
     /// The agent cannot be trained on a scenario that was drawn.
@@ -56,16 +56,16 @@ pub enum TrainingError {
     UnsuitableScenario {
         /// Name of the scenario.
         name: String,
-        /// What is wrong.
+        /// Reason, as a clause.
         problem: String,
     },
     /// A scenario cannot be drawn.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
-    /// A run cannot be made.
+    /// A run cannot be created.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The policy cannot be made.
+    /// The policy cannot be created.
     #[error(transparent)]
     Policy(#[from] PolicyError),
     /// The observer stopped the training.
@@ -74,33 +74,33 @@ pub enum TrainingError {
     /// A checkpoint cannot be used.
     #[error("checkpoint: {0}")]
     Checkpoint(String),
-    /// What the scenarios are drawn from cannot be written down.
+    /// The identity of the scenario source cannot be encoded.
     #[error("the scenarios of the training cannot be written down: {0}")]
     SourceEncoding(#[from] serde_json::Error),
-    /// How to train cannot be written down.
+    /// The configuration cannot be encoded.
     #[error("the configuration cannot be written as TOML: {0}")]
     ConfigEncoding(toml::ser::Error),
     /// The folder holds another training.
     #[error("{0}")]
     OtherTraining(String),
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// A folder, or the program that trains, cannot be read.
+    /// A folder or the running program cannot be read.
     #[error(transparent)]
     Disk(#[from] DiskError),
 }
 
-/// One episode, as the log states it.
+/// Record of one episode in the log.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     /// Number, from 1.
     pub episode: u64,
-    /// Reward as the paper counts it, at most 22 500.
+    /// Reward as in the paper, at most 22 500.
     pub reward: f64,
     /// Steps simulated.
     pub steps: usize,
-    /// How it ended.
+    /// Ending of the episode.
     pub ending: EpisodeEnding,
     /// Mean critic loss of the episode's updates.
     pub critic_loss: f64,
@@ -111,11 +111,11 @@ pub struct EpisodeRecord {
 /// The best policy so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BestPolicy {
-    /// Episode after which it was taken.
+    /// Episode after which the policy was evaluated.
     pub episode: u64,
-    /// How it did.
+    /// Evaluation of the policy.
     pub evaluation: PolicyEvaluation,
-    /// Its actor.
+    /// Actor of the policy.
     pub network: Network,
 }
 
@@ -130,20 +130,20 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) best: Option<BestPolicy>,
     pub(super) mastered: bool,
-    /// Mean of the actor's weights over updates, if that is what is judged; none before the first update.
+    /// Mean of the actor's weights over updates; none if it is not used, and before the first update.
     pub(super) weight_average: Option<Network>,
     pub(super) source: Arc<dyn ScenarioSource>,
     batch: Batch,
 }
 
 impl Trainer {
-    /// A training on the paper's distribution, at its start.
+    /// Creates a training on the paper's distribution.
     #[must_use]
     pub fn new(config: &TrainingConfig, seed: u64) -> Self {
         Self::with_source(config, seed, Arc::new(PaperSource))
     }
 
-    /// A training on scenarios from anywhere, at its start. Spaces that `config` names should be those of the source: policies state them.
+    /// Creates a training on any source. Spaces of `config` must be those of the source; policies state them.
     #[must_use]
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
@@ -161,7 +161,7 @@ impl Trainer {
         }
     }
 
-    /// Starts the actor and its target from the weights of `policy`, if it is of the same shape; critics start anew.
+    /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew.
     #[must_use]
     pub fn with_initial_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;
@@ -172,63 +172,63 @@ impl Trainer {
         self
     }
 
-    /// Goes on with another source until `episodes` are done. Networks and memory stay; the best policy is looked for anew.
+    /// Continues with another source until `episodes` are done; resets only the best policy.
     pub fn switch_source(&mut self, source: Arc<dyn ScenarioSource>, episodes: u64) {
         self.source = source;
         self.config.episodes = episodes;
         (self.best, self.mastered) = (None, false);
     }
 
-    /// Its seed.
+    /// Returns the seed.
     #[must_use]
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// Episodes done.
+    /// Returns the number of completed episodes.
     #[must_use]
     pub fn episode(&self) -> u64 {
         self.episode
     }
 
-    /// The best policy so far.
+    /// Returns the best policy so far.
     #[must_use]
     pub fn best(&self) -> Option<&BestPolicy> {
         self.best.as_ref()
     }
 
-    /// Whether all episodes are done, or the task is mastered by the configuration's measure.
+    /// True if all episodes are done, or the policy masters the task ([`PolicyEvaluation::is_mastered`]).
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.mastered || self.episode >= self.config.episodes
     }
 
-    /// Whether an evaluation is due after the episode just done.
+    /// True if an evaluation is due after the last episode.
     #[must_use]
     pub fn is_evaluation_due(&self) -> bool {
         self.is_evaluation_episode(self.episode) || self.episode == self.config.episodes
     }
 
-    /// Whether an evaluation is due after an episode, however many come after it.
+    /// True if an evaluation is due after `episode`, independent of the total number of episodes.
     pub(super) fn is_evaluation_episode(&self, episode: u64) -> bool {
         episode.is_multiple_of(self.config.evaluation.every_episodes)
             && episode > self.config.exploration.learning_starts_episode
     }
 
-    /// Drives and learns from one episode.
+    /// Simulates one episode and learns from it.
     ///
     /// # Errors
-    /// [`TrainingError::Diverged`] if learning went astray; [`TrainingError::Scenario`] and [`TrainingError::Unsuited`] for a
-    /// source that draws what cannot be trained on.
+    /// [`TrainingError::Diverged`] if the training diverges; [`TrainingError::Scenario`] and
+    /// [`TrainingError::UnsuitableScenario`] if the source draws a scenario that is invalid or cannot be trained on.
     pub fn run_episode(&mut self) -> Result<EpisodeRecord, TrainingError> {
         let index = self.episode;
-        // The stream of training draws has a seed of its own, apart from every seed a user may assess with.
+        // A derived seed keeps training scenarios apart from every seed that a user may assess with.
         let draws_seed = random::derived_seed(self.seed, u64::MAX);
         let scenario = self.source.draw(draws_seed, index)?;
         if let Some(problem) = unsuitability(&scenario) {
             return Err(TrainingError::UnsuitableScenario { name: scenario.spec().name.clone(), problem });
         }
-        // The ego's own controller is never asked: every step is commanded.
+        // Actions replace the ego vehicle's controller at every step.
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
@@ -318,7 +318,7 @@ impl Trainer {
         let environment = &self.config.environment;
         let each = environment.step_reward * f64::from(environment.action_repeat);
         let discounted = each / (1.0 - self.config.learning.discount);
-        // Where life ends with the episode, no value exceeds what one episode pays.
+        // With termination at the time limit, no value exceeds the reward of one episode.
         let paid = match environment.time_limit {
             TimeLimit::Truncation => discounted,
             TimeLimit::Termination => discounted.min(steps as f64 * environment.step_reward),
@@ -326,7 +326,7 @@ impl Trainer {
         let most_cost = (self.source.max_cost_multiplier() * environment.costs.max_cost()).max(1.0);
         let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
-        // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
+        // ReLU turns NaN into 0, so the outputs of a broken network can be finite.
         let is_whole =
             self.learner.networks().all(|network| network.parameters().iter().all(|value| value.is_finite()));
         if is_whole && critic_loss.is_finite() && mean_value.abs() <= DIVERGENCE_FACTOR * largest_value {
@@ -336,8 +336,7 @@ impl Trainer {
         Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
     }
 
-    /// Judges the actor as it is, and keeps it if it is the best so far. An untrained one can be the best, but does not end
-    /// the training.
+    /// Evaluates the actor and keeps it if it is the best so far. An untrained one cannot end the training.
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
@@ -354,10 +353,10 @@ impl Trainer {
         Ok(evaluation)
     }
 
-    /// The best policy so far, or the present one before the first evaluation.
+    /// Returns the best policy so far, or the present one before the first evaluation.
     ///
     /// # Errors
-    /// [`TrainingError::Policy`] in principle; the trainer makes only valid ones.
+    /// [`TrainingError::Policy`] in principle; the trainer creates only valid ones.
     pub fn policy(&self) -> Result<Policy, TrainingError> {
         match &self.best {
             Some(best) => self.build_policy(best.network.clone(), best.episode),
@@ -365,12 +364,11 @@ impl Trainer {
         }
     }
 
-    /// The actor that drives where nothing is tried out.
     fn evaluation_network(&self) -> &Network {
         self.weight_average.as_ref().unwrap_or(&self.learner.actor.network)
     }
 
-    /// The actor's weights after an update become part of their mean: a plain one over the first updates, one that forgets after that.
+    /// Adds the actor's weights to their mean: a plain mean over the first updates, an exponential one after that.
     fn update_weight_average(&mut self) {
         let over = self.config.evaluation.weight_average_updates;
         if over == 0 {

@@ -1,4 +1,4 @@
-//! Whether a policy is of use: everyday traffic, driven without noise, beside what `idm` does in it.
+//! Usefulness of a policy: everyday traffic without noise, compared with `idm`.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,37 +11,36 @@ use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptio
 
 use super::source::EGO;
 
-/// Root mean squares of acceleration and jerk may be this many times those of `idm`.
+/// Largest accepted RMS of acceleration and jerk, relative to `idm`.
 const MAX_RATIO_TO_IDM: f64 = 1.25;
-/// Mean time gaps that are neither too close nor in the way of others, in seconds.
+/// Range of mean time gaps without a penalty, in seconds.
 const TIME_GAP_RANGE_S: [f64; 2] = [1.2, 2.0];
-/// What an excess of comfort or distance counts, relative to as many drives with a fault.
+/// Weight of an excess of comfort or time gap, relative to the share of faulty drives.
 const EXCESS_WEIGHT: f64 = 0.05;
 
-/// What a controller did in draws of everyday traffic.
+/// Result of a controller in random scenarios of everyday traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrafficUsefulness {
-    /// Draws.
+    /// Number of random scenarios.
     pub drives: u64,
-    /// Those that ended in contact.
+    /// Scenarios that ended in a collision.
     pub contacts: u64,
-    /// Those with braking harder than 4 m/s² where less than 3 m/s² had a cause.
+    /// Scenarios with braking above 4 m/s² whose cause required less than 3 m/s².
     #[serde(rename = "hard")]
     pub hard_braking: u64,
-    /// Those in which it ended at less than half the speed of the vehicle ahead.
+    /// Scenarios in which the ego vehicle ended at less than half the leader's speed.
     pub left_behind: u64,
-    /// Root mean square of acceleration over all drives, relative to that of `idm`.
+    /// RMS of acceleration over all scenarios, relative to that of `idm`.
     pub acceleration_times_idm: f64,
-    /// The same of jerk.
+    /// RMS of jerk, likewise.
     pub jerk_times_idm: f64,
-    /// Mean time gap, in seconds; 0 if it never moved.
+    /// Mean time gap, in seconds; 0 if the ego vehicle never moved.
     pub mean_time_gap_s: f64,
 }
 
 impl TrafficUsefulness {
-    /// How far it is from being of use: the share of drives with a fault, and a little for discomfort and for keeping the wrong
-    /// distance. 0 is best.
+    /// Returns the share of faulty drives, plus a small penalty for discomfort and for an unusual time gap. 0 is best.
     #[must_use]
     pub(crate) fn penalty(&self) -> f64 {
         let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
@@ -53,7 +52,7 @@ impl TrafficUsefulness {
     }
 }
 
-/// Draws of everyday traffic, and what `idm` does in them.
+/// Random scenarios of everyday traffic, and the result of `idm` in them.
 #[derive(Debug, Clone)]
 pub(super) struct TrafficBenchmark {
     draws: Vec<Scenario>,
@@ -62,7 +61,7 @@ pub(super) struct TrafficBenchmark {
 }
 
 impl TrafficBenchmark {
-    /// The first draws of the built-in space `traffic` by a seed.
+    /// Samples the first scenarios of the built-in space `traffic`.
     pub(super) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
         let space = built_in_space("traffic");
         let draws =
@@ -73,7 +72,6 @@ impl TrafficBenchmark {
         Ok(traffic)
     }
 
-    /// Drives a controller through all of them.
     pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
         let sums = self.simulate(controller)?;
         let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm_rms);
@@ -101,7 +99,7 @@ impl TrafficBenchmark {
     }
 }
 
-/// What the driving of a run was of use for; none without its trace.
+/// Measures the usefulness of a run; none without its trace.
 pub(crate) fn measure_usefulness(result: &SimulationResult) -> Option<UsefulnessMeasures> {
     UsefulnessMeasures::from_trace(result.trace.as_ref()?, &result.impacts, EGO)
 }

@@ -1,4 +1,4 @@
-//! The best escape found from a scenario, and how far a controller stays behind.
+//! The best escape found from a scenario, and the regret of a controller against it.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,34 +8,34 @@ use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoi
 use crumple_verify::{Certificate, ProvedClaim, check};
 use crumple_world::scenario::{Scenario, file};
 
-/// Whether a contact was avoidable for any driver, and by how much.
+/// An avoidance verdict with rounded numbers: can any driver avoid a collision, and by how much?
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum RoundedAvoidance {
-    /// There is a profile without contact, which was replayed.
+    /// A replayed profile avoids a collision.
     Avoidable {
-        /// The largest smallest gap that was reached, between any two vehicles, in metres, rounded down.
+        /// Largest smallest gap found between any two vehicles, in metres, rounded down.
         min_gap_m: Rounded<2>,
-        /// No driver keeps a larger smallest gap, in metres, rounded up.
+        /// Upper bound of the smallest gap of any driver, in metres, rounded up.
         min_gap_bound_m: Option<Rounded<2>>,
-        /// Whether there is a certificate of that, which the checker has accepted.
+        /// True if the checker has accepted a certificate of that bound.
         min_gap_bound_is_certified: bool,
-        /// When the emergency brake of the follower fires on that profile, in seconds.
+        /// Time at which the follower's emergency brake fires on that profile, in seconds.
         follower_brakes_s: Option<Rounded<2>>,
     },
-    /// No driver avoids a contact; the checker has accepted the proof.
+    /// No driver avoids a collision; the checker has accepted the proof.
     Unavoidable,
     /// Neither was shown.
     Undecided {
-        /// Why.
+        /// Reason in words.
         reason: String,
     },
 }
 
 impl RoundedAvoidance {
-    /// The best, without a certificate of its bound.
+    /// Computes the avoidance of a scenario, without a certificate of the bound.
     pub(super) fn compute(scenario: &Scenario) -> Self {
         CertifiedAvoidance::compute(scenario, AvoidOptions::default()).avoidance
     }
@@ -53,9 +53,9 @@ impl RoundedAvoidance {
         }
     }
 
-    /// How much more of the smallest gap the best escape found kept than the controller of a case, from the numbers as they are
-    /// shown; none if none was found, or if others crashed first. Zero for a controller that did better than the
-    /// profile that was found, which can only be within its grid.
+    /// Returns how much smaller the smallest gap of a case is than that of the best escape found, from the rounded
+    /// numbers; `None` without an escape, or if other vehicles collided first. Zero for a controller that beats the
+    /// escape within its grid.
     pub(super) fn regret_m(&self, case: &CaseResult) -> Option<Rounded<2>> {
         match self {
             Self::Avoidable { min_gap_m, .. } if case.verdict.is_conclusive() => {
@@ -65,7 +65,6 @@ impl RoundedAvoidance {
         }
     }
 
-    /// In a sentence.
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Avoidable { min_gap_m, min_gap_bound_m, min_gap_bound_is_certified, follower_brakes_s } => {
@@ -90,7 +89,6 @@ impl RoundedAvoidance {
         }
     }
 
-    /// In a word or two, for a cell.
     pub(super) fn label(&self) -> String {
         match self {
             Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
@@ -100,7 +98,7 @@ impl RoundedAvoidance {
     }
 }
 
-/// The best of a scenario, and the certificate of what is said there of every driver.
+/// The avoidance of a scenario, and the certificate of its claims about every driver.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct CertifiedAvoidance {
     #[serde(rename = "best")]
@@ -109,7 +107,7 @@ pub(super) struct CertifiedAvoidance {
 }
 
 impl CertifiedAvoidance {
-    /// That of a scenario, computed only if no earlier run has kept it: then the checker looks at it again.
+    /// Loads the avoidance of a scenario from the cache and checks its certificate again, or computes it.
     pub(super) fn load_or_compute(scenario: &Scenario, work: &GatherContext<'_>) -> Result<Self, CacheError> {
         let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
         let find = || Self::compute(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
@@ -135,7 +133,7 @@ impl CertifiedAvoidance {
         }
     }
 
-    /// Whether what it says of every driver is what its certificate shows.
+    /// True if the certificate supports what the avoidance claims about every driver.
     fn is_valid_for(&self, scenario: &Scenario) -> bool {
         let shown =
             self.certificate.as_ref().map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
@@ -156,7 +154,6 @@ impl CertifiedAvoidance {
     }
 }
 
-/// What the numbers are, and how they relate.
 pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a profile for the vehicles under test, from \
     convex programming with knowledge of the future, held over steps of 0.1 s (or finer, where those do not decide), and \
     replayed by the simulation; one on a finer grid may keep more. A controller's regret is its smallest gap less the controller's \

@@ -1,12 +1,10 @@
-//! Evidence kept between runs: what has not changed is not gathered again.
+//! A cache of evidence: evidence whose inputs have not changed is not gathered again.
 //!
-//! Every piece of evidence has a name and depends on stated inputs. It is kept in a file of its own under the SHA-256 of the
-//! program, the name and the inputs, so that whatever changes makes another file, and an assessment that was interrupted goes
-//! on where it stopped. The file holds the hash of what it keeps; one that was cut, edited or swapped is gathered again, and
-//! named. One assessment at a time works with a folder.
-//!
-//! This is integrity, not secrecy: somebody who writes numbers and hashes anew is believed, whence `--fresh`. Nothing that the
-//! checker can decide is kept: certificates are checked in every run.
+//! A cache entry is a file under the SHA-256 of the program, the evidence's name and its inputs, so an interrupted
+//! assessment resumes. An entry holds the hash of its evidence. Evidence of a truncated, edited or swapped entry is
+//! gathered again, and the entry is reported. One assessment at a time uses a folder. The hashes ensure integrity, not
+//! authenticity: an author who recomputes them is trusted, hence `--fresh`. Results of the checker are not cached:
+//! every run checks certificates.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,22 +18,22 @@ use crumple_core::digest::sha256;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::run_folder::FolderLock;
 
-/// A piece of evidence: its name, what it depends on, and what it says, as hashes.
+/// A piece of evidence: its name, and the hashes of its inputs and its content.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EvidenceHash {
-    /// Which evidence.
+    /// Name of the evidence.
     pub name: String,
-    /// SHA-256 of what it depends on, without the program.
+    /// SHA-256 of the inputs, without the program.
     pub inputs_sha256: String,
     /// SHA-256 of the evidence itself, as JSON.
     pub evidence_sha256: String,
 }
 
-/// The longest file of evidence that is read: the longest of the built-in assessment is not a hundredth of it.
+/// Maximum size of a cache entry that is read; the largest of the built-in assessment is below one hundredth of it.
 const MAX_ENTRY_BYTES: u64 = 256 << 20;
 
-/// Where evidence is kept, if it is.
+/// A cache of evidence in a folder, or a disabled one.
 #[derive(Debug, Default)]
 pub struct EvidenceCache {
     folder: Option<PathBuf>,
@@ -52,17 +50,17 @@ struct CacheLog {
     damaged_files: Vec<PathBuf>,
 }
 
-/// Why evidence cannot be kept.
+/// An error of the evidence cache.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CacheError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// Another process is at work there.
+    /// Another process uses the folder.
     #[error("{}: another assessment is under way there", .0.display())]
     InUse(PathBuf),
-    /// Evidence, or what it depends on, cannot be encoded.
+    /// Evidence, or its inputs, cannot be encoded.
     #[error("cannot encode a piece of evidence: {0}")]
     Encoding(String),
 }
@@ -73,11 +71,10 @@ impl CacheError {
     }
 }
 
-/// A folder to work in.
 #[derive(Debug)]
 pub(super) struct ScratchFolder {
     path: PathBuf,
-    /// Removes itself.
+    /// Removes the folder when dropped.
     _temporary: Option<tempfile::TempDir>,
 }
 
@@ -86,13 +83,12 @@ impl ScratchFolder {
         &self.path
     }
 
-    /// Once the evidence is complete.
+    /// Removes the folder; call this once the evidence is complete.
     pub(super) fn remove(self) -> Result<(), CacheError> {
         Ok(fs::remove_dir_all(&self.path).map_err(DiskError::at(&self.path))?)
     }
 }
 
-/// What a file holds. Hashes guard against files that were cut, edited or moved, not against an author who recomputes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -105,25 +101,24 @@ pub(super) struct CacheEntry {
 }
 
 impl CacheEntry {
-    /// Whether it is as a program gathered it.
+    /// True if `program` gathered the entry and its hash matches.
     pub(super) fn is_intact(&self, program: &str) -> bool {
         self.program == program && sha256(&self.evidence) == self.evidence_sha256
     }
 }
 
 impl EvidenceCache {
-    /// Keeps nothing.
+    /// Creates a cache that stores nothing.
     #[must_use]
     pub fn disabled() -> Self {
         Self::default()
     }
 
-    /// Keeps evidence in `folder`, which is made if it is not there. `program` stands for everything that could make the same
-    /// inputs give other evidence: the hash of the executable. What is there is not looked at if all is to be gathered
-    /// `fresh`.
+    /// Opens or creates a cache in `folder`. `program` is the hash of the executable, which stands for everything else
+    /// that could change the evidence. With `fresh`, existing entries are ignored.
     ///
     /// # Errors
-    /// [`CacheError`] if the folder cannot be made, or is in use.
+    /// [`CacheError`] if the folder cannot be created, or is in use.
     pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, CacheError> {
         disk::make_folder(folder)?;
         let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
@@ -136,7 +131,7 @@ impl EvidenceCache {
         })
     }
 
-    /// The evidence of that name if what it depends on is as it was; otherwise what `gather` says.
+    /// Returns the cached evidence of that name and these inputs, or the result of `gather`, which is then stored.
     ///
     /// # Errors
     /// The error of `gather`, or [`CacheError`].
@@ -175,18 +170,17 @@ impl EvidenceCache {
         Ok(value)
     }
 
-    /// A folder in which the evidence of that name is gathered: what an interrupted run left in it is still there, unless all is
-    /// gathered afresh.
+    /// Returns a folder in which to gather the evidence. Unless the cache is fresh, it has the files of an interrupted
+    /// run.
     ///
     /// # Errors
-    /// [`CacheError`] if it cannot be made.
+    /// [`CacheError`] if the folder cannot be created.
     pub(super) fn scratch_folder(&self, name: &str, inputs: &impl Serialize) -> Result<ScratchFolder, CacheError> {
         let Some(folder) = &self.folder else {
             let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
             return Ok(ScratchFolder { path: made.path().to_owned(), _temporary: Some(made) });
         };
         let path = folder.join(self.file_stem(name, &sha256(to_json(inputs)?)));
-        // What is gathered afresh rests on nothing that was there.
         if self.is_fresh && path.is_dir() {
             fs::remove_dir_all(&path).map_err(DiskError::at(&path))?;
         }
@@ -194,7 +188,7 @@ impl EvidenceCache {
         Ok(ScratchFolder { path, _temporary: None })
     }
 
-    /// All evidence so far, as it is kept, in the order of names.
+    /// Returns the cache entries of this run, sorted by name.
     pub(super) fn entries(&self) -> Result<Vec<CacheEntry>, CacheError> {
         let Some(folder) = &self.folder else { return Ok(Vec::new()) };
         let mut hashes = self.hashes();
@@ -207,7 +201,7 @@ impl EvidenceCache {
         hashes.iter().map(read).collect()
     }
 
-    /// Keeps evidence that was gathered elsewhere. Says how many pieces that is.
+    /// Stores evidence that another process gathered. Returns the number of entries stored.
     pub(super) fn insert(&self, kept: &CacheEntry) -> Result<usize, CacheError> {
         let Some(folder) = &self.folder else { return Ok(0) };
         let path = folder.join(format!("{}.json", self.file_stem(&kept.name, &kept.inputs_sha256)));
@@ -220,7 +214,7 @@ impl EvidenceCache {
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
     }
 
-    /// The text of the evidence and its value, if there is a file and it is what its name says.
+    /// Returns the text and value of an entry if the file exists and matches its name.
     fn read_entry<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
         let found = fs::symlink_metadata(path).ok()?;
         let is_plain = found.is_file() && found.len() <= MAX_ENTRY_BYTES;
@@ -247,28 +241,27 @@ impl EvidenceCache {
         gathered.reused_count += usize::from(reused);
     }
 
-    /// Hashes of all evidence so far, by name.
     pub(super) fn hashes(&self) -> Vec<EvidenceHash> {
         let mut hashes = self.lock_log().hashes.clone();
         hashes.sort();
         hashes
     }
 
-    /// How many pieces of evidence there are, and how many of them were kept from earlier.
+    /// Returns the number of pieces of evidence, and how many of them were reused.
     #[must_use]
     pub fn reuse_counts(&self) -> (usize, usize) {
         let gathered = self.lock_log();
         (gathered.hashes.len(), gathered.reused_count)
     }
 
-    /// Files that were not what they should have been, whose evidence was gathered again.
+    /// Returns the damaged files, whose evidence was gathered again.
     #[must_use]
     pub fn damaged_files(&self) -> Vec<PathBuf> {
         self.lock_log().damaged_files.clone()
     }
 
     fn lock_log(&self) -> MutexGuard<'_, CacheLog> {
-        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
+        // Every update under this lock is complete, so a panic elsewhere leaves the log valid.
         self.log.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -312,8 +305,7 @@ mod tests {
         assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
     }
 
-    /// Every byte of every file changed, every length of it, its absence, and each other file in its place: none is believed, and what
-    /// is gathered again makes the same file.
+    /// Covers changed bytes, truncation, deletion and swapped files: gathering again restores the file.
     #[test]
     fn no_damage_is_believed() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! One controller in one scenario: what is reported of it.
+//! One controller in one scenario: the reported results.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,89 +13,87 @@ use crumple_world::sim::{
     RunError, RunOptions, SimulationResult, Trace, simulate_batch,
 };
 
-/// What came of one controller in one scenario.
-///
-/// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
+/// The result of one controller in one scenario. With several vehicles under test, each measure is the worst among
+/// them.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CaseResult {
-    /// The controller's name.
+    /// Name of the controller.
     pub controller: String,
-    /// Whether and how vehicles touched.
+    /// Verdict on the run.
     pub verdict: CaseVerdict,
-    /// Towards the vehicle ahead of a vehicle under test.
+    /// Measures of a vehicle under test towards its leader.
     pub ahead: RoundedLeadMeasures,
-    /// Of the vehicle behind towards a vehicle under test.
+    /// Measures of the follower towards a vehicle under test.
     pub behind: RoundedLeadMeasures,
-    /// Smallest gap between any two vehicles until the first contact, in metres.
+    /// Smallest gap between any two vehicles until the first collision, in metres.
     pub min_gap_m: Option<Rounded<2>>,
-    /// How much more the best escape found kept of it, in metres; none where that is not known, or where others crashed first.
+    /// Regret, in metres: difference to the smallest gap of the best escape found. Absent if other vehicles collided
+    /// first.
     pub regret_m: Option<Rounded<2>>,
     /// Hardest deceleration of a vehicle under test, in m/s².
     pub peak_brake_mps2: Option<Rounded<2>>,
     /// Largest jerk of a vehicle under test, in m/s³.
     pub peak_jerk_mps3: Option<Rounded<1>>,
-    /// Hardest deceleration of the vehicle behind one under test, in m/s².
+    /// Hardest deceleration of the follower of a vehicle under test, in m/s².
     #[serde(rename = "imposed_brake_mps2")]
     pub induced_brake_mps2: Option<Rounded<2>>,
-    /// What follows if all vehicles drive on after the first contact.
+    /// Further collisions if all vehicles drive on after the first one.
     pub pile_up: Option<PileUp>,
-    /// The controller as a command names it; none for one from outside.
     #[serde(skip)]
     pub(super) controller_arg: Option<String>,
-    /// The motion until the first contact, for the figure.
     #[serde(skip)]
     pub(super) motion: Option<(Trace, Vec<Impact>)>,
 }
 
-/// How a run ended.
+/// The verdict on a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum CaseVerdict {
-    /// No vehicles touched before the scenario was over.
+    /// No collision until the end of the scenario.
     Safe {
-        /// Time to collision between a vehicle under test and a neighbour when the scenario was over, in seconds, if it
-        /// was below [`STILL_CLOSING_TTC_S`]: then the scenario ended before its story did.
+        /// Time to collision between a vehicle under test and a neighbour at the end of the scenario, in seconds, if
+        /// below [`STILL_CLOSING_TTC_S`]. The scenario then ended too early.
         closing_ttc_s: Option<Rounded<1>>,
     },
-    /// A vehicle under test hit the one ahead.
+    /// A vehicle under test hit its leader.
     Hit(RoundedContact),
-    /// A vehicle under test was hit from behind, by a vehicle that is not.
+    /// A vehicle that is not under test hit a vehicle under test from behind.
     WasHit(RoundedContact),
-    /// Two vehicles touched that are both not under test: this says nothing of the controller.
+    /// Two vehicles collided that are both not under test. This is no evidence about the controller.
     #[serde(rename = "others")]
     OthersCollided(RoundedContact),
-    /// The controller gave no usable answer, and the run ended there.
+    /// The controller gave no usable answer, which ended the run.
     ControllerFailed {
-        /// When, in seconds.
+        /// Time of the failure, in seconds.
         time_s: Rounded<2>,
-        /// Index of its vehicle.
+        /// Index of the controller's vehicle.
         vehicle: usize,
-        /// Why, in words.
+        /// Reason in words.
         because: String,
     },
 }
 
-/// A run that ends with a time to collision below this is said to be still closing, in seconds.
+/// Time to collision at the end of a run, in seconds, below which the report calls the run still closing.
 pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 
-/// A contact with the numbers a report needs.
+/// A collision, with rounded numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RoundedContact {
-    /// When, in seconds.
+    /// Time of the collision, in seconds.
     pub time_s: Rounded<2>,
     /// Index of the vehicle that is hit.
     pub front_vehicle: usize,
     /// Index of the vehicle that hits it.
     pub rear_vehicle: usize,
-    /// Speed of one relative to the other, in m/s.
+    /// Relative speed of the vehicles, in m/s.
     pub impact_speed_mps: Rounded<1>,
 }
 
-/// Measures of one vehicle towards the one ahead of it.
+/// Measures of one vehicle towards its leader.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RoundedLeadMeasures {
@@ -107,9 +105,9 @@ pub struct RoundedLeadMeasures {
     pub min_time_headway_s: Option<Rounded<2>>,
     /// Smallest time gap, bumper to bumper, in seconds.
     pub min_time_gap_s: Option<Rounded<2>>,
-    /// Largest deceleration rate to avoid a crash (DRAC), in m/s²; none if there was a contact.
+    /// Largest deceleration rate to avoid a crash (DRAC), in m/s²; absent after a collision.
     pub max_drac_mps2: Option<Rounded<2>>,
-    /// Largest deceleration required against the braking of the vehicle ahead, in m/s²; none if there was a contact.
+    /// Largest deceleration required against the braking of the leader, in m/s²; absent after a collision.
     pub max_required_brake_mps2: Option<Rounded<2>>,
     /// Time exposed time to collision (TET), in seconds.
     pub tet_s: Rounded<2>,
@@ -119,20 +117,20 @@ pub struct RoundedLeadMeasures {
     pub standstill_gap_m: Option<Rounded<2>>,
 }
 
-/// The crash when it is played to its end, vehicles sticking together.
+/// A pile-up: the collision simulated until all vehicles stand, with vehicles that stick together.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PileUp {
-    /// Impacts.
+    /// Number of impacts.
     pub impacts: usize,
-    /// Vehicles involved.
+    /// Number of vehicles involved.
     pub vehicles: usize,
     /// Largest change of speed of any vehicle in one impact, in m/s.
     pub max_delta_v_mps: Option<Rounded<1>>,
 }
 
 impl CaseVerdict {
-    /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
+    /// Determines the verdict on a run of a scenario. Without a trace, `closing_ttc_s` is `None`.
     #[must_use]
     pub fn new(simulated: &SimulationResult, scenario: &Scenario) -> Self {
         if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed_controller() {
@@ -155,13 +153,13 @@ impl CaseVerdict {
         }
     }
 
-    /// Whether the controller failed: a vehicle under test touched or was touched, or had no driver any more.
+    /// True if a vehicle under test collided, or its controller gave no answer.
     #[must_use]
     pub fn is_failure(&self) -> bool {
         matches!(self, Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. })
     }
 
-    /// That its controller gave no answer, and why; nothing where it did.
+    /// Returns the failure of the controller to answer, if any.
     #[must_use]
     pub(crate) fn unanswered(&self) -> Option<FailedControllerRuns> {
         match self {
@@ -172,7 +170,7 @@ impl CaseVerdict {
         }
     }
 
-    /// Whether the run says anything of the controller: not if others crashed first.
+    /// True if the run is evidence about the controller: false if other vehicles collided first.
     #[must_use]
     pub fn is_conclusive(&self) -> bool {
         !matches!(self, Self::OthersCollided(_))
@@ -186,7 +184,7 @@ impl CaseVerdict {
         }
     }
 
-    /// The verdict in a few words.
+    /// Describes the verdict in a few words.
     #[must_use]
     pub fn describe(&self) -> String {
         let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
@@ -209,7 +207,7 @@ impl CaseVerdict {
     }
 }
 
-/// Time to collision at the last sample, if it is below [`STILL_CLOSING_TTC_S`].
+/// Returns the time to collision at the last sample, if below [`STILL_CLOSING_TTC_S`].
 fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
     let pairs = trace.pairs(rear);
     let pair = pairs.last().filter(|pair| pair.span_s[1].is_infinite())?;
@@ -228,14 +226,13 @@ impl From<&Contact> for RoundedContact {
     }
 }
 
-/// Whether cases keep their motion, for figures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MotionRetention {
     Keep,
     Drop,
 }
 
-/// Runs every controller in every scenario and reports scenario by scenario, in the order given.
+/// Runs every controller in every scenario. Shape of the result: `[scenario][controller]`, in the order given.
 pub(super) fn run_cases(
     scenarios: &[&Scenario],
     controllers: &[NamedController],
@@ -309,7 +306,7 @@ impl CaseResult {
 impl RoundedLeadMeasures {
     fn worst(vehicles: &[Measures]) -> Self {
         let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
-        // At a contact the deceleration that would have avoided it grows without bound: no number is the worst one.
+        // At a collision the required deceleration is infinite, so there is no maximum.
         let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
         let demand = |of: fn(&measure::LeadMeasures) -> Option<f64>| {
             if touched { None } else { largest(ahead.iter().map(of)).map(Rounded::new) }

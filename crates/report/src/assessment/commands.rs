@@ -1,7 +1,7 @@
-//! What a reader types to see again what the report shows, in the folder of the report, with the files that takes.
+//! Commands that reproduce the results of a report from its folder, and the files that they need.
 //!
-//! Every word is quoted for a shell. Policies, networks and spaces that are not built in lie in the folder, policies and networks
-//! under their hashes, so that neither a name nor a folder elsewhere matters. A controller from code has no name on a command line.
+//! Every argument is quoted for a shell. Policies, networks and scenario spaces that are not built in are files of the
+//! report folder, policies and networks under their hashes. A controller in code has no command-line argument.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -21,7 +21,7 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::{controller_file, file};
 use crumple_world::sim::ControllerKind;
 
-/// A command line of crumple; its arguments by themselves, its text quoted for a shell.
+/// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
@@ -33,25 +33,22 @@ pub struct CrumpleCommand {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CommandFile {
-    /// Where it lies, from the folder of the report.
+    /// Path relative to the report folder.
     pub file: String,
     #[serde(skip)]
     pub(super) contents: Vec<u8>,
 }
 
 impl CrumpleCommand {
-    /// Of these arguments.
     pub(super) fn new<W: Into<String>>(arguments: impl IntoIterator<Item = W>) -> Self {
         Self { arguments: arguments.into_iter().map(Into::into).collect() }
     }
 
-    /// With more of them.
     pub(super) fn with_args<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
         self.arguments.extend(arguments.into_iter().map(Into::into));
         self
     }
 
-    /// The arguments, quoted for a shell.
     pub(super) fn shell_quoted(&self) -> String {
         self.arguments.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ")
     }
@@ -63,8 +60,7 @@ impl fmt::Display for CrumpleCommand {
     }
 }
 
-/// The controller as a command in the folder of the report names it; none for a process, whose files lie elsewhere, and for one
-/// from outside.
+/// Returns the controller's command-line argument in the report folder; `None` for a process or an external controller.
 pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     match kind {
         ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
@@ -77,12 +73,10 @@ pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     }
 }
 
-/// Where a file of a network lies, from the folder of the report.
 fn network_path(name: &str) -> String {
     format!("controllers/{name}")
 }
 
-/// The network from outside that drives, behind a shield or not.
 fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
     match kind {
         ControllerKind::Network(network) => Some(network),
@@ -91,14 +85,12 @@ fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
     }
 }
 
-/// Where a policy lies, from the folder of the report.
 fn policy_path(policy: &Policy) -> String {
     let digest = policy.digest();
     format!("controllers/{}.safetensors", digest.get(..16).unwrap_or(&digest))
 }
 
 impl NamedSpace {
-    /// The space as a command names it.
     pub(super) fn to_arg(&self) -> String {
         if self.is_built_in() { self.name.clone() } else { self.path() }
     }
@@ -107,14 +99,12 @@ impl NamedSpace {
         crumple_world::scenario::space::built_in_space(&self.name).is_some()
     }
 
-    /// Where an own space lies, from the folder of the report.
     fn path(&self) -> String {
         format!("spaces/{}.toml", file_stem(self.space.name()))
     }
 }
 
 impl AssessmentPlan {
-    /// The options that make a command look through what this plan looks through.
     pub(super) fn estimator_args(&self) -> &'static [&'static str] {
         match self.config.estimator {
             EstimatorKind::Kalman => &[],
@@ -122,10 +112,10 @@ impl AssessmentPlan {
         }
     }
 
-    /// The policies, spaces and scenarios that commands of the report need, by their paths from its folder.
+    /// Returns the files that commands of the report need, with paths relative to the report folder.
     ///
     /// # Errors
-    /// [`StoreError::Encoding`] if one of them cannot be written down.
+    /// [`CacheError::Encoding`] if one of them cannot be encoded.
     pub(super) fn command_files(&self) -> Result<Vec<CommandFile>, CacheError> {
         let mut files: Vec<CommandFile> = Vec::new();
         let mut add = |file: String, contents: Vec<u8>| {
@@ -134,7 +124,7 @@ impl AssessmentPlan {
             }
         };
         for controller in &self.controllers {
-            // Only policies that were read from files have no other name.
+            // Only policies that were read from files need to be stored.
             if let (Some(word), Some(policy)) = (controller_arg(&controller.kind), controller.policy())
                 && word.ends_with(&policy_path(&policy))
             {
@@ -150,7 +140,7 @@ impl AssessmentPlan {
             add(own.path(), own.text.clone().into_bytes());
         }
         for given in &self.certificates {
-            // A certificate may name any file: only one that lies beside it, and that it was made for, is put there.
+            // A certificate may name any file: copy only one in the same folder, with the expected hash.
             if let (Some((file, digest)), Some(policy)) = (given.certificate.policy_reference(), &given.policy)
                 && sha256(policy) == digest
                 && Path::new(file).file_name() == Some(OsStr::new(file))
@@ -166,7 +156,7 @@ impl AssessmentPlan {
     }
 }
 
-/// A script that runs commands one after the other and says which of them did not do what it should.
+/// Returns a shell script that runs the commands in turn and reports each unexpected result.
 pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleCommand>) -> String {
     let mut script = String::from(
         "#!/bin/sh\n\
@@ -177,9 +167,9 @@ pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleComman
          failed=0\n\
          run() { \"$crumple\" \"$@\" || { echo \"did not end as reported: crumple $*\" >&2; failed=1; }; }\n",
     );
-    // What was edited since may fail in another way than the report says.
+    // A command on an edited file may fail for another reason than reported.
     script += "run fsck .\nrun check --rerun certificates/*.json\n";
-    // Controllers that fail at one point of a suite share the escape from it.
+    // Controllers that fail at the same point of a suite share the command of its escape.
     let mut said = BTreeSet::new();
     for command in commands.map(CrumpleCommand::shell_quoted).filter(|command| said.insert(command.clone())) {
         script += &format!("run {command}\n");

@@ -1,4 +1,4 @@
-//! What to assess: the configuration file of `crumple assess`.
+//! The configuration file of `crumple assess`.
 
 use std::path::PathBuf;
 
@@ -10,10 +10,10 @@ use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 
-/// The version of the configuration format this release reads.
+/// Version of the configuration format that this release reads.
 pub const CONFIG_VERSION: u32 = 1;
 
-/// The configuration as a file states it.
+/// The configuration of an assessment, as its file states it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -22,73 +22,72 @@ pub const CONFIG_VERSION: u32 = 1;
 pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Controllers to compare, built-in names or policy files, the baseline first. Default: all built-in ones, the policy
-    /// behind a shield, and the retrained policy.
+    /// Controllers to compare, the baseline first: built-in names or policy files. Default: all built-in ones, the
+    /// policy behind a shield, and the retrained policy.
     #[serde(default = "all_controllers")]
     pub controllers: Vec<String>,
-    /// The controller that the argument is about, one of those. Default: the first learned one, or else the last.
+    /// Controller that the safety case is about, one of `controllers`. Default: the first learned one, or the last.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subject: Option<String>,
-    /// What the vehicles under test look through. Default: the Kalman filter.
+    /// Estimator of the vehicles under test. Default: the Kalman filter.
     #[serde(default)]
     pub estimator: EstimatorKind,
-    /// Whether the paper's scenarios, its leader's worst braking, failure maps and its training are parts of the report.
-    /// Default true; set it to false for controllers that have nothing to do with the paper.
+    /// Include the paper's scenarios, its leader's worst-case braking, failure maps and its training. Set it to false
+    /// for controllers that are unrelated to the paper. Default true.
     #[serde(default = "default_true")]
     pub paper: bool,
-    /// Spaces by whose law failures are counted, built-in names or files relative to the configuration. Default: `paper`, or
-    /// `high-risk` if the paper is left out.
+    /// Scenario spaces whose failure rates are measured: built-in names or files relative to the configuration.
+    /// Default: `paper`, or `high-risk` without the paper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distributions: Option<Vec<String>>,
-    /// Draws of each of these spaces for each controller, and, 200 at most, of each resample of a space that was fitted. Default 1000.
+    /// Random scenarios of each of these spaces and, 200 at most, of each resample of a fitted space. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
-    /// Drives of each controller in everyday traffic (the space `traffic`), and as many in `high-risk`, where something threatens;
-    /// none leaves usefulness out. Default 200.
+    /// Drives of each controller in the space `traffic`, and in `high-risk`; 0 omits usefulness. Default 200.
     #[serde(default = "default_everyday_draws")]
     pub everyday_draws: u64,
-    /// Seed of the draws. Default 0.
+    /// Seed of the random scenarios. Default 0.
     #[serde(default)]
     pub seed: u64,
     /// Scenario files, and folders of them, relative to the configuration file. Default none.
     #[serde(default)]
     pub scenarios: Vec<PathBuf>,
-    /// Recordings of traffic, relative to the configuration file: each braking episode in them is one scenario more, as
-    /// `crumple import` makes it. Default none.
+    /// Traffic recordings, relative to the configuration file. Each braking episode becomes a scenario, as with
+    /// `crumple import`. Default none.
     #[serde(default)]
     pub recordings: Vec<PathBuf>,
-    /// Suites of tests after regulations. Default none.
+    /// Suites of tests that are modelled on regulations. Default none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suites: Vec<SuiteConfig>,
-    /// How failures are searched for.
+    /// Settings of the search for failures.
     #[serde(default)]
     pub search: SearchConfig,
-    /// How failures of the learned controllers are counted for a certificate.
+    /// Settings of the counts for rate certificates of the learned controllers.
     #[serde(default)]
     pub rates: RatesConfig,
-    /// Certificates to check, relative to the configuration file. Default: those shipped about the reference policy, if it is
-    /// among the controllers and the paper is not left out.
+    /// Certificates to check, relative to the configuration file. Default: those shipped about the reference policy, if
+    /// it is among the controllers and the paper is included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub certificates: Option<Vec<PathBuf>>,
-    /// What must hold; `crumple assess` ends with exit code 1 if something does not. Default none.
+    /// Conditions of the assessment; `crumple assess` ends with exit code 1 if one does not hold. Default none.
     #[serde(default)]
     pub gates: Vec<AssessmentGate>,
 }
 
-/// How failures are searched for.
+/// Settings of the search for failures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct SearchConfig {
-    /// Spaces, built-in names or files relative to the configuration file. Default: `paper` and `high-risk`, or the latter
-    /// alone if the paper is left out.
+    /// Scenario spaces: built-in names or files relative to the configuration file. Default: `paper` and `high-risk`,
+    /// or only `high-risk` without the paper.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spaces: Option<Vec<String>>,
-    /// Evaluations of the search, and of each reference search. Default 400.
+    /// Simulations of the search, and of each reference search. Default 400.
     pub budget: u64,
-    /// What must hold besides that nobody touches, each searched for by itself with that budget: rules of conduct or formulas, as
-    /// `crumple falsify --spec` takes them. Default none.
+    /// Specifications besides the absence of collisions, each falsified separately with that budget: conduct
+    /// requirements or formulas, in the syntax of `crumple falsify --spec`. Default none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[serde(rename = "rules")]
     pub specifications: Vec<String>,
@@ -100,15 +99,15 @@ impl Default for SearchConfig {
     }
 }
 
-/// How failures are counted for a certificate: on draws of each of `distributions`, with a seed of their own.
+/// Settings of the counts for rate certificates, which sample each of `distributions` with a separate seed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct RatesConfig {
-    /// Runs of each learned controller; none for no count. Default 4000.
+    /// Runs of each learned controller; 0 omits the count. Default 4000.
     pub runs: u64,
-    /// Confidence of each bound, above 1/2 and below 1. Default 0.999.
+    /// Confidence level of each bound, above 1/2 and below 1. Default 0.999.
     pub confidence: f64,
 }
 
@@ -121,7 +120,7 @@ impl Default for RatesConfig {
 fn all_controllers() -> Vec<String> {
     let compared = ControllerSpec::all().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
     let mut names: Vec<_> = compared.map(|spec| spec.name().to_owned()).collect();
-    // The shield stands beside the policy that it shields.
+    // Put the shield next to the policy that it shields.
     let place = names.iter().position(|name| name == "policy").map_or(names.len(), |place| place + 1);
     names.insert(place, "shield:policy".to_owned());
     names
@@ -140,14 +139,14 @@ fn default_everyday_draws() -> u64 {
 }
 
 impl AssessConfig {
-    /// The spaces by whose law failures are counted, as they are named.
+    /// Returns the names of the scenario spaces whose failure rates are measured.
     #[must_use]
     pub fn distributions(&self) -> Vec<String> {
         let unless_named = || vec![if self.paper { "paper" } else { "high-risk" }.to_owned()];
         self.distributions.clone().unwrap_or_else(unless_named)
     }
 
-    /// The spaces that are searched for failures, as they are named.
+    /// Returns the names of the scenario spaces that are searched for failures.
     #[must_use]
     pub fn search_spaces(&self) -> Vec<String> {
         let of_the_paper = self.paper.then(|| "paper".to_owned());
@@ -184,23 +183,23 @@ impl Default for AssessConfig {
     }
 }
 
-/// Why a configuration cannot be used.
+/// An error of a configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AssessConfigError {
-    /// The configuration, or a scenario file it names, cannot be read.
+    /// The configuration, or a scenario file that it names, cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
     /// A field is out of range.
     #[error("{}:{line}: {field}: {problem}", path.display())]
     Field {
-        /// The configuration file.
+        /// Configuration file.
         path: PathBuf,
         /// Line of the field, from 1.
         line: usize,
         /// Path of the field.
         field: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
 }

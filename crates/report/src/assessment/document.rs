@@ -56,22 +56,19 @@ impl ReportDocument {
         self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
     }
 
-    /// Writes what only HTML shows, such as a figure.
+    /// Writes content that only HTML shows, such as a figure.
     pub(super) fn push_html(&mut self, markup: impl Render) {
         markup.render_to(&mut self.html);
     }
 
-    /// Writes a figure, which only HTML shows.
     pub(super) fn figure(&mut self, figure: impl Render) {
         self.push_html(html! { figure { (figure) } });
     }
 
-    /// Writes a list of commands, which only HTML shows.
     pub(super) fn commands<'a>(&mut self, commands: impl IntoIterator<Item = &'a CrumpleCommand>) {
         self.push_html(html! { ul { @for command in commands { li { code { (command) } } } } });
     }
 
-    /// Returns the Markdown, for what only Markdown shows.
     pub(super) fn markdown_mut(&mut self) -> &mut Markdown {
         &mut self.markdown
     }

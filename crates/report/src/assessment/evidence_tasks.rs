@@ -1,6 +1,6 @@
-//! The evidence of a plan in pieces that can be gathered alone, anywhere, and that the assessment then does not gather again.
+//! The evidence of a plan as tasks that can run alone, on any machine. The assessment then does not gather it again.
 //!
-//! Runs of single scenarios are not kept in the store, so they are no pieces. A new kind of evidence has to be a piece here, too.
+//! Runs of single scenarios are not cached, so they are no tasks. A new kind of evidence needs a task here.
 
 use super::avoidance::CertifiedAvoidance;
 use super::gather_context::GatherContext;
@@ -13,7 +13,6 @@ use crumple_core::digest::sha256;
 
 type GatherFn<'p> = Box<dyn Fn(&GatherContext<'_>) -> Result<(), AssessError> + 'p>;
 
-/// A piece of evidence that can be gathered alone.
 pub(super) struct EvidenceTask<'p> {
     /// Name, unique in a plan.
     pub(super) name: String,
@@ -21,13 +20,12 @@ pub(super) struct EvidenceTask<'p> {
 }
 
 impl EvidenceTask<'_> {
-    /// Gathers the evidence into the store.
     pub(super) fn gather(&self, work: &GatherContext<'_>) -> Result<(), AssessError> {
         (self.gather)(work)
     }
 }
 
-/// Returns all pieces of a plan, in an order that scatters the slow ones.
+/// Returns all tasks of a plan, in an order that scatters the slow ones.
 pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<EvidenceTask<'p>>, AssessError> {
     let mut all: Vec<EvidenceTask<'p>> = Vec::new();
     let mut add = |name: String, gather: GatherFn<'p>| {

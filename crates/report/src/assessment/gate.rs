@@ -1,4 +1,4 @@
-//! Gates: what must hold for an assessment to pass.
+//! Gates: the conditions of an assessment to pass.
 
 use std::convert::Infallible;
 
@@ -14,7 +14,7 @@ use super::{
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::sim::FailedControllerRuns;
 
-/// Something that must hold.
+/// A condition that must hold for an assessment to pass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
@@ -22,88 +22,87 @@ use crumple_world::sim::FailedControllerRuns;
 pub enum AssessmentGate {
     /// A controller collides in none of the paper's scenarios.
     NoContactInPaperScenarios {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
     },
-    /// A controller collides in none of the scenarios of `scenarios` and `recordings`. It does not look at spaces.
+    /// A controller collides in none of the scenarios of `scenarios` and `recordings`; spaces are not considered.
     NoCollisionInScenarioFiles {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
     },
-    /// A controller collides in none of the random scenarios of a space that this assessment simulates. A scenario that a collision of
-    /// other vehicles ends early counts against the controller. The gate does not look at searches.
+    /// A controller collides in none of the simulated random scenarios of a space. Scenarios that a collision of other
+    /// vehicles ends count against it.
     NoCollisionInSpace {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
-        /// The space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
+        /// Scenario space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
         space: String,
     },
-    /// The share of a controller's failures by the law of a space is at most this, by bounds on counted runs.
+    /// The failure rate of a controller in a scenario space is at most this, by bounds on counted runs.
     RateAtMost {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
         /// Largest bound that passes, in percent.
         percent: f64,
-        /// The space, one of `distributions`. Default: the only one there is.
+        /// Scenario space, one of `distributions`. Default: the only one there is.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         space: Option<String>,
     },
-    /// A controller collides in no more of the draws of a space than another one.
+    /// A controller collides in no more random scenarios of a space than another one.
     RateNotAbove {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
-        /// The other one.
+        /// Name of the other controller.
         than: String,
-        /// The space, one of `distributions`. Default: the only one there is.
+        /// Scenario space, one of `distributions`. Default: the only one there is.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         space: Option<String>,
     },
-    /// No search found a failure of a controller that another driver would have avoided, or that is undecided.
+    /// No search found a failure of a controller that is avoidable or undecided.
     NoAvoidableFailure {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
-        /// In which space.
+        /// Scenario space of the search.
         space: String,
     },
-    /// In everyday traffic a controller brakes without cause in at most this share of its drives.
+    /// A controller brakes unnecessarily in at most this share of its drives in everyday traffic.
     #[serde(rename = "needless-braking-at-most")]
     UnnecessaryBrakingAtMost {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
         /// Largest share that passes, in percent.
         percent: f64,
     },
-    /// In everyday traffic a controller is left behind in at most this share of its drives.
+    /// A controller falls behind in at most this share of its drives in everyday traffic.
     LeftBehindAtMost {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
         /// Largest share that passes, in percent.
         percent: f64,
     },
-    /// In a line of vehicles with a controller a disturbance does not grow.
+    /// A disturbance does not grow in a line of vehicles with a controller.
     StringStable {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
     },
     /// A controller passes every test of a suite that can be run.
     SuitePassed {
-        /// The controller.
+        /// Name of the controller.
         controller: String,
-        /// The suite, as `suites` names it.
+        /// Suite, as `suites` names it.
         suite: String,
     },
-    /// Every certificate is accepted.
+    /// The checker accepts every certificate.
     ProofsAccepted {},
-    /// Nothing is worse than in the assessment that this one is compared with, and there is one.
+    /// The assessment is compared with an earlier one, and no result is worse.
     NothingWorse {},
-    /// A former name, which no configuration may have any more.
+    /// A former name, which a configuration may no longer use.
     #[doc(hidden)]
     #[cfg_attr(feature = "schema", schemars(skip))]
     #[serde(rename = "no-contact-in-traffic", skip_serializing, deserialize_with = "refuse_former_name")]
     NoContactInTraffic(Infallible),
 }
 
-/// Refuses the former name of a gate, which suggested that the gate looks at the space `traffic`.
 fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::Error> {
     Err(D::Error::custom(
         "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, since it looks at `scenarios` and `recordings` only; \
@@ -113,30 +112,28 @@ fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::
 
 /// Counts of the random scenarios of a space, under one controller.
 pub(super) struct SpaceTally {
-    /// How many were simulated.
     pub(super) scenarios: u64,
-    /// Those in which a vehicle under test collides.
+    /// Number in which a vehicle under test collides.
     pub(super) collisions: u64,
-    /// Those in which the controller gives no answer.
+    /// Number in which the controller gives no answer.
     pub(super) unanswered: u64,
-    /// Those that end when other vehicles collide.
+    /// Number that end with a collision of other vehicles.
     pub(super) cut_short: u64,
 }
 
-/// What came of a gate.
+/// The result of a gate.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GateResult {
-    /// What must hold.
+    /// Condition in words.
     pub gate: String,
-    /// Whether it does.
+    /// True if the condition holds.
     pub holds: bool,
-    /// What decides it.
+    /// Deciding fact, in words.
     pub because: String,
 }
 
 impl AssessmentGate {
-    /// The names of the controllers it is about, each with its field.
     pub(super) fn controllers_mut(&mut self) -> Vec<(&'static str, &mut String)> {
         match self {
             Self::RateNotAbove { controller, than, .. } => vec![("controller", controller), ("than", than)],
@@ -154,7 +151,7 @@ impl AssessmentGate {
         }
     }
 
-    /// What of it no assessment of this configuration could judge: the field, and what is wrong with it.
+    /// Returns the field, and the problem, that prevents any assessment of this configuration from evaluating the gate.
     pub(super) fn config_problem(&self, config: &AssessConfig) -> Option<(&'static str, String)> {
         let needs_drives =
             || (config.everyday_draws == 0).then(|| ("require", "needs `everyday_draws` above 0".to_owned()));
@@ -283,7 +280,7 @@ fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bo
     }
 }
 
-/// Judges all random scenarios of a space that were simulated: those of `distributions`, and the drives in everyday traffic and danger.
+/// Evaluates the random scenarios of `distributions`, and the drives in `traffic` or `high-risk`.
 fn check_no_collision_in_space(
     plan: &AssessmentPlan,
     found: &AssessmentReport,
@@ -316,7 +313,7 @@ fn check_no_collision_in_space(
     (collisions + unanswered + cut_short == 0, because)
 }
 
-/// The strongest that is known, whether it was counted for a certificate or not.
+/// Uses the strongest known bound, with or without a certificate.
 fn check_rate_at_most(
     plan: &AssessmentPlan,
     found: &AssessmentReport,
@@ -328,7 +325,7 @@ fn check_rate_at_most(
     let place = plan.controllers.iter().position(|one| one.name == controller);
     let subject = place.and_then(|place| plan.claim_subject(place, plan.config.estimator));
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
-    // What is asked for is never rounded in favour of the controller.
+    // Round the required rate down, never in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
     let standing = found.evidence.claim_status(&AssuranceClaim {
         subject,
@@ -338,7 +335,7 @@ fn check_rate_at_most(
     (matches!(standing.strength, Strength::Bounded { .. }), standing.describe())
 }
 
-/// A draw that was cut short counts against the controller.
+/// Counts a run that ended early against the controller.
 fn check_rate_not_above(
     plan: &AssessmentPlan,
     found: &AssessmentReport,
@@ -367,7 +364,6 @@ fn check_rate_not_above(
     (is_known && own.failures() + own.cut_short <= other.collisions, because)
 }
 
-/// The place of the space that a gate asks for, as the configuration names it, among those that are drawn from.
 fn space_index(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
     plan.distributions.iter().position(|named| space.is_none_or(|space| named.name == space))
 }
@@ -400,7 +396,7 @@ fn check_drives_at_most(
     let Some((all, useful)) = all.and_then(|all| Some((all, all.find(controller)?))) else {
         return (false, "no such drives were made".to_owned());
     };
-    // What a drive without an answer would have come to is not known: it counts as the worse.
+    // The result of a drive without an answer is unknown: count it as the worse.
     let [silent, _] = useful.unanswered_runs();
     let share = 100.0 * (count(useful) + silent) as f64 / all.draws as f64;
     let words =
@@ -421,7 +417,7 @@ fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Opt
     (!is_tested).then(|| ("controller", format!("`{controller}` is not tested by suite `{suite}`")))
 }
 
-/// What cannot be run does not count; but something has to.
+/// Ignores tests that cannot be run, but requires at least one test.
 fn check_suite_passed(
     plan: &AssessmentPlan,
     found: &AssessmentReport,
@@ -463,7 +459,6 @@ fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'sta
     }
 }
 
-/// Returns what keeps an assessment from simulating random scenarios of a space.
 fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'static str, String)> {
     let is_drawn = config.distributions().iter().any(|known| known == space);
     let is_driven = EVERYDAY_SPACES.contains(&space);
@@ -498,7 +493,7 @@ fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> (bool, Stri
             (false, "the earlier assessment says nothing that this one says".to_owned())
         }
         Some(comparison) => {
-            // A failure that is new, and anything else that is gone, is as bad as what got worse.
+            // A new failure, and a result other than a failure that is gone, count as worse.
             let new = comparison.new.iter().filter(|change| change.is_failure);
             let gone = comparison.gone.iter().filter(|change| !change.is_failure);
             let bad: Vec<_> = comparison.worse.iter().chain(new).chain(gone).collect();

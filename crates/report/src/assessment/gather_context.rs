@@ -1,4 +1,4 @@
-//! Gathering evidence: where it is kept, and its progress.
+//! The context of gathering evidence: its cache and its progress.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -8,11 +8,10 @@ use super::cache::EvidenceCache;
 use crumple_core::observer::ProgressCounter;
 use crumple_world::sim::NamedController;
 
-/// Evidence being gathered.
+/// The cache, the progress counter and the controllers of evidence that is being gathered.
 pub(super) struct GatherContext<'a> {
     pub(super) cache: &'a EvidenceCache,
     runs: ProgressCounter<'a>,
-    /// Whose runs they are.
     controllers: &'a [NamedController],
 }
 
@@ -21,18 +20,19 @@ impl<'a> GatherContext<'a> {
         Self { cache: store, runs, controllers: &[] }
     }
 
-    /// The same, of runs of these controllers: what was gathered with one that was refused on the way is neither kept nor told.
+    /// Sets the controllers of the runs. Evidence of a controller that is refused meanwhile is neither cached nor
+    /// reported.
     pub(super) fn with_controllers(self, controllers: &'a [NamedController]) -> Self {
         Self { controllers, ..self }
     }
 
-    /// Whether what was gathered says something of the controllers.
+    /// Fails if a controller contradicted itself or can no longer be started.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), AssessError> {
         Ok(self.controllers.iter().try_for_each(NamedController::ensure_trusted)?)
     }
 
-    /// Returns the evidence that [`Store::get`] returns. Evidence that was gathered while the observer stopped the assessment is not kept,
-    /// because runs may have ended early.
+    /// Calls [`EvidenceCache::get_or_gather`], but caches nothing if the observer stops the assessment: runs may be
+    /// incomplete.
     pub(super) fn get_or_gather<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
@@ -47,7 +47,7 @@ impl<'a> GatherContext<'a> {
         })
     }
 
-    /// So many runs more are done; an error if that is to be all.
+    /// Adds to the number of completed runs; fails if the observer stops the assessment.
     pub(super) fn add_runs(&self, runs: u64) -> Result<(), AssessError> {
         Ok(self.runs.add(runs)?)
     }

@@ -1,11 +1,10 @@
-//! Gates as tests, in the form that build servers read.
+//! Gates and suite tests in JUnit format, for build servers.
 
 use super::{AssessmentGate, AssessmentReport, GateResult, SuiteFindings};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::DISCLAIMER;
 
-/// Renders gates and the tests of suites as test cases. A build fails only because of a gate; claims about controllers
-/// are properties, which fail no build.
+/// Renders gates and tests as test cases. Only gates fail a build; claims about controllers are properties.
 pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     let mut gates = JunitSuite { name: "gates".to_owned(), ..JunitSuite::default() };
     gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
@@ -21,7 +20,7 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     junit::render_xml("crumple assess", &[gates].into_iter().chain(suites).collect::<Vec<_>>())
 }
 
-/// Lists the tests of a suite. A failed test is a failure if a gate requires the suite, and is skipped with its result otherwise.
+/// Lists the tests of a suite. A failed test is a failure if a gate requires the suite, and is skipped otherwise.
 fn suite_tests(assessment: &AssessmentReport, place: usize, found: &SuiteFindings) -> JunitSuite {
     let config = &assessment.provenance.config;
     let is_required = |controller: &str| {

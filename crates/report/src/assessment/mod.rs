@@ -1,8 +1,8 @@
-//! The assessment: which controller is safer, how we know, and where it still fails.
+//! The assessment: which controller is safer, with evidence and remaining failures.
 //!
-//! [`assess`] gathers evidence into one typed value, an [`AssessmentReport`]; Markdown, HTML and JSON are all rendered from it.
-//! It is made of parts, each with its own evidence type and its own rendering (see [`ReportPart`]); adding one means a file
-//! under `parts/`, a field of [`AssessmentReport`] and a line in [`AssessmentReport::parts`].
+//! [`assess`] gathers evidence into an [`AssessmentReport`], which is rendered as Markdown, HTML and JSON. Each part
+//! has its own evidence type and rendering (see [`ReportPart`]). A new part needs a file under `parts/`, a field of
+//! [`AssessmentReport`] and a line in [`AssessmentReport::parts`].
 
 mod avoidance;
 mod cache;
@@ -70,57 +70,57 @@ use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;
 use parts::GatheredEvidence;
 
-/// The version of the JSON evidence this release writes.
+/// Version of the JSON evidence that this release writes.
 pub const EVIDENCE_VERSION: u32 = 3;
 
-/// Everything an assessment found out.
+/// All results of an assessment.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentReport {
     /// Version of the evidence format.
     pub version: u32,
-    /// The first page: the question and its answer.
+    /// First page: the question and its answer.
     pub first_page: FirstPage,
-    /// The verdict: claims, and how strongly each is supported.
+    /// Verdict: claims, and the strength of their evidence.
     pub summary: ClaimSummary,
-    /// All evidence, each piece with the claim that it speaks for.
+    /// All evidence, each piece with its claim.
     pub evidence: Ledger,
-    /// The paper's three scenarios; none if the plan leaves the paper out.
+    /// Paper's three scenarios; absent if the plan leaves the paper out.
     pub paper_scenarios: Option<PaperScenarios>,
-    /// Failures counted on draws of spaces.
+    /// Failures counted on random scenarios of scenario spaces.
     pub distributions: SpaceSamples,
-    /// Scenarios from files; none if the configuration names none.
+    /// Scenarios from files; absent if the configuration names none.
     #[serde(rename = "traffic")]
     pub file_scenarios: Option<FileScenarios>,
-    /// Tests after regulations; none if the configuration names no suites.
+    /// Tests that are modelled on regulations; absent if the configuration names no suites.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suites: Option<Suites>,
-    /// What a search for failures found.
+    /// Results of searches for failures.
     pub searches: FailureSearches,
-    /// What searches for broken rules found; none if the configuration names no rules.
+    /// Results of searches for violated specifications; absent if the configuration names none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "rules")]
     pub specification_searches: Option<SpecificationSearches>,
-    /// The mildest lead braking against each controller.
+    /// Mildest braking of the leader against each controller.
     pub worst_profiles: Option<WorstProfiles>,
-    /// What each controller survives over two parameters, and what no driver does.
+    /// Outcome of each controller over two parameters, and the unavoidable cells.
     pub failure_maps: Option<FailureMaps>,
-    /// What each controller does where nothing threatens; none if the plan makes no such drives.
+    /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     pub usefulness: Option<UsefulnessReport>,
-    /// What is proved.
+    /// Proved claims.
     pub proofs: Proofs,
-    /// How the learned policies drive; none if there are none among the controllers.
+    /// Behaviour of the learned policies; absent if no controller is learned.
     pub learned: Option<LearnedPolicies>,
-    /// The spaces in numbers.
+    /// Statistics of the scenario spaces.
     #[serde(rename = "domains")]
     pub space_descriptions: SpaceDescriptions,
-    /// What this does not show.
+    /// Limits of the assessment.
     pub limits: AssessmentLimits,
-    /// The verdict as a goal structure.
+    /// Safety case: the verdict as a goal structure.
     pub argument: Argument,
-    /// What changed since an earlier assessment; none if there is none to compare with.
+    /// Changes since an earlier assessment; absent if there is none to compare with.
     pub comparison: Option<AssessmentComparison>,
-    /// Where the evidence comes from.
+    /// Provenance of the evidence.
     pub provenance: AssessmentProvenance,
     /// Files that commands of the report need.
     pub command_files: Vec<CommandFile>,
@@ -128,7 +128,7 @@ pub struct AssessmentReport {
 
 /// One part of an assessment.
 pub trait ReportPart {
-    /// Anchor of the part in the page, and its heading.
+    /// Returns the anchor of the part in the page, and its heading.
     fn anchor_and_title(&self) -> (&'static str, String);
     /// Writes the part, without its heading.
     fn write(&self, out: &mut ReportDocument);
@@ -151,20 +151,20 @@ pub trait ReportPart {
     }
 }
 
-/// Why an assessment could not be made.
+/// An error of an assessment.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AssessError {
     /// A scenario cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A draw of a space is not a valid scenario.
+    /// A random scenario of a space is invalid.
     #[error("a draw is invalid: {0}")]
     Draw(#[from] InvalidField),
-    /// The worst braking cannot be looked for.
+    /// The search for the worst braking fails.
     #[error(transparent)]
     Attack(#[from] AttackError),
-    /// Failures cannot be searched for.
+    /// The search for failures fails.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
     /// Failures cannot be counted.
@@ -176,13 +176,13 @@ pub enum AssessError {
     /// A certificate that was just written cannot be read back.
     #[error("a certificate cannot be read back: {0}")]
     Certificate(String),
-    /// Evidence cannot be kept.
+    /// Evidence cannot be cached.
     #[error(transparent)]
     Cache(#[from] CacheError),
-    /// A rule does not fit a space.
+    /// A specification does not fit a space.
     #[error("a rule does not fit: {0}")]
     Specification(#[from] SpecificationError),
-    /// A controller contradicted itself, or cannot be started any more.
+    /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
     /// A suite cannot be run.
@@ -193,15 +193,15 @@ pub enum AssessError {
     Stopped(#[from] Stopped),
 }
 
-/// Gathers the evidence that a plan asks for. Evidence in `store` is not gathered again. Nothing is kept if a controller states no identity.
-/// If `observer` stops the assessment, `store` keeps what was gathered.
+/// Gathers the evidence that a plan asks for, except for evidence that `store` holds. Nothing is cached if a controller
+/// has no identity. If `observer` stops the assessment, `store` keeps the evidence gathered so far.
 ///
 /// # Errors
-/// [`AssessError`] if a scenario cannot be run or drawn, evidence cannot be kept, or `observer` stops the assessment.
+/// [`AssessError`] if a scenario cannot be run or drawn, evidence cannot be cached, or `observer` stops the assessment.
 ///
 /// ```
 /// use crumple_core::observer::Quiet;
-/// use crumple_report::assessment::{AssessConfig, AssessmentPlan, Store, assess};
+/// use crumple_report::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, assess};
 /// use std::path::Path;
 ///
 /// let mut config = AssessConfig::default();
@@ -210,8 +210,8 @@ pub enum AssessError {
 /// (config.paper, config.draws, config.everyday_draws, config.rates.runs) = (false, 20, 4, 0);
 /// (config.search.spaces, config.certificates) = (Some(Vec::new()), Some(Vec::new()));
 /// let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-/// let assessment = assess(&plan, &Store::none(), None, &Quiet).unwrap();
-/// assert!(assessment.html().contains("</html>"));
+/// let assessment = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
+/// assert!(assessment.to_html().contains("</html>"));
 /// ```
 pub fn assess(
     plan: &AssessmentPlan,
@@ -276,7 +276,7 @@ pub fn assess(
         argument,
     };
     assessment.comparison = against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
-    // Gates come last: they judge everything else.
+    // Gates come last: they evaluate all other results.
     let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.evaluate(plan, &assessment)).collect();
     assessment.first_page.gates.clone_from(&gates);
     assessment.summary.gates = gates;
@@ -284,7 +284,7 @@ pub fn assess(
 }
 
 impl AssessmentPlan {
-    /// How many runs the plan asks for, roughly: searches may end early.
+    /// Returns the approximate number of runs of the plan: searches may end early.
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
@@ -303,14 +303,14 @@ impl AssessmentPlan {
 }
 
 impl AssessmentReport {
-    /// The same with when and where it was made.
+    /// Adds the time, program and machine of the assessment.
     #[must_use]
     pub fn with_build_info(mut self, made: BuildInfo) -> Self {
         self.provenance.build_info = Some(made);
         self
     }
 
-    /// The parts in the order of the report, without the appendix.
+    /// Returns the parts in the order of the report, without the appendix.
     #[must_use]
     pub fn parts(&self) -> Vec<&dyn ReportPart> {
         let mut parts: Vec<&dyn ReportPart> = vec![&self.first_page, &self.summary];
@@ -327,7 +327,7 @@ impl AssessmentReport {
         parts
     }
 
-    /// The parts of the appendix.
+    /// Returns the parts of the appendix.
     #[must_use]
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
         let mut parts: Vec<&dyn ReportPart> = vec![&self.argument];
@@ -338,33 +338,33 @@ impl AssessmentReport {
         parts
     }
 
-    /// The report as one self-contained HTML page.
+    /// Returns the report as one self-contained HTML page.
     #[must_use]
     pub fn to_html(&self) -> String {
         page::render_html(self)
     }
 
-    /// The first page alone, as a self-contained HTML page: question, answer and reasons.
+    /// Returns the first page as a self-contained HTML page: question, answer and reasons.
     #[must_use]
     pub fn first_page_to_html(&self) -> String {
         page::render_first_page(self)
     }
 
-    /// The report as Markdown, without figures.
+    /// Returns the report as Markdown, without figures.
     #[must_use]
     pub fn to_markdown(&self) -> String {
         page::render_markdown(self)
     }
 
-    /// The evidence as JSON.
+    /// Returns the evidence as JSON.
     ///
     /// # Errors
-    /// None in practice; the serializer's error is passed on rather than hidden.
+    /// None in practice; an error of the serializer is passed on.
     pub fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self).map(|json| json + "\n")
     }
 
-    /// Every file of the report, by its path from the folder of the report.
+    /// Returns every file of the report, with its path relative to the report folder.
     ///
     /// # Errors
     /// [`RenderError`] in principle, if a writer fails.
@@ -390,7 +390,7 @@ impl AssessmentReport {
         let of_suites = self.suites.iter().flat_map(Suites::files);
         let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::files);
         let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect();
-        // Runs for other simulators are made of the counterexamples, and may be left out where a report is kept.
+        // Exports to other simulators can be generated from the counterexamples, so a stored report may omit them.
         let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
         let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
@@ -398,7 +398,7 @@ impl AssessmentReport {
         Ok(all)
     }
 
-    /// Every command that shows again what the report shows, in its order.
+    /// Returns every command that reproduces a result of the report, in its order.
     pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let failures = self.searches.failures().flat_map(DistinctFailure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
@@ -407,13 +407,13 @@ impl AssessmentReport {
     }
 }
 
-/// What a folder with a report holds, as `work.json` there says.
+/// Content of a report folder, as its `work.json` states it.
 pub const REPORT_KIND: &str = "report of an assessment";
 
-/// The folders of a report that hold files which another report may not have.
+/// Subfolders of a report whose files may differ between reports.
 pub const REPORT_FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
 
-/// Why a report cannot be written down.
+/// An error of rendering a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {

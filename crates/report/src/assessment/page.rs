@@ -37,11 +37,10 @@ pub(super) fn render_html(assessment: &AssessmentReport) -> String {
             }
         }
     };
-    // A page is text too: what turns the direction of names would turn the verdict beside them.
+    // Escape control characters of the page too: text direction marks in names would affect the verdict beside them.
     insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
-/// The first page alone, as a page.
 pub(super) fn render_first_page(assessment: &AssessmentReport) -> String {
     let page = html! {
         (DOCTYPE)

@@ -1,4 +1,4 @@
-//! A configuration that was found valid, with everything it names.
+//! A valid configuration with everything that it names.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,38 +23,34 @@ use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as spac
 use crumple_world::scenario::{Scenario, built_in_scenario_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// Most draws a configuration may ask for.
 const MAX_DRAWS: u64 = 10_000_000;
 
-/// Most evaluations of one search.
 const MAX_EVALUATIONS: u64 = 1_000_000_000;
 
-/// A configuration that was found valid, with everything it names.
+/// A valid configuration with everything that it names.
 #[derive(Debug, Clone)]
 pub struct AssessmentPlan {
     pub(super) config: AssessConfig,
     pub(super) controllers: Vec<NamedController>,
-    /// Which of them the argument is about.
+    /// Index of the controller that the safety case is about.
     pub(super) subject_index: usize,
-    /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
+    /// Scenarios from files, in order of their paths relative to the configuration.
     pub(super) file_scenarios: Vec<(PathBuf, Scenario)>,
-    /// What of recordings is no scenario.
     pub(super) left_out: Vec<DroppedItem>,
     pub(super) suites: Vec<PlannedSuite>,
-    /// By whose law failures are counted, with the name in the configuration.
+    /// Scenario spaces whose failure rates are measured.
     pub(super) distributions: Vec<NamedSpace>,
-    /// Where failures are searched for.
+    /// Scenario spaces that are searched for failures.
     pub(super) spaces: Vec<NamedSpace>,
     pub(super) certificates: Vec<GivenCertificate>,
 }
 
-/// A space as the configuration names it, and what it is.
 #[derive(Debug, Clone)]
 pub(super) struct NamedSpace {
-    /// The name in the configuration.
+    /// Name in the configuration.
     pub(super) name: String,
     pub(super) space: ScenarioSpace,
-    /// The space as a file, and its hash under its own name.
+    /// Text of the space file, and its hash under the space's own name.
     pub(super) text: String,
     pub(super) content_id: ContentId,
 }
@@ -65,9 +61,9 @@ impl NamedSpace {
         Ok(Self { name: name.to_owned(), content_id: ContentId::new(space.name(), &text), space, text })
     }
 
-    /// Whether two successive vehicles of its scenarios are both not under test.
+    /// True if two successive vehicles of the space's scenarios are both not under test.
     pub(super) fn can_others_collide(&self) -> bool {
-        // Whose nominal scenario cannot be run has no runs.
+        // A space whose nominal scenario is invalid has no runs.
         self.space.scenario(&self.space.nominal()).is_ok_and(|scenario| {
             let is_other = |index: usize| !scenario.is_under_test(index);
             (1..scenario.vehicles().len()).any(|rear| is_other(rear) && is_other(rear - 1))
@@ -75,24 +71,23 @@ impl NamedSpace {
     }
 }
 
-/// A certificate that was made earlier.
 #[derive(Debug, Clone)]
 pub(super) struct GivenCertificate {
-    /// What it is called, without an extension.
+    /// File name without extension.
     pub(super) name: String,
     pub(super) certificate: Certificate,
-    /// The policy it speaks about, if it does and if it was found.
+    /// Policy of the statement, if it has one that was found.
     pub(super) policy: Option<Vec<u8>>,
 }
 
-/// Certificates about the reference policy; `corpora/certificates/README.md` says how they were made.
+/// Certificates about the reference policy; `corpora/certificates/README.md` has their provenance.
 const SHIPPED_CERTIFICATES: [(&str, &str); 2] = [
     ("reach-paper-1", include_str!("built_in/reach-paper-1.json")),
     ("reach-paper-2", include_str!("built_in/reach-paper-2.json")),
 ];
 
 impl AssessmentPlan {
-    /// The built-in assessment.
+    /// Returns the plan of the built-in assessment.
     #[must_use]
     pub fn built_in() -> Self {
         let config = AssessConfig::default();
@@ -117,11 +112,11 @@ impl AssessmentPlan {
         }
     }
 
-    /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
-    /// first of them, unless the configuration says otherwise. Files that it names are looked for in `folder`.
+    /// Creates a plan with additional controllers. The safety case is about the first of them, unless the configuration
+    /// says otherwise. File names are relative to `folder`.
     ///
     /// # Errors
-    /// [`ConfigError`] for a configuration that cannot be accepted, and for a name that is taken.
+    /// [`AssessConfigError`] for an invalid configuration, and for a name that is taken.
     pub fn new(
         mut config: AssessConfig,
         own: impl IntoIterator<Item = NamedController>,
@@ -138,10 +133,10 @@ impl AssessmentPlan {
         loading.build_plan(config, controllers)
     }
 
-    /// Reads a configuration file and everything it names.
+    /// Reads a configuration file and everything that it names.
     ///
     /// # Errors
-    /// [`ConfigError`] for a file that cannot be read, parsed or accepted.
+    /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
         let config: AssessConfig = file::parse_toml(&text, path)?;
@@ -150,19 +145,19 @@ impl AssessmentPlan {
         loading.build_plan(config, controllers)
     }
 
-    /// Returns warnings about rules that are judged at the first instant only.
+    /// Returns warnings about specifications that are evaluated only at the first instant.
     pub fn warnings(&self) -> impl Iterator<Item = String> {
         let formulas = self.config.search.specifications.iter().filter_map(|rule| rule.parse::<Formula>().ok());
         formulas.filter_map(|formula| Some(format!("search.rules: {}", formula.warning()?)))
     }
 
-    /// Whether a gate needs an earlier assessment to compare with.
+    /// True if a gate needs an earlier assessment to compare with.
     #[must_use]
     pub fn needs_earlier_assessment(&self) -> bool {
         self.config.gates.iter().any(|gate| matches!(gate, AssessmentGate::NothingWorse {}))
     }
 
-    /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
+    /// Returns the subject of claims about a controller. A controller without identity equals no other one.
     pub(super) fn claim_subject(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
         let controller = self.controllers.get(index)?;
         let unknown = || sha256(format!("controller {index} of one report, {}", controller.name));
@@ -170,34 +165,31 @@ impl AssessmentPlan {
         Some(Subject { controller: ContentId { name: controller.name.clone(), sha256 }, estimator })
     }
 
-    /// All of them, through the estimator of the assessment.
     pub(super) fn claim_subjects(&self) -> Vec<Subject> {
         (0..self.controllers.len()).filter_map(|index| self.claim_subject(index, self.config.estimator)).collect()
     }
 
-    /// The controller that the argument is about.
     pub(super) fn subject(&self) -> Option<&NamedController> {
         self.controllers.get(self.subject_index)
     }
 
-    /// Everything about the controllers that evidence depends on: their names, and what their policies are.
     pub(super) fn identities(&self) -> Value {
         self.controllers.iter().map(|controller| self.identity(controller)).collect()
     }
 
-    /// The controllers under test.
+    /// Returns the controllers under test.
     #[must_use]
     pub fn controllers(&self) -> &[NamedController] {
         &self.controllers
     }
 
-    /// The first controller that states no identity: evidence about it cannot be told from that about others, so none is kept.
+    /// Returns the first controller without identity. Its evidence cannot be attributed, so the assessment caches none.
     #[must_use]
     pub fn first_without_identity(&self) -> Option<&NamedController> {
         self.controllers.iter().find(|controller| controller.kind.identity().is_none())
     }
 
-    /// What evidence about one controller depends on: its name, its policy and the estimator.
+    /// Returns the inputs of evidence about one controller: name, policy and estimator.
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];
@@ -205,7 +197,7 @@ impl AssessmentPlan {
         identity.into()
     }
 
-    /// A controller's name as part of a path; different ones for different controllers.
+    /// Returns the controller's name as part of a path, unique in the plan.
     pub(super) fn controller_slug(&self, index: usize) -> String {
         let of = |index: usize| self.controllers.get(index).map(|controller| slug(&controller.name));
         let own = of(index).unwrap_or_default();
@@ -214,18 +206,17 @@ impl AssessmentPlan {
     }
 }
 
-/// A name as part of a path.
+/// Replaces every character of a name that is not ASCII alphanumeric by a hyphen.
 pub(super) fn slug(name: &str) -> String {
     name.chars().map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '-' }).collect()
 }
 
-/// A name as a file name: different ones for different names.
+/// Returns a name as a file name; different names have different file names.
 pub(super) fn file_stem(name: &str) -> String {
     let slug = slug(name);
     if slug == name { slug } else { format!("{slug}-{}", sha256(name).get(..8).unwrap_or_default()) }
 }
 
-/// The first learned controller without a shield, or else the last one.
 fn default_subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
         controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
@@ -249,7 +240,6 @@ fn not_among_controllers(name: &str) -> String {
     format!("`{name}` is not among `controllers`")
 }
 
-/// A configuration file on its way to a plan.
 struct PlanLoader<'a> {
     path: &'a Path,
     text: &'a str,
@@ -266,14 +256,13 @@ impl PlanLoader<'_> {
         }
     }
 
-    /// The plan of a configuration with these controllers.
     fn build_plan(
         &self,
         mut config: AssessConfig,
         controllers: Vec<NamedController>,
     ) -> Result<AssessmentPlan, AssessConfigError> {
         self.check_numbers(&config)?;
-        // However a controller is spelled, it goes by one name.
+        // Controllers have one name, however the configuration spells it.
         let place_of = |name: &mut String| {
             if let Ok(found) = NamedController::find_for_user(name, self.folder) {
                 *name = found.name;
@@ -329,7 +318,7 @@ impl PlanLoader<'_> {
         Ok(plan)
     }
 
-    /// Checks that every rule fits every space that is searched, and writes each as it was read: a formula with all its parentheses.
+    /// Checks that every specification fits every searched space, and normalizes its text.
     fn normalize_specifications(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), AssessConfigError> {
         let mut earlier: Vec<String> = Vec::new();
         for (index, rule) in rules.iter_mut().enumerate() {
@@ -404,7 +393,6 @@ impl PlanLoader<'_> {
         Ok(controllers)
     }
 
-    /// What recordings hold.
     fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, AssessConfigError> {
         let wrong = |problem: String| self.field_error("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
@@ -415,7 +403,6 @@ impl PlanLoader<'_> {
         }
     }
 
-    /// The scenarios from files, and those of recordings.
     fn load_scenarios(
         &self,
         config: &AssessConfig,

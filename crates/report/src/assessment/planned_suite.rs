@@ -1,4 +1,4 @@
-//! Suites that a configuration names, and whom they test.
+//! Suites that a configuration names, and the controllers they test.
 
 use std::path::Path;
 
@@ -9,37 +9,35 @@ use super::claims::ContentId;
 use crumple_suites::{SHIPPED_SUITES, TestSuite};
 use crumple_world::sim::NamedController;
 
-/// Most suites of an assessment.
 const MAX_SUITES: usize = 20;
 
-/// A suite of tests after a regulation.
+/// A suite of tests that is modelled on a regulation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a suite: a table of `suite` and `controllers`")]
 #[non_exhaustive]
 pub struct SuiteConfig {
-    /// A suite that is shipped (see `crumple suite list`), or a file, relative to the configuration.
+    /// Name of a shipped suite (see `crumple suite list`), or a file, relative to the configuration.
     pub suite: String,
-    /// Whom it tests, some of `controllers`. Default: all of them.
+    /// Controllers to test, some of `controllers`. Default: all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controllers: Option<Vec<String>>,
 }
 
-/// A suite that was found valid, and whom it tests.
 #[derive(Debug, Clone)]
 pub(super) struct PlannedSuite {
-    /// The name in the configuration.
+    /// Name in the configuration.
     pub(super) config_name: String,
     pub(super) suite: TestSuite,
-    /// Its hash, under its own name.
+    /// Hash of the suite, under its own name.
     pub(super) content_id: ContentId,
-    /// Controllers by their places in the plan, in its order.
+    /// Indices of the controllers in the plan, in its order.
     pub(super) controller_indices: Vec<usize>,
 }
 
 impl PlannedSuite {
-    /// The suites of a configuration; else the field that is wrong, and what is wrong with it. `place_of` finds a controller by
-    /// a name, which it makes the one that the controller goes by.
+    /// Loads the suites of a configuration; an error is a field and its problem. `place_of` also makes a name
+    /// canonical.
     pub(super) fn from_config(
         config: &mut AssessConfig,
         folder: &Path,
@@ -92,7 +90,7 @@ impl PlannedSuite {
         Ok(planned)
     }
 
-    /// How many runs it takes, but for searches and margins.
+    /// Returns the number of runs, without searches and margins.
     pub(super) fn run_count(&self) -> u64 {
         let tests = self.suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
         let points: usize = tests.filter(|test| test.lead.is_some()).map(|test| test.grid().len()).sum();
@@ -100,7 +98,6 @@ impl PlannedSuite {
     }
 }
 
-/// The suite that is shipped under a name, or the one in a file.
 fn find_suite(name: &str, folder: &Path) -> Result<TestSuite, String> {
     if let Some(suite) = TestSuite::shipped(name) {
         return suite.map_err(|error| error.to_string());

@@ -1,4 +1,4 @@
-//! Running text: what stands between backticks is code, in Markdown by itself and in HTML by this.
+//! Running text for HTML: text between backticks is code, as in Markdown.
 
 use maud::{Markup, html};
 

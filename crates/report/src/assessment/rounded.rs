@@ -16,7 +16,7 @@ impl<const D: usize> Rounded<D> {
     pub fn new(value: f64) -> Self {
         let scale = 10_f64.powi(D as i32);
         let rounded = (value * scale).round() / scale;
-        // Neither a magnitude beyond the scale's reach nor a negative zero may change what is said.
+        // Keep numbers whose scaling overflows, and turn -0 into 0.
         Self(if rounded.is_finite() { rounded + 0.0 } else { value })
     }
 
@@ -34,7 +34,7 @@ impl<const D: usize> Rounded<D> {
         if nearest.0 <= value { nearest } else { Self::new(value - 0.5 * 10_f64.powi(-(D as i32))) }
     }
 
-    /// The rounded number.
+    /// Returns the rounded number.
     #[must_use]
     pub fn value(self) -> f64 {
         self.0
@@ -59,7 +59,7 @@ impl<const D: usize> Serialize for Rounded<D> {
     }
 }
 
-/// A number to two decimals, or a dash.
+/// Formats a number, or a dash for `None`.
 pub(super) fn or_dash<const D: usize>(value: Option<Rounded<D>>) -> String {
     value.map_or_else(|| "–".to_owned(), |value| value.to_string())
 }

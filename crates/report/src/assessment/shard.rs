@@ -1,7 +1,7 @@
-//! Shards of an assessment: some of its pieces of evidence each, and how the evidence is put together.
+//! Shards of an assessment: each gathers some of the evidence, and the shards are merged.
 //!
-//! A folder holds `shard.json`, what the evidence is of and which pieces there are, and `evidence.json`, what was gathered. While it is
-//! gathered it is kept in the folder `evidence`, as that of a report is.
+//! A shard folder holds `shard.json`, with the fingerprint of the assessment and the list of tasks, and
+//! `evidence.json`. Until it is complete, its evidence is cached in the folder `evidence`.
 
 use std::fs;
 use std::ops::Range;
@@ -23,24 +23,23 @@ use crumple_store::shard::{
 };
 use crumple_world::scenario::file;
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of a shard folder in its `work.json`.
 pub const ASSESSMENT_SHARD_KIND: &str = "shard of an assessment";
 
 const EVIDENCE_FILE: &str = "evidence.json";
-/// Where evidence is kept until all of a shard is there.
 const CACHE_FOLDER: &str = "evidence";
 
-/// Why a shard of an assessment is not made.
+/// An error of gathering a shard.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvidenceShardError {
-    /// The folder cannot be worked in, or something in it is damaged.
+    /// The folder cannot be used, or something in it is damaged.
     #[error(transparent)]
     Work(#[from] RunFolderError),
-    /// There are more shards than pieces of evidence.
+    /// There are more shards than tasks.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
-    /// A controller cannot be told from others.
+    /// A controller has no identity.
     #[error("the controller `{0}` states no identity, so that nothing of it is kept")]
     NoIdentity(String),
     /// Evidence cannot be gathered.
@@ -54,7 +53,6 @@ impl From<CacheError> for EvidenceShardError {
     }
 }
 
-/// Everything that decides an assessment that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct ShardedAssessment {
     assessment: AssessmentFingerprint,
@@ -93,24 +91,24 @@ impl Mergeable for ShardedAssessment {
     }
 }
 
-/// What evidence is of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AssessmentFingerprint {
-    /// Digest of the executable: evidence of another is none for it.
+    /// Digest of the executable; evidence of another one is not accepted.
     program: String,
     /// Digest of the configuration and all that it names.
     plan_sha256: String,
-    /// All pieces, in the order in which they are divided.
+    /// All tasks, in the order in which they are divided.
     #[serde(rename = "pieces")]
     tasks: Vec<String>,
 }
 
-/// Gathers the evidence of a shard in `folder`, or continues it. Returns the number of its pieces. `program` is the digest of the executable.
+/// Gathers the evidence of a shard in `folder`, or resumes it. Returns the number of tasks. `program` is the digest of
+/// the executable.
 ///
 /// # Errors
-/// [`EvidenceShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, evidence cannot
-/// be gathered, or `observer` stops the shard.
+/// [`EvidenceShardError`] if there are fewer tasks than shards, a controller has no identity, the folder cannot be
+/// used, evidence cannot be gathered, or `observer` stops the shard.
 pub fn gather_shard(
     plan: &AssessmentPlan,
     shard: ShardId,
@@ -139,7 +137,7 @@ pub fn gather_shard(
         work.write(EVIDENCE_FILE, to_json_line(&store.entries()?)?)?;
         work.finish()?;
     }
-    // It may have ended before that.
+    // An earlier run may have stopped before this removal.
     match fs::remove_dir_all(&under_way) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             Err(RunFolderError::from(DiskError::at(&under_way)(error)).into())
@@ -148,12 +146,12 @@ pub fn gather_shard(
     }
 }
 
-/// Shards of one assessment.
+/// Merged evidence of shards of one assessment.
 #[derive(Debug)]
 pub struct MergedEvidence(MergedShards<ShardedAssessment>);
 
 impl MergedEvidence {
-    /// Begins with a shard.
+    /// Starts with one shard.
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
@@ -169,7 +167,7 @@ impl MergedEvidence {
         self.0.add_shard(folder, found)
     }
 
-    /// Pieces that no shard has gathered.
+    /// Returns the tasks that no shard has gathered.
     #[must_use]
     pub fn missing_tasks(&self) -> Vec<String> {
         let pieces = &self.0.work().assessment.tasks;
@@ -177,22 +175,22 @@ impl MergedEvidence {
         self.0.missing_ranges().into_iter().filter_map(of).flatten().cloned().collect()
     }
 
-    /// Which shards are missing.
+    /// Returns the missing shards.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         self.0.missing_shards()
     }
 
-    /// The build that the evidence is of.
+    /// Returns the digest of the executable that gathered the evidence.
     #[must_use]
     pub fn program(&self) -> &str {
         &self.0.work().assessment.program
     }
 
-    /// Puts the evidence into a folder of evidence, where an assessment finds it. How many pieces there are.
+    /// Writes the evidence to a cache folder, where an assessment finds it. Returns the number of pieces.
     ///
     /// # Errors
-    /// [`StoreError`] if it cannot be written, or is in use.
+    /// [`CacheError`] if it cannot be written, or is in use.
     pub fn write_to_cache(&self, folder: &Path) -> Result<usize, CacheError> {
         let store = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
         let all = self.0.results().flatten();
@@ -200,7 +198,6 @@ impl MergedEvidence {
     }
 }
 
-/// Of all that decides the evidence.
 fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
     let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
     let traffic = plan.file_scenarios.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));

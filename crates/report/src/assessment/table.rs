@@ -5,30 +5,25 @@ use maud::{Markup, html};
 use super::markdown::Markdown;
 use super::prose::prose_to_html;
 
-/// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
+/// A table of text. Cells may have a mark, so that failures are visible without colour.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ReportTable {
     header: Vec<String>,
     rows: Vec<Vec<ReportCell>>,
 }
 
-/// One cell.
 #[derive(Debug, Clone)]
 pub(super) struct ReportCell {
     text: String,
     mark: CellMark,
 }
 
-/// What a cell says at a glance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum CellMark {
-    /// Nothing in particular.
     Neutral,
-    /// It held.
     Good,
-    /// It failed.
     Bad,
-    /// A number, set to the right.
+    /// A right-aligned number.
     Number,
 }
 
@@ -51,16 +46,15 @@ impl CellMark {
     }
 }
 
-/// A column of a table: its heading, and its cell in the row of an item.
+/// A column of a table: its heading, and the cell of an item.
 pub(super) type ReportColumn<'a, T> = (&'a str, &'a dyn Fn(&T) -> ReportCell);
 
 impl ReportCell {
-    /// A number, or a dash.
+    /// Creates the cell of a number, with a dash for `None`.
     pub(super) fn optional(number: Option<impl ToString>) -> Self {
         Self::number(number.map_or_else(|| "–".to_owned(), |number| number.to_string()))
     }
 
-    /// The beginning of a digest.
     pub(super) fn digest(sha256: &str) -> Self {
         Self::text(format!("{}…", sha256.get(..16).unwrap_or_default()))
     }
@@ -87,12 +81,11 @@ impl ReportTable {
         Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
     }
 
-    /// Builds a table with a row for each item.
     pub(super) fn from_items<T>(items: impl IntoIterator<Item = T>, columns: &[ReportColumn<'_, T>]) -> Self {
         Self::from_items_without(items, columns, None)
     }
 
-    /// Builds a table with a row for each item, and leaves out one column.
+    /// Builds a table with a row for each item, and omits one column.
     pub(super) fn from_items_without<T>(
         items: impl IntoIterator<Item = T>,
         columns: &[ReportColumn<'_, T>],
@@ -108,7 +101,7 @@ impl ReportTable {
         self.rows.push(cells);
     }
 
-    /// The table, in a frame that scrolls sideways where the page is narrow. The first column heads its row.
+    /// Renders the table in a frame that scrolls horizontally on a narrow page. The first column heads its row.
     pub(super) fn to_html(&self) -> Markup {
         let is_number = |column: usize| {
             self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == CellMark::Number))

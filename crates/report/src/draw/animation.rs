@@ -1,7 +1,7 @@
-//! A run as it would be seen from above: vehicles on a lane, a time slider, live speeds and gaps.
+//! A run seen from above: vehicles on a lane, a time slider, live speeds and gaps.
 //!
-//! What is drawn here is the last instant, which is all there is without a script and in print. The page's one script,
-//! [`ANIMATION_SCRIPT`], finds every animation of the page and moves what is drawn, by numbers that stand in it as JSON.
+//! The drawing shows the last instant; without the script and in print it stays so. The page's one script,
+//! [`ANIMATION_SCRIPT`], finds every animation of the page and moves the vehicles by the numbers embedded as JSON.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -16,23 +16,22 @@ use super::{PixelPoint, Svg};
 use crumple_world::scenario::{Scenario, VehicleClass};
 use crumple_world::sim::{Impact, Trace};
 
-/// The style sheet of a page that holds animations, besides [`STYLE`](super::STYLE).
+/// Style sheet of a page with animations, besides [`STYLE`](super::STYLE).
 pub const ANIMATION_STYLE: &str = include_str!("animation.css");
 
-/// The script of a page that holds animations: once a page, at its end, in a `<script>` element.
+/// Script of a page with animations: once per page, at its end, in a `<script>` element.
 pub const ANIMATION_SCRIPT: &str = include_str!("animation.js");
 
-/// Height of the lane and of what stands above and below it, in pixels.
+/// Heights of the lane and of the space above and below it, in pixels.
 const LANE_HEIGHT: f64 = 46.0;
 const SPACE_ABOVE: f64 = 26.0;
 const SPACE_BELOW: f64 = 44.0;
-/// What the lane beside takes more below, where vehicles enter or leave.
+/// Additional height below if vehicles enter or leave the lane, in pixels.
 const ADJACENT_LANE_HEIGHT: f64 = 34.0;
 
-/// A dash of the lane's middle and the pause after it are together this long, in metres.
+/// Length of a dash of the centre line and the gap after it, in metres.
 const DASH_PERIOD_M: f64 = 10.0;
 
-/// One way to draw the lane, by its width.
 struct LaneView<'a> {
     data: &'a AnimationData,
     width: f64,
@@ -40,9 +39,8 @@ struct LaneView<'a> {
     camera_m: f64,
 }
 
-/// The block of one run. `id` differs between the figures of a page.
-///
-/// `trace` is of a run of `scenario`, and `impacts` are that run's.
+/// Draws the animation of one run. `id` must be unique in the page; `trace` and `impacts` belong to a run of
+/// `scenario`.
 #[must_use]
 pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impacts: &[Impact]) -> Markup {
     let labels = vehicle_names(scenario);
@@ -79,7 +77,7 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
                     td.number { (data.gap_m(index, last).map_or("–".to_owned(), |gap| format_number(gap, 2))) }
                 } } }
             } }
-            // Only numbers stand in it: nothing there can end the element.
+            // Contains only numbers, which cannot end the element.
             script type="application/json" { (PreEscaped(data.to_json())) }
         }
     }
@@ -135,7 +133,7 @@ impl LaneView<'_> {
         Svg::new(prefix, (self.width, bottom + below), title, description, content)
     }
 
-    /// A vehicle that ends at x = 0 in front, centred on y = 0.
+    /// Draws a vehicle with its front bumper at x = 0, centred on y = 0.
     fn draw_vehicle(&self, length_m: f64, class: VehicleClass, index: usize, braking: bool) -> Markup {
         let length = (length_m * self.px_per_m).max(3.0);
         let width = match class {
@@ -147,7 +145,7 @@ impl LaneView<'_> {
         html! {
             rect x=(Px(left)) y=(Px(top)) width=(Px(length)) height=(Px(width)) rx="3" fill=(ink.hex())
                 fill-opacity="0.3" stroke=(ink.hex()) stroke-width="1.6" {}
-            // A windscreen tells the front from the rear.
+            // A windscreen distinguishes the front from the rear.
             path d={ "M" (Px(-(0.28 * length).min(9.0))) " " (Px(top + 3.0)) "V" (Px(-top - 3.0)) } stroke=(ink.hex())
                 stroke-width="1.6" {}
             path class="draw-brake" d={ "M" (Px(left + 1.5)) " " (Px(top + 2.0)) "V" (Px(-top - 2.0)) }
@@ -160,7 +158,6 @@ impl LaneView<'_> {
         }
     }
 
-    /// The gap ahead of a vehicle as a line between two bumpers, and its length in words.
     fn draw_gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
         let ahead_m = self.data.gap_m(rear, sample);
         let gap_m = ahead_m.unwrap_or(0.0);
@@ -185,7 +182,7 @@ impl LaneView<'_> {
         }
     }
 
-    /// How far the dashes are behind the left edge, so that they stand still on the road.
+    /// Returns the distance of the dashes from the left edge that keeps them fixed on the road.
     fn dash_offset(&self) -> f64 {
         let left_m = self.camera_m - self.width / 2.0 / self.px_per_m;
         left_m.rem_euclid(DASH_PERIOD_M) * self.px_per_m

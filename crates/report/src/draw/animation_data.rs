@@ -1,44 +1,41 @@
-//! The numbers of an animation: a run sampled at even steps, rounded as they are embedded.
+//! The numbers of an animation: a run sampled at even steps, rounded for embedding.
 
 use serde::Serialize;
 
 use super::scale::extent;
 use crumple_world::sim::{Impact, Trace, Track};
 
-/// Time from one sample to the next, in seconds; the last one may be shorter.
+/// Time step of the samples, in seconds; the last one may be shorter.
 pub(super) const STEP_S: f64 = 0.05;
 
-/// Most samples of a run: longer ones are shown from their start.
+/// Maximum number of samples; longer runs are truncated.
 const MAX_SAMPLES: usize = 6_000;
 
-/// The lane shows this much at least and at most, in metres.
+/// Minimum and maximum length of the visible lane, in metres.
 const WINDOW_RANGE_M: (f64, f64) = (40.0, 220.0);
 
-/// A run, as the script reads it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct AnimationData {
     step_s: f64,
     start_s: f64,
     end_s: f64,
-    /// Index of the vehicles in the middle between whose outer bumpers the picture is centred.
+    /// Indices of the vehicles between whose outer bumpers the picture is centred.
     centred: (usize, usize),
     vehicles: Vec<VehicleData>,
     impacts: Vec<ImpactData>,
 }
 
-/// One vehicle: its length, and front bumper, speed and acceleration at each sample.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct VehicleData {
     length_m: f64,
     position_m: Vec<f64>,
     speed_mps: Vec<f64>,
     acceleration_mps2: Vec<f64>,
-    /// From when until when it is in the lane, in seconds; none for throughout.
+    /// Times at which the vehicle enters and leaves the lane, in seconds; `None` if it is always there.
     #[serde(skip_serializing_if = "Option::is_none")]
     in_lane_s: Option<[f64; 2]>,
 }
 
-/// One impact, in order of time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct ImpactData {
     pub(super) time_s: f64,
@@ -66,7 +63,7 @@ impl AnimationData {
                 time_s: round_to_digits(contact.time_s, 4),
                 front: contact.front_vehicle,
                 rear: contact.rear_vehicle,
-                // As a report rounds it, so that both say the same.
+                // Rounded as in the report, so that both agree.
                 impact_speed_mps: round_to_digits(contact.impact_speed_mps, 1),
             })
             .collect();
@@ -78,14 +75,13 @@ impl AnimationData {
             vehicles,
             impacts,
         };
-        // A line too long for the picture is seen where it touches first.
+        // A line that is too long for the picture is centred on its first collision.
         if let (true, Some(first)) = (data.max_span_m() > WINDOW_RANGE_M.1, data.impacts.first()) {
             data.centred = (first.front, first.rear);
         }
         data
     }
 
-    /// Number of samples of each vehicle.
     pub(super) fn sample_count(&self) -> usize {
         self.vehicles.first().map_or(0, |vehicle| vehicle.position_m.len())
     }
@@ -102,38 +98,35 @@ impl AnimationData {
         &self.impacts
     }
 
-    /// What the picture spans, in metres: all vehicles at all times where that is not too much.
+    /// Returns the visible length, in metres: all vehicles at all times, within the limits.
     pub(super) fn window_m(&self) -> f64 {
         (1.08 * self.max_span_m() + 2.0).clamp(WINDOW_RANGE_M.0, WINDOW_RANGE_M.1)
     }
 
-    /// Longest distance from the front of the first to the rear of the last vehicle.
+    /// Returns the longest distance from the front of the first to the rear of the last vehicle.
     fn max_span_m(&self) -> f64 {
         let (Some(first), Some(last)) = (self.vehicles.first(), self.vehicles.last()) else { return 0.0 };
         let spans = first.position_m.iter().zip(&last.position_m).map(|(front, rear)| front - rear + last.length_m);
         extent(spans).1
     }
 
-    /// Where the picture is centred.
     pub(super) fn camera_m(&self, sample: usize) -> f64 {
         let front = self.vehicles.get(self.centred.0).and_then(|vehicle| vehicle.position_m(sample));
         let rear = self.vehicles.get(self.centred.1).and_then(|v| Some(v.position_m(sample)? - v.length_m));
         (front.unwrap_or(0.0) + rear.unwrap_or(0.0)) / 2.0
     }
 
-    /// Whether some vehicle is beside the lane at some time.
     pub(super) fn has_lane_changes(&self) -> bool {
         self.vehicles.iter().any(|vehicle| vehicle.in_lane_s.is_some())
     }
 
-    /// Whether a vehicle is in the lane at a sample.
     pub(super) fn is_in_lane(&self, vehicle: usize, sample: usize) -> bool {
         let time_s = (self.start_s + sample as f64 * self.step_s).min(self.end_s);
         let in_lane_s = self.vehicles.get(vehicle).and_then(|vehicle| vehicle.in_lane_s);
         in_lane_s.is_none_or(|[from_s, to_s]| from_s <= time_s && time_s < to_s)
     }
 
-    /// The gap ahead of a vehicle; none where nobody is ahead of it in the lane.
+    /// Returns the gap of a vehicle; `None` without a leader in the lane.
     pub(super) fn gap_m(&self, rear: usize, sample: usize) -> Option<f64> {
         let is_there = |vehicle: &usize| self.is_in_lane(*vehicle, sample);
         let ahead = (0..rear).rev().find(is_there).filter(|_| is_there(&rear))?;
@@ -141,12 +134,11 @@ impl AnimationData {
         Some(front.position_m(sample)? - front.length_m - self.vehicles.get(rear)?.position_m(sample)?)
     }
 
-    /// The front bumper of the vehicle that hits.
     pub(super) fn impact_position_m(&self, impact: &ImpactData, sample: usize) -> f64 {
         self.vehicles.get(impact.rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0)
     }
 
-    /// What has happened by then, as the script says it too.
+    /// Returns the text of the last impact until `time_s`; the script produces the same text.
     pub(super) fn event_text(&self, time_s: f64) -> String {
         let so_far: Vec<_> = self.impacts.iter().filter(|impact| impact.time_s <= time_s).collect();
         match so_far.last() {
@@ -168,7 +160,7 @@ impl VehicleData {
         let sampled = |values: &[f64], digits| -> Vec<f64> {
             at_s.iter().map(|&at| round_to_digits(interpolate(time_s, values, at), digits)).collect()
         };
-        // JSON has no infinity: beyond the run is as good.
+        // Clamp to just outside the run, because JSON has no infinity.
         let [first_s, last_s] = [at_s.first(), at_s.last()].map(|at_s| at_s.copied().unwrap_or(0.0));
         let within = |time_s: f64| round_to_digits(time_s.clamp(first_s - 1.0, last_s + 1.0), 4);
         Self {
@@ -200,7 +192,6 @@ impl VehicleData {
     }
 }
 
-/// A value between samples, on the straight line through both.
 fn interpolate(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
     let after = time_s.partition_point(|time| *time < at_s);
     let last = values.last().copied().unwrap_or(0.0);
@@ -212,14 +203,14 @@ fn interpolate(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
     }
 }
 
-/// A value that is held from its sample to the next.
+/// Returns the value of the last sample until `at_s`.
 fn hold_previous(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
     let next = time_s.partition_point(|time| *time <= at_s + 1e-9);
     let index = next.saturating_sub(1).min(values.len().saturating_sub(1));
     values.get(index).copied().unwrap_or(0.0)
 }
 
-/// Rounded to so many digits; 0 for what is not finite, which JSON cannot hold.
+/// Rounds to a number of digits; 0 for non-finite values, which JSON cannot hold.
 fn round_to_digits(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     let rounded = (value * scale).round() / scale;

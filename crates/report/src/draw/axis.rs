@@ -1,4 +1,4 @@
-//! Axes: a range with round numbers, or names in a row.
+//! Axes with numbers or names.
 
 use maud::{Markup, html};
 
@@ -8,16 +8,13 @@ use super::path::Px;
 use super::scale::{LinearScale, Ticks, drawable_interval};
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
 
-/// Width left of a panel's frame that ticks and their labels take, in pixels.
+/// Width left of a panel's frame for ticks and their labels, in pixels.
 pub const LEFT_MARGIN: f64 = 38.0;
 
-/// Height below a panel's frame that ticks, their labels and the axis title take, in pixels.
+/// Height below a panel's frame for ticks, their labels and the axis title, in pixels.
 pub const BOTTOM_MARGIN: f64 = 36.0;
 
-/// One axis.
-///
-/// The horizontal axis writes its title below its labels. The vertical axis has none: the panel's title says what is
-/// drawn, and in which unit, where it can be read without turning the head.
+/// An axis of a panel. Only the horizontal axis has a title; that of the vertical axis is the panel's title.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
     title: String,
@@ -27,7 +24,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis of numbers with round ones marked, about `most` (5 to 10) of them.
+    /// Creates an axis of numbers with about `most` (5 to 10) labels.
     #[must_use]
     pub fn numeric(title: &str, domain: (f64, f64), most: usize) -> Self {
         let domain = drawable_interval(domain);
@@ -35,17 +32,14 @@ impl Axis {
         Self { title: title.to_owned(), domain, ticks: marks, has_grid: true }
     }
 
-    /// An axis on which the caller says what is marked where: for scales that are not even in the number, such as a
-    /// logarithmic one.
+    /// Creates an axis with given labels, for scales that are not linear, such as logarithmic ones.
     #[must_use]
     pub fn with_ticks(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
         Self { title: title.to_owned(), domain: drawable_interval(domain), ticks: marks, has_grid: true }
     }
 
-    /// An axis of names: the `n`-th at the value `n`, with half a unit around.
-    ///
-    /// On a vertical axis they end just left of the frame and may need more room than [`LEFT_MARGIN`]: leave the
-    /// [`text_width`](super::text_width) of the longest.
+    /// Creates an axis of names: the `n`-th at the value `n`, with half a unit around. Vertical axes need space for
+    /// them left of the frame: the [`text_width`](super::text_width) of the longest.
     #[must_use]
     pub fn categorical<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
         let marks = names.iter().enumerate().map(|(index, name)| (index as f64, name.as_ref().to_owned())).collect();
@@ -53,13 +47,13 @@ impl Axis {
         Self { title: title.to_owned(), domain, ticks: marks, has_grid: false }
     }
 
-    /// An axis that is not drawn.
+    /// Creates an axis that is not drawn.
     #[must_use]
     pub fn hidden(domain: (f64, f64)) -> Self {
         Self { title: String::new(), domain: drawable_interval(domain), ticks: Vec::new(), has_grid: false }
     }
 
-    /// The axis from its other end: for names that read from top to bottom.
+    /// Reverses the axis, for names that read from top to bottom.
     #[must_use]
     pub(crate) fn reversed(mut self) -> Self {
         let (low, high) = self.domain;
@@ -69,13 +63,11 @@ impl Axis {
         self
     }
 
-    /// The range of values.
     #[must_use]
     pub(crate) fn domain(&self) -> (f64, f64) {
         self.domain
     }
 
-    /// Grid, ticks, labels and title along the bottom of `frame`.
     pub(super) fn draw_horizontal(&self, scale: &LinearScale, frame: PixelRect) -> Markup {
         let bottom = frame.bottom();
         html! {
@@ -96,7 +88,6 @@ impl Axis {
         }
     }
 
-    /// Grid, ticks and labels along the left of `frame`.
     pub(super) fn draw_vertical(&self, scale: &LinearScale, frame: PixelRect) -> Markup {
         html! {
             @for (value, label) in &self.ticks {

@@ -1,4 +1,4 @@
-//! Cells of a map, told apart by what is drawn on them, and the key that says what they are.
+//! Cells of a map, distinguished by shape, and their legend.
 
 use std::fmt::Write;
 
@@ -8,35 +8,35 @@ use super::label::{PixelRect, text_width};
 use super::panel::{Anchor, Marker, draw_line, draw_marker, draw_text};
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 
-/// Height of a row of the key, and side of a sample in it, in pixels.
+/// Height of a row of the legend, and side of a sample in it, in pixels.
 const LEGEND_ROW_HEIGHT: f64 = 22.0;
 const SWATCH_SIZE: f64 = 14.0;
 
-/// What a cell looks like.
+/// The style of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellStyle {
-    /// Blank, on a quiet ground: nothing happened.
+    /// Blank, on a neutral background.
     Blank,
-    /// Crossed, on an alarming ground.
+    /// Crossed, on an alert background.
     Crossed,
-    /// Hatched, on a grey ground.
+    /// Hatched, on a grey background.
     Hatched,
     /// A letter.
     Lettered(&'static str),
 }
 
-/// An entry of a key.
+/// An entry of a legend.
 #[derive(Debug, Clone, Copy)]
 pub enum LegendEntry<'a> {
-    /// A cell, and what it means.
+    /// A cell and its meaning.
     Cell(CellStyle, &'a str),
-    /// A line, and what it means.
+    /// A line and its meaning.
     Line(Stroke, &'a str),
-    /// A mark, and what it means.
+    /// A marker and its meaning.
     Mark(Marker, &'a str),
 }
 
-/// The cells of a grid within a frame, row by row from the top.
+/// Returns the cells of a grid within a frame, row by row from the top.
 pub(crate) fn grid_rects(frame: PixelRect, columns: usize, rows: usize) -> impl Iterator<Item = PixelRect> {
     let (width, height) = (frame.width / columns.max(1) as f64, frame.height / rows.max(1) as f64);
     (0..rows).flat_map(move |row| {
@@ -47,7 +47,7 @@ pub(crate) fn grid_rects(frame: PixelRect, columns: usize, rows: usize) -> impl 
     })
 }
 
-/// All cells of one look.
+/// Draws all cells of one style.
 pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
     let (mut outline, mut strokes, mut marks) = (String::new(), String::new(), Vec::new());
     for PixelRect { left, top, width, height } in frames {
@@ -96,7 +96,7 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
     }
 }
 
-/// What each look and line means, in rows no wider than the figure, and their height.
+/// Draws a legend in rows no wider than the figure, and returns its height.
 #[must_use]
 pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
     let (mut x, mut row) = (0.0, 0.0);

@@ -1,4 +1,4 @@
-//! An inset that enlarges the contact, or the closest approach: at full scale a car is thinner than a line.
+//! An inset that enlarges the collision or the smallest gap: at full scale a car is thinner than a line.
 
 use maud::{Markup, html};
 
@@ -11,28 +11,26 @@ use super::scale::extent;
 use super::theme::{Ink, Stroke};
 use crumple_world::sim::{Trace, Track};
 
-/// What to look at: two successive vehicles at one instant.
+/// The subject of the inset: two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Focus {
     pub(super) time_s: f64,
     pub(super) front: usize,
     pub(super) rear: usize,
-    /// The gap between them, 0 at contact.
     pub(super) gap_m: f64,
-    /// Whether they touch.
     pub(super) is_contact: bool,
 }
 
-/// Shares of the host's width and height that the inset may take, the first that hides nothing.
+/// Shares of the host's width and height for the inset; the first one that hides little is used.
 const INSET_SIZES: [(f64, f64); 4] = [(0.5, 0.46), (0.46, 0.42), (0.42, 0.37), (0.38, 0.33)];
 
 /// Distance of the inset from the host's frame, in pixels.
 const MARGIN: f64 = 8.0;
 
-/// Share of the trajectories' points that an inset may hide at most.
+/// Maximum share of the trajectories' points that an inset may hide.
 const MAX_HIDDEN_SHARE: f64 = 0.03;
 
-/// Adds the inset in the corner where it hides least; none where it would hide much.
+/// Adds the inset in the corner where it hides least, unless it would hide too much.
 pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
     let (Some(front), Some(rear)) = (trace.vehicles.get(focus.front), trace.vehicles.get(focus.rear)) else { return };
     let (time, space) = zoom_ranges(trace, focus, front, rear);
@@ -75,7 +73,6 @@ pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str
     });
 }
 
-/// Two lines from corners of what is enlarged to corners of the enlargement, which do not cross it.
 fn draw_connectors(source: PixelRect, frame: PixelRect) -> Markup {
     let below = source.top < frame.top;
     let (near, far) = if below { (source.bottom(), frame.top) } else { (source.top, frame.bottom()) };
@@ -93,7 +90,7 @@ fn draw_outline(PixelRect { left, top, width, height }: PixelRect, fill: &str) -
     }
 }
 
-/// Ranges of time and position to enlarge: room for both vehicles, and long enough that neither moves out of it.
+/// Returns the ranges of time and position to enlarge: large enough for both vehicles to stay inside.
 fn zoom_ranges(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f64), (f64, f64)) {
     let bodies_m = front.length_m.min(8.0) + rear.length_m.min(12.0);
     let metres = (1.5 * (bodies_m + focus.gap_m.max(0.0))).clamp(12.0, 60.0);
@@ -106,7 +103,7 @@ fn zoom_ranges(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f
     ((from, from + seconds), (middle_m - metres / 2.0, middle_m + metres / 2.0))
 }
 
-/// A place in the lower right or the upper left corner of the host, as large as the trajectories leave free.
+/// Returns a frame in the lower right or upper left corner of the host, as large as the trajectories permit.
 fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
     let around = host.frame();
     let corners = |(wide, high): (f64, f64)| {
@@ -131,7 +128,6 @@ fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
     (hidden(&best) as f64 <= MAX_HIDDEN_SHARE * samples.len() as f64).then_some(best)
 }
 
-/// The samples from one index to before another.
 fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
     let part = |values: &[f64]| values.get(from..to).map(<[f64]>::to_vec);
     Some(Track {
@@ -144,13 +140,13 @@ fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
     })
 }
 
-/// Front bumper at the first sample not before `time_s`.
+/// Returns the front bumper position at the first sample not before `time_s`.
 fn position_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
     let index = trace.time_s.partition_point(|time| *time < time_s);
     track.position_m.get(index).or(track.position_m.last()).copied().unwrap_or(0.0)
 }
 
-/// Speed at the first sample not before `time_s`.
+/// Returns the speed at the first sample not before `time_s`.
 fn speed_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
     let index = trace.time_s.partition_point(|time| *time < time_s);
     track.speed_mps.get(index).or(track.speed_mps.last()).copied().unwrap_or(0.0)

@@ -1,4 +1,4 @@
-//! Where the parts of a motion figure go.
+//! The layout of a motion figure.
 
 use maud::{Markup, html};
 
@@ -11,17 +11,15 @@ use super::theme::{Ink, TEXT_SIZE, draw_swatch};
 /// Distance between successive labels, in pixels.
 pub(super) const LABEL_STEP: f64 = 15.0;
 
-/// The most a name beside the time-space diagram may take, in pixels.
+/// Maximum width of a name beside the time-space diagram, in pixels.
 const MAX_NAME_WIDTH: f64 = 140.0;
 
-/// Size of the figure's title.
 const TITLE_SIZE: f64 = 14.0;
 
-/// Height of a row of the key, and width of the sample of a line in it.
+/// Height of a row of the legend, and width of its line samples, in pixels.
 const LEGEND_ROW_HEIGHT: f64 = 20.0;
 const SWATCH_WIDTH: f64 = 24.0;
 
-/// Where everything goes.
 pub(super) struct FigureLayout {
     pub(super) arrangement: PanelArrangement,
     pub(super) width: f64,
@@ -30,7 +28,7 @@ pub(super) struct FigureLayout {
     pub(super) position: PixelRect,
     pub(super) speed: PixelRect,
     pub(super) gap: PixelRect,
-    /// Where the column of labels beside the time-space diagram ends.
+    /// Right end of the column of labels beside the time-space diagram.
     pub(super) labels_right: f64,
     pub(super) widest_tag: f64,
 }
@@ -99,7 +97,7 @@ impl FigureLayout {
         }
     }
 
-    /// What stands above the panels: the title and, where names have no room beside the lines, a key.
+    /// Draws the title and, if names have no room beside the lines, a legend.
     pub(super) fn draw_title_and_legend(&self, figure: &MotionFigure<'_>) -> Markup {
         let below_title = self.title.len() as f64 * TITLE_SIZE * 1.3;
         html! {
@@ -126,7 +124,6 @@ impl FigureLayout {
     }
 }
 
-/// Rows of the key: where each entry begins and which vehicle it names.
 fn legend_rows(figure: &MotionFigure<'_>, width: f64) -> Vec<Vec<(f64, usize)>> {
     let mut rows: Vec<Vec<(f64, usize)>> = Vec::new();
     let mut x = f64::INFINITY;
@@ -145,7 +142,7 @@ fn legend_rows(figure: &MotionFigure<'_>, width: f64) -> Vec<Vec<(f64, usize)>> 
     rows
 }
 
-/// The name of a vehicle, not too long to stand beside its line.
+/// Returns the name of a vehicle, truncated to fit beside its line.
 pub(super) fn vehicle_name(figure: &MotionFigure<'_>, index: usize) -> String {
     figure.labels.get(index).map_or_else(String::new, |name| truncate_to_width(name, TEXT_SIZE, MAX_NAME_WIDTH))
 }

@@ -1,4 +1,4 @@
-//! Where words go: how wide they are, and places for labels that cover neither each other nor, where possible, data.
+//! Text widths, and places for labels that overlap neither each other nor, if possible, data.
 
 use super::path::PixelPoint;
 
@@ -16,31 +16,29 @@ pub struct PixelRect {
 }
 
 impl PixelRect {
-    /// The rectangle of that size around a centre.
+    /// Creates the rectangle of that size around a centre.
     #[must_use]
     pub fn from_center((x, y): PixelPoint, width: f64, height: f64) -> Self {
         Self { left: x - width / 2.0, top: y - height / 2.0, width, height }
     }
 
-    /// Right edge.
+    /// Returns the right edge.
     #[must_use]
     pub fn right(&self) -> f64 {
         self.left + self.width
     }
 
-    /// Bottom edge; y grows downwards.
+    /// Returns the bottom edge; y grows downwards.
     #[must_use]
     pub fn bottom(&self) -> f64 {
         self.top + self.height
     }
 
-    /// Whether two rectangles share area.
     #[must_use]
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
         self.left < other.right() && other.left < self.right() && self.top < other.bottom() && other.top < self.bottom()
     }
 
-    /// Whether the other rectangle lies inside.
     #[must_use]
     pub(crate) fn encloses(&self, other: &Self) -> bool {
         self.left <= other.left
@@ -49,17 +47,15 @@ impl PixelRect {
             && other.bottom() <= self.bottom()
     }
 
-    /// Whether a place lies inside.
+    /// True if the point lies inside.
     #[must_use]
     pub fn contains(&self, (x, y): PixelPoint) -> bool {
         (self.left..=self.right()).contains(&x) && (self.top..=self.bottom()).contains(&y)
     }
 }
 
-/// Width that `text` will hardly exceed in any of the fonts asked for, in pixels.
-///
-/// The reader's font is unknown when the figure is laid out, so this goes by classes of letters, as wide as in Verdana's
-/// relatives, and errs on the wide side.
+/// Returns a width that `text` hardly exceeds in any of the requested fonts, in pixels. The reader's font is unknown,
+/// so the estimate uses classes of letters, as wide as in relatives of Verdana.
 #[must_use]
 pub fn text_width(text: &str, size: f64) -> f64 {
     let em: f64 = text
@@ -76,7 +72,7 @@ pub fn text_width(text: &str, size: f64) -> f64 {
     em * size
 }
 
-/// `text` if it is no wider than `width` pixels, else its beginning and an ellipsis.
+/// Truncates `text` to `width` pixels, with an ellipsis.
 #[must_use]
 pub(crate) fn truncate_to_width(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
@@ -92,7 +88,7 @@ pub(crate) fn truncate_to_width(text: &str, size: f64, width: f64) -> String {
     String::new()
 }
 
-/// `text` in lines no wider than `width` pixels, broken between words; a single word may be wider.
+/// Breaks `text` between words into lines of at most `width` pixels; a single word may be wider.
 #[must_use]
 pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
@@ -108,15 +104,13 @@ pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
     lines
 }
 
-/// `text` without the characters that XML 1.0 (section 2.2) does not allow, in one line.
+/// Returns `text` in one line, without the characters that XML 1.0 (section 2.2) does not allow.
 pub(crate) fn strip_unprintable(text: &str) -> String {
     let allowed = |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
     text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter }).filter(allowed).collect()
 }
 
-/// Places along one direction that are `spacing` apart at least, within `limits`, in the order of and near to `wanted`.
-///
-/// Where there is not enough room, the spacing shrinks until there is.
+/// Returns positions near `wanted`, in its order, within `limits`, and `spacing` apart or as far as there is room.
 #[must_use]
 pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..wanted.len()).collect();
@@ -125,8 +119,7 @@ pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) ->
     let room = (limits.1 - limits.0).max(0.0);
     let spacing = spacing.min(room / (order.len().saturating_sub(1).max(1)) as f64);
 
-    // Least squares under an ordering: subtract what the spacing adds, pool neighbours that are out of order
-    // (Ayer et al., 1955), and add it again.
+    // Least squares under an ordering: subtract the spacing, pool adjacent violators (Ayer et al., 1955), and add it.
     let mut pools: Vec<(f64, usize)> = Vec::new();
     for (rank, &index) in order.iter().enumerate() {
         let mut pool = (aim(index) - rank as f64 * spacing, 1);
@@ -149,16 +142,14 @@ pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) ->
     placed
 }
 
-/// Positions tried along a line for its label.
 const CANDIDATES: usize = 64;
 
-/// A distance to other lines beyond which more does not make a better place, in pixels.
+/// Distance to other lines beyond which a place is not better, in pixels.
 const MAX_CLEARANCE_PX: f64 = 22.0;
 
-/// Centres for one label on each line, at places where the lines are far apart; none where there is no room.
-///
-/// `lines` run from left to right; `sizes` are widths and heights of the labels; labels stay inside `frame` and off
-/// `taken`, to which they are added.
+/// Returns centres for one label on each line, where the lines are far apart; `None` if there is no room. `lines` run
+/// from left to right; `sizes` are widths and heights of the labels. Labels stay inside `frame` and avoid `taken`, to
+/// which they are added.
 pub(crate) fn place_line_labels(
     lines: &[Vec<PixelPoint>],
     sizes: &[(f64, f64)],
@@ -192,7 +183,7 @@ pub(crate) fn place_line_labels(
     centres
 }
 
-/// Height of a line that runs from left to right at `x`; none outside it.
+/// Returns y at `x` of a line that runs from left to right; `None` outside it.
 fn interpolate_y(line: &[PixelPoint], x: f64) -> Option<f64> {
     let after = line.partition_point(|point| point.0 < x);
     let &(x1, y1) = line.get(after)?;

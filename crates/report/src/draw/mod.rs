@@ -1,12 +1,12 @@
-//! Pictures from typed data: SVG for pages and print, PNG for everything else.
+//! Figures from typed data: SVG for pages and print, PNG for other uses.
 //!
-//! A [`Panel`] is one chart: axes, and lines, bands, bars, marks and labels in the units of the data. [`motion()`] puts
-//! three of them together into the paper's time-space, time-speed and spacing diagrams, and [`animation()`] shows the run
-//! from above.
+//! A [`Panel`] is one chart: axes, and lines, bands, bars, markers and labels in the units of the data. [`draw_motion`]
+//! combines three of them into the paper's time-space, time-speed and spacing diagrams, and [`draw_animation`] shows
+//! the run from above.
 //!
-//! A figure carries its light colours as plain attributes and is complete by itself; in a page that holds [`STYLE`] it
-//! follows the reader's colour scheme (see [`Ink`]). Nothing is said by colour alone. The same data give the same
-//! bytes: there is no clock, no random identifier and no system font in them.
+//! A figure has its light colours as plain attributes and is complete by itself; in a page with [`STYLE`] it follows
+//! the reader's colour scheme (see [`Ink`]). Colour is never the only carrier of meaning. Equal data give equal bytes:
+//! figures contain no clock, random identifier or system font.
 
 mod animation;
 mod animation_data;
@@ -49,7 +49,7 @@ use crumple_core::quoting::TerminalLines;
 pub(crate) use label::strip_unprintable;
 use path::Px;
 
-/// Pixels of a PNG to one unit of the figure: sharp on a dense screen, and a wide figure has 300 dots an inch at 16 cm.
+/// Pixels of a PNG per unit of the figure; a wide figure has 300 dots per inch at 16 cm.
 pub const PNG_SCALE: f64 = 2.0;
 
 /// A finished figure.
@@ -65,10 +65,8 @@ pub struct Svg {
 }
 
 impl Svg {
-    /// A figure of `width` by `height` pixels at full size.
-    ///
-    /// `title` and `description` are what a screen reader says. Identifiers inside the figure begin with `prefix`,
-    /// which must differ between the figures of a page; see [`Svg::id`].
+    /// Creates a figure of `width` by `height` pixels. `title` and `description` are for screen readers. `prefix`
+    /// begins every identifier of the figure and must be unique in the page; see [`Svg::id`].
     #[must_use]
     pub fn new(prefix: &str, (width, height): (f64, f64), title: &str, description: &str, content: Markup) -> Self {
         let prefix = sanitize_id(prefix);
@@ -83,42 +81,41 @@ impl Svg {
         }
     }
 
-    /// The same as something that holds links: what is in a picture a screen reader does not tell of.
+    /// Marks the figure as a group with links, which screen readers skip in a picture.
     #[must_use]
     pub fn with_links(self) -> Self {
         Self { role: "group", ..self }
     }
 
-    /// The identifier `name` of the figure with that prefix, as [`Panel::draw`] wants it.
+    /// Returns the identifier `name` of the figure with that prefix, for [`Panel::draw`].
     #[must_use]
     pub fn id(prefix: &str, name: &str) -> String {
         format!("{}-{}", sanitize_id(prefix), sanitize_id(name))
     }
 
-    /// Width and height at full size, in pixels.
     #[must_use]
     pub(crate) fn size(&self) -> (f64, f64) {
         (self.width, self.height)
     }
 
-    /// The figure as an element of an HTML page that holds [`STYLE`]; its ground is the page's.
+    /// Returns the figure as an element of an HTML page with [`STYLE`], on the page's background.
     #[must_use]
     pub fn inline(&self) -> Markup {
         self.element(false)
     }
 
-    /// The figure as a file: an SVG document on a white ground.
+    /// Returns the figure as a file: an SVG document on a white background.
     #[must_use]
     pub fn document(&self) -> String {
         let element = self.element(true).into_string();
         format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", TerminalLines(&element))
     }
 
-    /// The figure as a PNG file on a white ground, `scale` pixels to a unit, usually [`PNG_SCALE`].
+    /// Returns the figure as a PNG file on a white background, `scale` pixels per unit, usually [`PNG_SCALE`].
     ///
     /// # Errors
-    /// [`DrawError::Size`] if `scale` makes the picture empty or larger than 268 million pixels; the other variants
-    /// are faults of this library.
+    /// [`DrawError::Size`] if `scale` makes the picture empty or larger than 268 million pixels; the other variants are
+    /// faults of this library.
     #[cfg(feature = "png")]
     pub fn to_png(&self, scale: f64) -> Result<Vec<u8>, DrawError> {
         png::encode(&self.document(), scale)
@@ -148,7 +145,6 @@ impl maud::Render for Svg {
     }
 }
 
-/// Letters, digits, hyphens and underscores of `text`, after a letter.
 fn sanitize_id(text: &str) -> String {
     let plain = |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '-' };
     let name: String = text.chars().map(plain).collect();

@@ -1,4 +1,4 @@
-//! The three diagrams of the paper's results, side by side or stacked: time-space, time-speed and spacing.
+//! The three diagrams of the paper's results: time-space, time-speed and spacing.
 
 use super::path::Px;
 use maud::{Markup, html};
@@ -14,34 +14,34 @@ use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
 use crumple_world::sim::{Contact, Impact, Trace, Track};
 
-/// What the figure of one run shows.
+/// The data of a motion figure of one run.
 #[derive(Debug, Clone, Copy)]
 pub struct MotionFigure<'a> {
-    /// Begins every identifier in the figure; different for each figure of a page.
+    /// Prefix of every identifier in the figure; unique in a page.
     pub prefix: &'a str,
     /// Title above the panels; may be empty.
     pub title: &'a str,
-    /// One name a vehicle, front to rear, such as `follower (heavy)`; the index is put before it.
+    /// One name per vehicle, front to rear, such as `follower (heavy)`; the index is put before it.
     pub labels: &'a [String],
-    /// The motion.
+    /// Motion of the vehicles.
     pub trace: &'a Trace,
-    /// Every impact in order of time; empty if no vehicles touched.
+    /// Impacts in order of time; empty without a collision.
     pub impacts: &'a [Impact],
 }
 
-/// How the panels are arranged.
+/// The arrangement of the panels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PanelArrangement {
-    /// Side by side, 960 pixels wide: screens and paper.
+    /// In a row, 960 pixels wide: screens and paper.
     Wide,
     /// One above the other, 360 pixels wide: phones.
     Stacked,
-    /// One above the other, 470 pixels wide and flat: half a page, for two runs beside each other.
+    /// One above the other, 470 pixels wide and flat: half a page, to compare two runs.
     Column,
 }
 
-/// With more vehicles than this, lines lie too close for tags on them to be of use.
+/// Maximum number of vehicles with tags; with more, lines are too close for useful tags.
 const MAX_TAGGED_VEHICLES: usize = 60;
 
 /// Draws the three diagrams of one run.
@@ -64,7 +64,7 @@ pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout:
     Svg::new(figure.prefix, (plan.width, plan.height), figure.title, &description(figure), content)
 }
 
-/// Both layouts for an HTML page that holds [`STYLE`](super::STYLE), which shows the one that fits.
+/// Draws both layouts for an HTML page with [`STYLE`](super::STYLE), which shows the one that fits.
 #[must_use]
 pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     let (wide, narrow) = (format!("{}-wide", figure.prefix), format!("{}-narrow", figure.prefix));
@@ -74,8 +74,7 @@ pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     }
 }
 
-/// Several runs on the same axes, for an HTML page that holds [`STYLE`](super::STYLE): two columns where there is room,
-/// one below the other where there is not.
+/// Draws several runs on the same axes, in two columns or in one, for a page with [`STYLE`](super::STYLE).
 #[must_use]
 pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup {
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
@@ -91,7 +90,7 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
     }
 }
 
-/// Several runs on the same axes as one figure, in columns: a file for itself.
+/// Draws several runs on the same axes as columns of one figure.
 #[must_use]
 pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
     let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
@@ -106,7 +105,6 @@ pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFi
     Svg::new(prefix, (width.max(0.0), height), title, "The runs beside each other, on the same axes.", content)
 }
 
-/// Between the columns of a plate, in pixels.
 const COLUMN_GAP: f64 = 20.0;
 
 fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionAxes, closeup_id: &str) -> Panel {
@@ -132,12 +130,12 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
     panel
 }
 
-/// A vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
+/// Adds a vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
 pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
     let front = to_points(time_s, track.position_m.iter().copied());
     let rear = to_points(time_s, track.position_m.iter().map(|front| front - track.length_m));
     if track.in_lane_s != Track::THROUGHOUT_S {
-        // Beside the lane, a trace of where it drives.
+        // Outside the lane, a dotted line of its position.
         panel.add_line(&front, Stroke { dash: "2 3", ..Stroke::solid(Ink::Series(index), 0.8) });
     }
     let first = time_s.iter().position(|&time_s| track.is_in_lane(time_s)).unwrap_or(time_s.len());
@@ -149,7 +147,7 @@ pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track,
     panel.add_line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
 }
 
-/// Numbers, and where there is room names, to the right of where each vehicle ends up.
+/// Adds numbers, and names if there is room, to the right of each vehicle's end.
 fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLayout) {
     let frame = panel.frame();
     let end = |track: &Track| {
@@ -225,7 +223,7 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
     panel
 }
 
-/// A star at every impact, and over the first one a rule up to its description; `describe` gives text and height.
+/// Adds a star at every impact, and a line from the first one to its description; `describe` returns text and height.
 fn mark_contacts(
     panel: &mut Panel,
     figure: &MotionFigure<'_>,
@@ -244,7 +242,7 @@ fn mark_contacts(
     }
 }
 
-/// Words between the heading and the frame, centred over an instant as far as there is room.
+/// Adds text between the heading and the frame, centred over an instant if there is room.
 fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
     let frame = panel.frame();
     let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
@@ -253,7 +251,6 @@ fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64)
     panel.add_overlay(draw_text((centre, frame.top - 7.0), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false));
 }
 
-/// Where to look: the first contact, or else the smallest gap.
 fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     if let Some(Impact { contact, .. }) = figure.impacts.first() {
         let &Contact { time_s, front_vehicle: front, rear_vehicle: rear, .. } = contact;
@@ -273,7 +270,6 @@ fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     closest
 }
 
-/// The front bumper of the hitting vehicle at the instant of contact.
 fn impact_position_m(trace: &Trace, contact: &Contact) -> f64 {
     let position = |track: &Track| {
         let after = trace.time_s.partition_point(|time_s| *time_s < contact.time_s);
@@ -282,7 +278,6 @@ fn impact_position_m(trace: &Trace, contact: &Contact) -> f64 {
     trace.vehicles.get(contact.rear_vehicle).and_then(position).unwrap_or(0.0)
 }
 
-/// Samples as points.
 fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::PixelPoint> {
     time_s.iter().copied().zip(values).collect()
 }
@@ -291,7 +286,6 @@ fn format_pair(contact: &Contact) -> String {
     format!("{}\u{2013}{}", contact.front_vehicle, contact.rear_vehicle)
 }
 
-/// The figure in words.
 fn description(figure: &MotionFigure<'_>) -> String {
     let (first, last) = extent(figure.trace.time_s.iter().copied());
     let run = format!(

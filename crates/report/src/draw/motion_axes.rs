@@ -1,10 +1,10 @@
-//! The axes of the three diagrams: those of one run, or of several that are compared.
+//! The axes of the three diagrams, for one run or for several that are compared.
 
 use super::axis::Axis;
 use super::scale::{extent, pad_interval};
 use crumple_world::sim::{Trace, Track};
 
-/// What the axes of time, position, speed and gap span.
+/// The ranges of the axes of time, position, speed and gap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionAxes {
     time_s: (f64, f64),
@@ -14,13 +14,13 @@ pub struct MotionAxes {
 }
 
 impl MotionAxes {
-    /// Axes that hold one run.
+    /// Creates axes that hold one run.
     #[must_use]
     pub fn from_trace(trace: &Trace) -> Self {
         Self::from_traces([trace])
     }
 
-    /// Axes that hold all of these runs.
+    /// Creates axes that hold all of these runs.
     #[must_use]
     pub fn from_traces<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let traces: Vec<&Trace> = traces.into_iter().collect();
@@ -36,7 +36,7 @@ impl MotionAxes {
             pairs.flat_map(|pair| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>()).collect();
         let (least_m, most_m) = extent(gaps_m);
         Self {
-            // A little after the last sample, so that a contact that ends the run is not cut in half.
+            // Extend beyond the last sample, so that the marker of a final collision is not cut off.
             time_s: (first_s, last_s + 0.02 * (last_s - first_s)),
             position_m: pad_interval(extent(tracks().flat_map(ends)), 0.03),
             speed_mps: pad_interval((0.0, fastest_mps.max(1.0)), 0.04),

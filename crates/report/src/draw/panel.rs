@@ -1,4 +1,4 @@
-//! One pair of axes and what is drawn between them, in the units of the data.
+//! A pair of axes and the layers between them, in the units of the data.
 
 use maud::{Markup, html};
 
@@ -8,10 +8,9 @@ use super::path::{self, PixelPoint, Px};
 use super::scale::LinearScale;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 
-/// Height of a tag, in pixels.
 const TAG_HEIGHT: f64 = 14.0;
 
-/// The shape of a mark.
+/// The shape of a marker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Marker {
@@ -23,35 +22,33 @@ pub enum Marker {
     Square,
     /// A diagonal cross.
     Cross,
-    /// A star with eight points: contact.
+    /// A star with eight points: collision.
     Burst,
 }
 
-/// Which part of a text is at its place.
+/// The anchor of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its left end.
+    /// Left end.
     Start,
-    /// Its middle.
+    /// Middle.
     Middle,
-    /// Its right end.
+    /// Right end.
     End,
 }
 
-/// A line that wants a tag; see [`Panel::tags`].
+/// A line that gets a tag; see [`Panel::add_tags`].
 #[derive(Debug, Clone)]
 pub(crate) struct TaggedLine {
-    /// The line, from left to right.
+    /// Points of the line, from left to right.
     pub points: Vec<(f64, f64)>,
-    /// What the tag says: a word or two.
+    /// Text of the tag: a word or two.
     pub tag: String,
-    /// Colour of the tag: the line's.
+    /// Colour of the line and its tag.
     pub ink: Ink,
 }
 
-/// A chart: axes, and layers in the order in which they were added.
-///
-/// Lines, bands and bars are cut off at the frame; marks, tags and words are not.
+/// A chart: axes, and layers in the order of their addition. Lines, bands and bars are clipped at the frame.
 #[derive(Debug, Clone)]
 pub struct Panel {
     frame: PixelRect,
@@ -66,7 +63,7 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// An empty chart whose data area is `frame`; ticks and titles lie outside it, see [`Axis`].
+    /// Creates an empty chart with the data area `frame`; ticks and titles lie outside it, see [`Axis`].
     #[must_use]
     pub fn new(frame: PixelRect, title: &str, x: Axis, y: Axis) -> Self {
         let x_scale = LinearScale::new(x.domain(), (frame.left, frame.right()));
@@ -75,25 +72,24 @@ impl Panel {
         Self { frame, title, x, y, x_scale, y_scale, clipped: Vec::new(), overlays: Vec::new(), occupied: Vec::new() }
     }
 
-    /// The data area, in pixels.
     #[must_use]
     pub(crate) fn frame(&self) -> PixelRect {
         self.frame
     }
 
-    /// Where a pair of values is drawn, in pixels.
+    /// Converts a pair of values to pixels.
     #[must_use]
     pub fn to_pixels(&self, (x, y): (f64, f64)) -> PixelPoint {
         (self.x_scale.to_px(x), self.y_scale.to_px(y))
     }
 
-    /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
+    /// Converts pairs of values to pixels, without pairs that are not finite.
     #[must_use]
     pub(crate) fn points_to_pixels(&self, points: &[(f64, f64)]) -> Vec<PixelPoint> {
         points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.to_pixels(point)).collect()
     }
 
-    /// Adds a line through points; a lone point is a dot.
+    /// Adds a line through points; a single point is a dot.
     pub fn add_line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
         let places = self.points_to_pixels(points);
         let Some((&(x, y), rest)) = places.split_first() else { return };
@@ -114,13 +110,11 @@ impl Panel {
         self.clipped.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
-    /// Adds a straight line between two points, such as the whisker of an interval.
     pub(crate) fn add_segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
         let (from, to) = (self.to_pixels(from), self.to_pixels(to));
         self.clipped.push(draw_line(from, to, stroke));
     }
 
-    /// Adds a vertical line over the full height.
     pub(crate) fn add_vertical_line(&mut self, value: f64, stroke: Stroke) {
         let (x, _) = self.to_pixels((value, 0.0));
         self.clipped.push(draw_line((x, self.frame.top), (x, self.frame.bottom()), stroke));
@@ -132,7 +126,7 @@ impl Panel {
         self.clipped.push(draw_line((self.frame.left, y), (self.frame.right(), y), stroke));
     }
 
-    /// Adds marks; tags keep off them. Marks outside the frame are left out.
+    /// Adds markers, which tags avoid. Markers outside the frame are omitted.
     pub fn add_markers(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
         for place in self.points_to_pixels(points) {
             if self.frame.contains(place) {
@@ -142,7 +136,7 @@ impl Panel {
         }
     }
 
-    /// Adds words at a pair of values, on a halo that lifts them off the data; tags keep off them.
+    /// Adds text with a halo at a pair of values; tags avoid it.
     pub fn add_note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
         let place = self.to_pixels(at);
         let width = text_width(text, SMALL_TEXT_SIZE);
@@ -162,19 +156,17 @@ impl Panel {
         ));
     }
 
-    /// Adds something drawn in pixels to the data, cut off at the frame.
+    /// Adds content in pixels to the data, clipped at the frame.
     pub(crate) fn add_clipped(&mut self, content: Markup) {
         self.clipped.push(content);
     }
 
-    /// Adds something drawn in pixels, above the data.
+    /// Adds content in pixels, above the data.
     pub fn add_overlay(&mut self, content: Markup) {
         self.overlays.push(content);
     }
 
-    /// Adds a tag to each line, where the lines are far apart; a line that runs where there is no room gets none.
-    ///
-    /// Call this last: tags keep off what is there.
+    /// Adds a tag to each line that has room for one. Call this last: tags avoid the existing content.
     pub(crate) fn add_tags(&mut self, lines: &[TaggedLine]) {
         let places: Vec<_> = lines.iter().map(|line| path::simplify(&self.points_to_pixels(&line.points))).collect();
         let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
@@ -184,7 +176,7 @@ impl Panel {
         }
     }
 
-    /// The chart as markup. `id` is unique in the page.
+    /// Renders the chart. `id` must be unique in the page.
     #[must_use]
     pub fn draw(self, id: &str) -> Markup {
         let PixelRect { left, top, width, height } = self.frame;
@@ -205,10 +197,9 @@ impl Panel {
     }
 }
 
-/// Height above a panel's frame that its heading takes, and a line of notes below the heading.
+/// Height above a panel's frame for its heading and a line of notes, in pixels.
 pub const HEADING_HEIGHT: f64 = 40.0;
 
-/// A panel's title above its frame and its tick labels, with room for a line of notes between.
 fn draw_heading((left, top): PixelPoint, title: &str) -> Markup {
     html! {
         text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE)) font-weight="600" fill=(Ink::Text.hex()) {
@@ -217,7 +208,7 @@ fn draw_heading((left, top): PixelPoint, title: &str) -> Markup {
     }
 }
 
-/// Words at a place on their base line, in pixels; with a halo they can be read over lines.
+/// Draws text at a point on its baseline, in pixels; a halo makes it readable over lines.
 #[must_use]
 pub fn draw_text((x, y): PixelPoint, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
     let anchor = match anchor {
@@ -233,13 +224,12 @@ pub fn draw_text((x, y): PixelPoint, anchor: Anchor, text: &str, size: f64, ink:
     }
 }
 
-/// Width of a tag, in pixels.
 #[must_use]
 pub(crate) fn tag_width(text: &str) -> f64 {
     (text_width(text, SMALL_TEXT_SIZE) + 7.0).max(TAG_HEIGHT + 1.0)
 }
 
-/// A short label in a rounded box around `centre`, in pixels.
+/// Draws a short label in a rounded box around `centre`, in pixels.
 #[must_use]
 pub(crate) fn draw_tag(centre: PixelPoint, text: &str, ink: Ink) -> Markup {
     let PixelRect { left, top, width, height } = PixelRect::from_center(centre, tag_width(text), TAG_HEIGHT);
@@ -250,7 +240,6 @@ pub(crate) fn draw_tag(centre: PixelPoint, text: &str, ink: Ink) -> Markup {
     }
 }
 
-/// A straight line between two places, in pixels.
 #[must_use]
 pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Markup {
     let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
@@ -260,7 +249,7 @@ pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Mar
     }
 }
 
-/// A mark at a place, in pixels, with a thin halo.
+/// Draws a marker with a thin halo at a point, in pixels.
 #[must_use]
 pub fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
     let (paper, ink) = (Ink::Paper.hex(), ink.hex());
@@ -277,7 +266,6 @@ pub fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
     }
 }
 
-/// The outline of a star with eight points.
 fn burst_path(x: f64, y: f64) -> String {
     let corner = |index: u32| {
         let radius = if index.is_multiple_of(2) { 7.5 } else { 3.4 };

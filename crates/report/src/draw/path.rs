@@ -1,24 +1,24 @@
-//! Points to SVG path data: few points, short numbers.
+//! SVG path data with few points and short numbers.
 
 use std::fmt;
 
-/// Pixels by which a drawn line may differ from its points: well under what a printer resolves.
+/// Maximum deviation of a drawn line from its points, in pixels; well below the resolution of printers.
 const TOLERANCE_PX: f64 = 0.15;
 
-/// Width in pixels of the columns in which only the first, lowest, highest and last point are kept.
+/// Width of the columns in which only the first, lowest, highest and last point are kept, in pixels.
 const COLUMN_PX: f64 = 0.25;
 
-/// A place in the figure, in pixels from its top left corner.
+/// A point in the figure, in pixels from its top left corner.
 pub(crate) type PixelPoint = (f64, f64);
 
-/// A number of pixels, written with one decimal at most.
+/// A number of pixels, written with at most one decimal.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Px(pub(super) f64);
 
 impl fmt::Display for Px {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let tenths = if self.0.is_finite() { (self.0 * 10.0).round() } else { 0.0 };
-        // Adding zero turns a negative zero into zero.
+        // Adding zero turns -0 into 0.
         write!(out, "{}", tenths / 10.0 + 0.0)
     }
 }
@@ -31,19 +31,17 @@ impl maud::Render for Px {
     }
 }
 
-/// Path data of an open line through `points`, simplified.
 pub(super) fn polyline_data(points: &[PixelPoint]) -> String {
     path_data(&simplify(points))
 }
 
-/// Path data of the area between two lines, simplified.
 pub(super) fn area_data(upper: &[PixelPoint], lower: &[PixelPoint]) -> String {
     let mut outline = simplify(upper);
     outline.extend(simplify(lower).into_iter().rev());
     path_data(&outline) + "Z"
 }
 
-/// After `M`, pairs that follow the first are lines to them.
+/// Returns path data; pairs after the first one following `M` are lines.
 fn path_data(points: &[PixelPoint]) -> String {
     let mut text = String::with_capacity(points.len() * 12);
     for (index, (x, y)) in points.iter().enumerate() {
@@ -53,17 +51,15 @@ fn path_data(points: &[PixelPoint]) -> String {
     text
 }
 
-/// A subset of the points, ends included, whose line stays within half a pixel of the original.
-///
-/// Non-finite points are left out.
+/// Returns a subset of the finite points, including the ends, whose line stays within half a pixel of the original.
 #[must_use]
 pub(crate) fn simplify(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let finite: Vec<PixelPoint> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     douglas_peucker(&decimate_columns(&finite))
 }
 
-/// First, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014): bounds the work for
-/// long recordings and loses no spike. Lines that turn back in x are left as they are.
+/// Returns the first, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014), which loses
+/// no spike. Lines that turn back in x are returned unchanged.
 fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let forward = points.windows(2).all(|pair| matches!(pair, [a, b] if a.0 <= b.0));
     if !forward {
@@ -81,7 +77,7 @@ fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
     kept
 }
 
-/// Ramer (1972), Douglas and Peucker (1973), with a stack of its own in place of recursion.
+/// Simplifies a line (Ramer 1972; Douglas and Peucker 1973), with a stack instead of recursion.
 fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let Some(last) = points.len().checked_sub(1) else { return Vec::new() };
     let mut keep = vec![false; points.len()];
@@ -107,7 +103,6 @@ fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
     points.iter().zip(keep).filter_map(|(&point, kept)| kept.then_some(point)).collect()
 }
 
-/// Distance from a point to a segment.
 fn distance(point: PixelPoint, start: PixelPoint, end: PixelPoint) -> f64 {
     let (dx, dy) = (end.0 - start.0, end.1 - start.1);
     let (px, py) = (point.0 - start.0, point.1 - start.1);

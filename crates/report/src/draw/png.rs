@@ -1,4 +1,4 @@
-//! From SVG to PNG, with a font of its own: the result depends on no font of the system.
+//! Conversion of SVG to PNG with an embedded font: the result is independent of system fonts.
 
 use std::sync::{Arc, OnceLock};
 
@@ -6,10 +6,10 @@ use resvg::{tiny_skia, usvg};
 
 use super::theme::Ink;
 
-/// The most pixels a picture may have: 16 thousand squared.
+/// Maximum number of pixels of a picture: 16 384 squared.
 const MAX_PIXELS: f64 = 268_435_456.0;
 
-/// Why a figure could not be made into a PNG.
+/// An error of drawing a PNG.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DrawError {
@@ -29,14 +29,14 @@ pub enum DrawError {
     Encode(String),
 }
 
-/// Draws `svg` on pixels, `scale` to each of its units.
+/// Renders `svg` as a PNG, `scale` pixels per unit.
 pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
-    // The font has one weight: what asks for a heavier one gets an outline.
+    // The font has one weight: an outline imitates bold text.
     let heavy = format!(r#"font-weight="600" stroke="{}" stroke-width="0.45""#, Ink::Text.hex());
     let tree = usvg::Tree::from_str(&svg.replace(r#"font-weight="600""#, &heavy), &usvg_options())?;
     let (width, height) = (f64::from(tree.size().width()) * scale, f64::from(tree.size().height()) * scale);
     let wrong_size = DrawError::Size { width: width.round(), height: height.round() };
-    // Written so that NaN is refused too.
+    // The comparison also rejects NaN.
     if !(width >= 0.5 && height >= 0.5 && width * height <= MAX_PIXELS) {
         return Err(wrong_size);
     }
@@ -47,7 +47,7 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
     pixels.encode_png().map_err(|error| DrawError::Encode(error.to_string()))
 }
 
-/// Parser options that know exactly one font, whatever the figure asks for.
+/// Returns parser options with exactly one font family, whatever the figure requests.
 pub(super) fn usvg_options() -> usvg::Options<'static> {
     let fonts = font_database();
     let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
@@ -61,7 +61,7 @@ fn font_database() -> Arc<usvg::fontdb::Database> {
         fonts.load_font_data(epaint_default_fonts::UBUNTU_LIGHT.to_vec());
         let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
         fonts.set_sans_serif_family(family.unwrap_or_default());
-        // Letters the first font lacks, such as some arrows and mathematical signs.
+        // Letters that the first font lacks, such as some arrows and mathematical signs.
         fonts.load_font_data(epaint_default_fonts::HACK_REGULAR.to_vec());
         Arc::new(fonts)
     };

@@ -1,12 +1,11 @@
-//! From numbers to pixels, and the round numbers to write beside an axis.
+//! Linear scales, and round numbers for the labels of an axis.
 
-/// Axes end here, in any unit: it keeps every difference finite.
+/// Maximum absolute value of an axis, which keeps every difference finite.
 const MAX_VALUE: f64 = 1e12;
 
-/// Pixels beyond this are far outside any figure.
+/// Maximum pixel coordinate, far outside any figure.
 const MAX_PX: f64 = 1e5;
 
-/// A linear map from an interval of values to an interval of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LinearScale {
     domain: (f64, f64),
@@ -14,15 +13,13 @@ pub(crate) struct LinearScale {
 }
 
 impl LinearScale {
-    /// Maps `domain.0` to `range.0` and `domain.1` to `range.1`.
-    ///
-    /// A domain that is empty, reversed or not finite becomes one that can be drawn, see [`drawable`].
+    /// Maps `domain.0` to `range.0` and `domain.1` to `range.1`; see [`drawable_interval`] for invalid domains.
     #[must_use]
     pub(crate) fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
         Self { domain: drawable_interval(domain), range }
     }
 
-    /// Where `value` is drawn, in pixels; NaN is drawn at the start.
+    /// Returns the pixel coordinate of `value`; NaN is at the start.
     #[must_use]
     pub(crate) fn to_px(&self, value: f64) -> f64 {
         let value = if value.is_nan() { self.domain.0 } else { value };
@@ -32,12 +29,12 @@ impl LinearScale {
     }
 }
 
-/// The number itself if it can be drawn, else the nearest that can; 0 for NaN.
+/// Returns the nearest number that can be drawn; 0 for NaN.
 fn clamp_finite(value: f64) -> f64 {
     if value.is_nan() { 0.0 } else { value.clamp(-MAX_VALUE, MAX_VALUE) }
 }
 
-/// An interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
+/// Returns the nearest interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
 pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
     let (one, other) = (clamp_finite(domain.0), clamp_finite(domain.1));
@@ -50,7 +47,7 @@ pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
     (low - half, high + half)
 }
 
-/// The smallest interval that holds every finite value; `(0, 1)` if there is none.
+/// Returns the smallest interval that holds every finite value; `(0, 1)` if there is none.
 #[must_use]
 pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     let finite = values.into_iter().filter(|value| value.is_finite());
@@ -58,7 +55,7 @@ pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
-/// The interval with `share` of its width added at each end.
+/// Adds `share` of its width to each end of an interval.
 #[must_use]
 pub fn pad_interval(domain: (f64, f64), share: f64) -> (f64, f64) {
     let (low, high) = drawable_interval(domain);
@@ -69,14 +66,14 @@ pub fn pad_interval(domain: (f64, f64), share: f64) -> (f64, f64) {
 /// Round numbers inside an interval, evenly spaced by 1, 2 or 5 times a power of ten.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Ticks {
-    /// The numbers, increasing.
+    /// Numbers in increasing order.
     pub values: Vec<f64>,
-    /// Digits after the point that tell them apart.
+    /// Number of decimals that distinguishes them.
     pub decimals: usize,
 }
 
 impl Ticks {
-    /// The closest-spaced round numbers of which at most `most` (taken as 5 to 10) lie in `domain`; always 2 at least.
+    /// Returns the closest-spaced round numbers with at most `most` (clamped to 5 to 10) and at least 2 in `domain`.
     #[must_use]
     pub(crate) fn new(domain: (f64, f64), most: usize) -> Self {
         let (low, high) = drawable_interval(domain);
@@ -86,7 +83,7 @@ impl Ticks {
         for exponent in start..start + 5 {
             for factor in [1.0, 2.0, 5.0] {
                 let (step, scale) = (factor * 10f64.powi(exponent), 10f64.powi(-exponent));
-                // Multiples are counted in whole numbers, so that no rounding error accumulates.
+                // Count multiples in whole numbers, so that no rounding error accumulates.
                 let slack = 1e-9;
                 let first = (low / step - slack).ceil();
                 let last = (high / step + slack).floor();
@@ -105,13 +102,12 @@ impl Ticks {
         Self { values: vec![low, high], decimals: 0 }
     }
 
-    /// Each number with its label.
     pub(crate) fn labels(&self) -> impl Iterator<Item = (f64, String)> + '_ {
         self.values.iter().map(|&value| (value, format_number(value, self.decimals)))
     }
 }
 
-/// A number with a true minus sign, and none on zero.
+/// Formats a number with a true minus sign, and none on zero.
 #[must_use]
 pub fn format_number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");

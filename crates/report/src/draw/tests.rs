@@ -11,10 +11,8 @@ use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::scenario::{Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario};
 use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate};
 
-/// The paper's first scenario with these vehicles, 16 m apart.
-///
-/// Behind the leader they brake fully below a time to collision of `ttc_s`, or, without one, as the leader does and 0.1 s
-/// after the vehicle ahead.
+/// Simulates the paper's first scenario with these vehicles, 16 m apart. Followers brake fully below a time to
+/// collision of `ttc_s`; without it they brake as the leader does, each 0.1 s after its leader.
 fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
     let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
         let mut position_m = 36.0;
@@ -53,7 +51,6 @@ fn parse_tree(svg: &Svg) -> usvg::Tree {
     usvg::Tree::from_str(&svg.document(), &png::usvg_options()).expect("valid SVG")
 }
 
-/// The boxes of all words of a figure, each with its words.
 fn collect_text_boxes(group: &usvg::Group, found: &mut Vec<(String, PixelRect)>) {
     for node in group.children() {
         match node {
@@ -98,7 +95,7 @@ proptest! {
         let whole = PixelRect { left: 0.0, top: 0.0, width, height };
         for (rank, (text, area)) in words.iter().enumerate() {
             prop_assert!(whole.encloses(area), "{text:?} leaves the figure: {area:?}");
-            // Boxes go from the highest ascender to the lowest descender of the font, which the words hardly use.
+            // Boxes go from the highest ascender to the lowest descender of the font, which the texts hardly use.
             let middle = (area.left + area.width / 2.0, area.top + area.height / 2.0);
             let core = PixelRect::from_center(middle, area.width, area.height * 0.7);
             for (other, other_area) in words.iter().skip(rank + 1) {
@@ -157,7 +154,7 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
     let at = format!("contact 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
     assert!(document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")), "{document}");
     assert!(document.contains(&format!(">{at}<")) && document.contains(">contact 1\u{2013}2: "));
-    // One star a panel and one in the enlargement.
+    // One star per panel and one in the inset.
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
     assert_eq!(document.matches(&star).count(), 4);
 
@@ -255,7 +252,7 @@ fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
     for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
         assert!(unique.contains(used), "{used} is not defined");
     }
-    // What the script looks for is there.
+    // The drawing has the classes that the script looks for.
     for name in ["draw-view", "draw-lane", "draw-vehicle", "draw-gap", "draw-impact", "draw-brake", "draw-event"] {
         assert!(text.contains(name) && ANIMATION_SCRIPT.contains(name), "{name}");
     }

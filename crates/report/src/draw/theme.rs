@@ -1,34 +1,30 @@
-//! The one visual language: inks, strokes, dashes, and the style sheet that recolours them in the dark.
+//! The visual style of all figures: inks, strokes, dashes, and the style sheet with dark colours.
 
 use maud::{Markup, html};
 
 use super::path::Px;
 
-/// Fonts asked for, best first. The page decides; the layout allows for the widest of them.
+/// Requested fonts, best first. The page decides; the layout assumes the widest.
 pub(super) const FONT_FAMILY: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
 
-/// Size of ordinary text, in the figure's own units (CSS pixels at full size).
+/// Size of ordinary text, in the figure's units (CSS pixels at full size).
 pub(crate) const TEXT_SIZE: f64 = 12.0;
 
 /// Size of tick labels, tags and notes.
 pub const SMALL_TEXT_SIZE: f64 = 11.0;
 
-/// Number of different series colours, after which they repeat.
-///
-/// It shares no factor with [`DASHES`], so colour and dash together tell [`SERIES_COLOUR_COUNT`] × `DASHES.len()` series apart.
+/// Number of series colours. It is coprime to the number of [`DASHES`], so that their combinations repeat late.
 pub(crate) const SERIES_COLOUR_COUNT: usize = 5;
 
-/// Dash patterns, solid first; a series keeps its pattern in every panel.
+/// Dash patterns, solid first; a series has the same pattern in every panel.
 pub(crate) const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
 
-/// A colour by its role.
-///
-/// Light colours stand in the figure as plain attributes, so that it is right wherever it is shown; [`STYLE`] selects
-/// elements by those attribute values and replaces them by CSS variables, which have other values in the dark.
+/// A colour by its role. Light colours are plain attributes of the figure, so that it needs no style sheet. [`STYLE`]
+/// selects elements by those values and replaces them by CSS variables, which have other values in dark mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Ink {
-    /// Titles, tick labels and whatever must be read.
+    /// Titles, tick labels and other main text.
     Text,
     /// Notes and axis titles.
     Muted,
@@ -36,19 +32,17 @@ pub enum Ink {
     Axis,
     /// Grid lines.
     Grid,
-    /// The ground, and halos that lift something off it.
+    /// Background and halos.
     Paper,
-    /// Contact and failure. Never the only carrier of that meaning: a mark or a word goes with it.
+    /// Collision and failure. Always accompanied by a marker or a word.
     Alert,
     /// The `n`-th series; colours repeat after `SERIES_COLOUR_COUNT`.
     Series(usize),
 }
 
 impl Ink {
-    /// The light-mode colour, different for each ink.
-    ///
-    /// The series are the Okabe–Ito palette (Okabe and Ito, "Color Universal Design", 2008) with its lighter hues
-    /// darkened until each has a contrast of 4.5 to 1 against white.
+    /// Returns the light-mode colour, different for each ink. Series have the Okabe–Ito palette (Okabe and Ito, "Color
+    /// Universal Design", 2008) with its lighter hues darkened until each has a contrast of 4.5 to 1 against white.
     #[must_use]
     pub fn hex(self) -> &'static str {
         match self {
@@ -69,7 +63,7 @@ impl Ink {
     }
 }
 
-/// How a line is drawn.
+/// The stroke of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
     /// Colour.
@@ -81,25 +75,24 @@ pub struct Stroke {
 }
 
 impl Stroke {
-    /// A solid line.
+    /// Creates a solid stroke.
     #[must_use]
     pub fn solid(ink: Ink, width: f64) -> Self {
         Self { ink, width, dash: "" }
     }
 
-    /// The line of the `index`-th series: colour and dash repeat together only after twenty.
+    /// Returns the stroke of the `index`-th series: colour and dash repeat together only after twenty.
     #[must_use]
     pub fn series(index: usize) -> Self {
         Self { ink: Ink::Series(index), width: 1.8, dash: series_dash(index) }
     }
 }
 
-/// The dash pattern of the `index`-th series.
 fn series_dash(index: usize) -> &'static str {
     DASHES.get(index % DASHES.len()).copied().unwrap_or_default()
 }
 
-/// A sample of the line of a series, for keys.
+/// Draws a sample of a series' line, for legends.
 pub(super) fn draw_swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
     let Stroke { ink, width: stroke_width, dash } = Stroke::series(index);
     let dash = (!dash.is_empty()).then_some(dash);
@@ -109,11 +102,9 @@ pub(super) fn draw_swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
     }
 }
 
-/// The style sheet of a page that holds figures: once a page, in a `<style>` element.
-///
-/// Figures follow the reader's colour scheme on screen and are light in print. A page sets its own colours through the
-/// `--draw-…` variables. Elements of class `draw-wide` and `draw-narrow` are shown where there is room for the one and
-/// where there is only room for the other.
+/// Style sheet of a page with figures: once per page, in a `<style>` element. Figures follow the reader's colour scheme
+/// on screen and are light in print. A page sets its own colours through the `--draw-…` variables. Elements of class
+/// `draw-wide` are shown on wide pages, those of class `draw-narrow` on narrow ones.
 pub const STYLE: &str = r##"
 :where(.draw){--draw-text:#1b1f24;--draw-muted:#59626d;--draw-axis:#8b939d;--draw-grid:#e4e7eb;--draw-paper:#fff;
 --draw-alert:#b3001b;--draw-0:#0067a3;--draw-1:#b84a00;--draw-2:#007355;--draw-3:#974a80;--draw-4:#806000}
@@ -156,7 +147,7 @@ mod tests {
         Ink::Series(4),
     ];
 
-    /// Relative luminance and contrast as WCAG 2.1 defines them.
+    /// Returns the contrast of two colours by WCAG 2.1.
     fn contrast(one: &str, other: &str) -> f64 {
         let luminance = |hex: &str| {
             let channel = |at: usize| {
@@ -169,7 +160,6 @@ mod tests {
         (a.max(b) + 0.05) / (a.min(b) + 0.05)
     }
 
-    /// The value of a variable in the dark block.
     fn dark_value(variable: &str) -> &'static str {
         let block = STYLE.split("prefers-color-scheme:dark").nth(1).expect("a dark block");
         let value = block.split(variable).nth(1).expect("in the dark block");

@@ -1,8 +1,8 @@
-//! What vehicles are called in figures.
+//! Names of vehicles in figures.
 
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
 
-/// One name a vehicle, front to rear: `leader (light)`, `ego (light)`, `follower (heavy)`.
+/// Returns one name per vehicle, front to rear: `leader (light)`, `ego (light)`, `follower (heavy)`.
 #[must_use]
 pub fn vehicle_names(scenario: &Scenario) -> Vec<String> {
     let is_ego = |vehicle: &&VehicleSpec| vehicle.driver == Driver::UnderTest;

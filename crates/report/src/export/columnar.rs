@@ -19,10 +19,10 @@ const SCHEMA: &str = "message trace {
     OPTIONAL DOUBLE gap_m;
 }";
 
-/// The trace as a Parquet file.
+/// Encodes the trace as a Parquet file.
 ///
 /// # Errors
-/// [`ExportError::Parquet`] if the encoder fails, which writing to memory does not.
+/// [`ExportError::Parquet`] if the encoder fails, which does not happen in memory.
 pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let rows = trace_rows(trace);
     let doubles: [fn(&TraceRow) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];

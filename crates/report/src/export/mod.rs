@@ -1,4 +1,5 @@
-//! Traces as tables: one row a sample and vehicle, in CSV or Parquet; and runs for other simulators ([`openscenario`]).
+//! Traces as tables in CSV or Parquet, one row per sample and vehicle; and runs for other simulators
+//! ([`openscenario`]).
 //!
 //! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
 //! for the leader). Rows are in order of time, then of vehicle.
@@ -14,7 +15,7 @@ pub use columnar::to_parquet;
 
 const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
 
-/// Why a table could not be encoded.
+/// An error of encoding a table.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
@@ -55,10 +56,10 @@ fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
     rows
 }
 
-/// The trace as CSV with a header line.
+/// Encodes the trace as CSV with a header line.
 ///
 /// # Errors
-/// [`ExportError::Csv`] if the encoder fails, which writing to memory does not.
+/// [`ExportError::Csv`] if the encoder fails, which does not happen in memory.
 pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS)?;

@@ -1,4 +1,4 @@
-//! How well a fitted space describes what was observed.
+//! Goodness of fit of a fitted scenario space.
 
 use maud::html;
 
@@ -7,13 +7,12 @@ use crate::draw::{
 };
 use crumple_evidence::fit::{FittedFeature, FittedSpace, format_p_value};
 
-/// Size of a panel, in pixels, and what lies between two of them.
+/// Size of a panel, and distance between two of them, in pixels.
 const PANEL_SIZE: (f64, f64) = (340.0, 200.0);
 const PANEL_SPACING: f64 = LEFT_MARGIN + 36.0;
-/// Points of a fitted distribution function.
 const CURVE_POINTS: usize = 160;
 
-/// A panel for each number: the shares of what was observed, in steps, and the distribution fitted to it.
+/// Draws a panel for each feature: the empirical distribution function, and the fitted one.
 #[must_use]
 pub fn draw_fit(fitted: &FittedSpace) -> Svg {
     let step = (PANEL_SIZE.0 + PANEL_SPACING, PANEL_SIZE.1 + HEADING_HEIGHT + BOTTOM_MARGIN);

@@ -1,11 +1,10 @@
-//! What a run of a suite found, in words.
+//! Descriptions of the results of a suite.
 
 use crumple_suites::{
     ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, SweepFailure, TestVerdict,
     WorstInTolerance,
 };
 
-/// A verdict in words.
 pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
     match verdict {
         TestVerdict::Passed => "PASSED".to_owned(),
@@ -17,7 +16,7 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
     }
 }
 
-/// Returns the verdict of a test in words. A test that passes at every stated point fails if the search within the clause fails.
+/// Describes a test. One that passes at every stated point fails if the search within the clause fails.
 pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
@@ -30,13 +29,12 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     }
 }
 
-/// The contact at which a test passes nevertheless, in words.
+/// Describes the impact up to which a test passes nevertheless.
 pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
     let ImpactLimit { value, unit, origin, .. } = limit;
     format!("passes with a contact of at most {value} {unit} ({})", origin.label())
 }
 
-/// The worst point within the ranges of a clause, in words.
 pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     let WorstInTolerance { point, verdict: found, min_gap_m, points_run: tried, .. } = within;
     let gap =
@@ -44,7 +42,7 @@ pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     format!("worst of {tried} points that the clause allows: {}{gap}, at {point}", describe_verdict(found))
 }
 
-/// In each direction the least margin, in words, and of how many it is the least.
+/// Describes the least margin in each direction, and the number of margins.
 pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
     let told = |(least, many): (&Margin, usize)| {
         let of = if many > 1 { format!(" (the least of {many})") } else { String::new() };
@@ -53,7 +51,7 @@ pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
     min_margins(margins).into_iter().map(told).collect()
 }
 
-/// In each direction the least margin, and of how many it is the least.
+/// Returns the least margin in each direction, and the number of margins.
 pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
     let mut directions: Vec<_> = margins.iter().map(|margin| (margin.parameter, margin.to)).collect();
     directions.dedup();
@@ -65,7 +63,7 @@ pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
     directions.iter().filter_map(least).collect()
 }
 
-/// The share of its direction that passes.
+/// Returns the share of the direction that passes, or -1 if none does.
 fn passing_share(margin: &Margin) -> f64 {
     match margin.end {
         MarginEnd::None { .. } => -1.0,
@@ -74,7 +72,6 @@ fn passing_share(margin: &Margin) -> f64 {
     }
 }
 
-/// A margin in words.
 fn describe_margin(margin: &Margin) -> String {
     let Margin { parameter: push, unit, from, to, fixed_parameters: held, end } = margin;
     let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
@@ -88,7 +85,7 @@ fn describe_margin(margin: &Margin) -> String {
         }
         MarginEnd::Boundary { passes_at, fails_at, failure: beyond, is_monotone, parts } => {
             let apart = (passes_at - fails_at).abs();
-            // As many digits as tell the two apart.
+            // Use as many digits as distinguish the two.
             let digits = if apart > 0.0 { (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize } else { 3 };
             let does = describe_beyond(*beyond);
             let words =
@@ -103,7 +100,6 @@ fn describe_margin(margin: &Margin) -> String {
     }
 }
 
-/// What a test does where it does not pass.
 fn describe_beyond(beyond: SweepFailure) -> &'static str {
     match beyond {
         SweepFailure::Fails => "fails",
@@ -111,7 +107,7 @@ fn describe_beyond(beyond: SweepFailure) -> &'static str {
     }
 }
 
-/// Who could have prevented a failure, in words.
+/// Describes the reference drivers that could have prevented a failure.
 pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
     let mut words: Vec<_> =
         failed.references.iter().map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention))).collect();
@@ -119,7 +115,6 @@ pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
     words.join("; ")
 }
 
-/// What a reference driver does, in words.
 pub(super) fn describe_prevention(prevention: Prevention) -> &'static str {
     match prevention {
         Prevention::Prevents => "prevents it",

@@ -1,11 +1,10 @@
-//! Result of a suite in the form that build servers read.
+//! The result of a suite as JUnit, for build servers.
 
 use super::description::{describe_min_margins, describe_verdict, describe_worst_in_tolerance};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 
-/// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
-/// cannot run is skipped.
+/// Renders every test of every controller as a test case: a collision is a failure, a failing controller an error.
 #[must_use]
 pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {

@@ -1,4 +1,4 @@
-//! Crash maps told: text, and one page.
+//! Crash maps as text and as a page.
 
 use std::fmt::Write;
 
@@ -9,11 +9,9 @@ use super::page::{describe_estimator, html_head};
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
-/// What no source at hand states.
 const NO_PUBLISHED_COUNTS: &str =
     "No counts of published maps could be read, so none are compared: the lines of closed forms and stated points are.";
 
-/// What of a cell is shown, and the letter for it.
 pub(super) fn cell_letter(cell: &CrashCell) -> char {
     match cell.verdict {
         _ if cell.is_without_reaction() => '~',
@@ -24,7 +22,7 @@ pub(super) fn cell_letter(cell: &CrashCell) -> char {
     }
 }
 
-/// What letters mean, in the order of keys.
+/// Meaning of the letters, in the order of legends.
 pub(super) const LEGEND: [(char, &str); 5] = [
     ('.', "no contact"),
     ('x', "contact"),
@@ -38,7 +36,6 @@ impl PanelSummary<'_> {
         self.0.cells.iter().filter(|cell| cell_letter(cell) == letter_of).count()
     }
 
-    /// What came of a driver, in a line.
     fn describe(&self) -> String {
         let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = self.0;
         let mut words = format!("contact in {contacts} of {} cells", cells.len());
@@ -58,15 +55,13 @@ impl PanelSummary<'_> {
     }
 }
 
-/// A panel, to be told of.
 struct PanelSummary<'m>(&'m MapPanel);
 
-/// The name that a panel goes by.
 pub(super) fn panel_title(panel: &MapPanel) -> String {
     if panel.is_reference { format!("reference: {}", panel.driver) } else { panel.driver.clone() }
 }
 
-/// A map for a terminal: a letter a cell, the highest row first.
+/// Renders a map for a terminal: one letter per cell, the highest row first.
 #[must_use]
 pub fn render_map_text(map: &CrashMap) -> String {
     let CrashMap { situation, across, up, .. } = map;
@@ -93,7 +88,7 @@ pub fn render_map_text(map: &CrashMap) -> String {
     out
 }
 
-/// A map as one page that needs nothing else.
+/// Renders a map as one self-contained page.
 #[must_use]
 pub fn render_map_html(map: &CrashMap) -> String {
     let title = format!("Crash map: {}", map.situation.name());

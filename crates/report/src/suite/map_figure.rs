@@ -1,4 +1,4 @@
-//! Crash maps as small multiples: one panel a driver, all on the same axes.
+//! Crash maps as small multiples: one panel per driver, with equal axes.
 
 use maud::{Markup, html};
 
@@ -9,7 +9,6 @@ use crate::draw::{
 };
 use crumple_suites::{Boundary, CrashMap, CrashMapAxis, MapPanel};
 
-/// Both arrangements, of which the page shows the one that fits.
 pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
     html! {
         div.draw-wide { (draw(map, "map-wide", 960.0, column_count(map))) }
@@ -17,7 +16,7 @@ pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
     }
 }
 
-/// A map as a figure by itself.
+/// Draws a map as a separate figure.
 #[must_use]
 pub fn draw_map(map: &CrashMap) -> Svg {
     draw(map, "map", 960.0, column_count(map))
@@ -69,7 +68,7 @@ fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: PixelRect) -> Panel {
     let above = (frame.left - LEFT_MARGIN, frame.top - 8.0);
     panel.add_overlay(draw_text(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
     let (columns, rows) = (map.across.cells, map.up.cells);
-    // Cells come row by row from the bottom, frames from the top.
+    // Cells are ordered row by row from the bottom, frames from the top.
     let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(cell_letter);
     let cells: Vec<(char, PixelRect)> = from_top.zip(grid_rects(frame, columns, rows)).collect();
     for (kind, _) in LEGEND {
@@ -85,7 +84,7 @@ fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: PixelRect) -> Panel {
     panel
 }
 
-/// What is drawn, and the height that this takes. What does not occur is left out.
+/// Draws the legend, without kinds that do not occur, and returns its height.
 fn draw_legend(map: &CrashMap, width: f64) -> (Markup, f64) {
     let occurs = |kind: char| map.panels.iter().flat_map(|panel| &panel.cells).any(|cell| cell_letter(cell) == kind);
     let kinds =

@@ -1,4 +1,4 @@
-//! Runs of suites, told: a matrix for readers as text or as a page, JUnit for build servers; crash maps as pictures.
+//! Results of suites as text, as a page and as JUnit; crash maps as figures.
 
 mod description;
 mod junit;
@@ -22,8 +22,8 @@ pub use map_figure::draw_map;
 pub use page::render_html;
 pub use table::render_markdown_table;
 
-/// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
-/// shows a failure of a controller; none where its scenario was not written.
+/// Renders the matrix of clause, test, controller, verdict and margin, the failures, and the limits. `replay` returns
+/// the command that simulates a failure, or `None` if its scenario was not written.
 #[must_use]
 pub fn render_text(result: &SuiteResult, replay: impl Fn(&FailedPoint, &ControllerResult) -> Option<String>) -> String {
     let mut out = String::new();

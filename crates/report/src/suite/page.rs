@@ -1,4 +1,4 @@
-//! A run of a suite as one page that needs nothing else: the matrix, then each test with what failed, drawn.
+//! The result of a suite as one self-contained page: the matrix, then each test with its failures and figures.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -16,11 +16,11 @@ use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simul
 
 const SUITE_STYLE: &str = include_str!("page.css");
 
-/// Of so many failures of a test and a controller, those with the fastest impacts, there is a drawing.
+/// Maximum number of failures drawn per test and controller, those with the highest impact speeds.
 const MAX_FIGURES: usize = 2;
 
-/// A run of a suite as a page. `controllers` drive once more where something failed, for the drawings; `replay` is the command
-/// that shows a failure, none where its scenario was not written.
+/// Renders the result of a suite as a page. `controllers` simulate the drawn failures again. `replay` returns the
+/// command that simulates a failure, or `None` if its scenario was not written.
 #[must_use]
 pub fn render_html(
     result: &SuiteResult,
@@ -69,7 +69,7 @@ impl Page<'_> {
         }
     }
 
-    /// Clause and test down, controllers across.
+    /// Renders tests as rows, controllers as columns.
     fn matrix(&self) -> Markup {
         let names = self.result.tests().next().map(|(_, test)| &test.controllers);
         html! {
@@ -116,13 +116,13 @@ impl Page<'_> {
         }
     }
 
-    /// What failed: every point in a table, the fastest impacts drawn.
+    /// Renders the failures: a table of all points, and figures of the highest impact speeds.
     fn failures(&self, test: &TestResult, tested: &ControllerResult) -> Markup {
         let mut worst: Vec<&FailedPoint> = tested.failures().collect();
         let all = worst.len();
         worst.sort_by(|a, b| impact_mps(&b.verdict).total_cmp(&impact_mps(&a.verdict)));
         worst.truncate(MAX_FIGURES);
-        // None where a controller gave no answer: there may have been nothing to prevent.
+        // A point without an answer has no references: there may have been nothing to prevent.
         let drivers = tested.failures().map(|failed| &failed.references).find(|references| !references.is_empty());
         let asked = drivers.map_or(0, Vec::len);
         html! {
@@ -152,7 +152,6 @@ impl Page<'_> {
         }
     }
 
-    /// The motion of a failure, by driving it once more.
     fn figure(&self, failed: &FailedPoint, tested: &ControllerResult) -> Markup {
         let named = self.controllers.iter().find(|one| one.name == tested.controller);
         let options = named.map(|one| RunOptions::new(one.kind.clone()).with_estimator(self.result.estimator));
@@ -204,7 +203,7 @@ pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     }
 }
 
-/// Every figure, and who says so.
+/// Lists every figure of a test with its source.
 fn parameter_list(test: &TestResult) -> Markup {
     html! {
         ul.short { @for (parameter, figure) in test.parameters.iter() {
@@ -252,7 +251,7 @@ fn format_points(tested: &ControllerResult) -> String {
     if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) }
 }
 
-/// A cell of the matrix: how many points pass, how hard the worst contact is, the first margin.
+/// Renders a cell of the matrix: passed points, the worst impact, and the first margin.
 fn matrix_cell(tested: &ControllerResult) -> Markup {
     let worst_mps = tested.failures().map(|failed| impact_mps(&failed.verdict)).fold(0.0, f64::max);
     html! {

@@ -1,11 +1,11 @@
-//! Runs of several suites with the same controllers, as one table in Markdown.
+//! Results of several suites with the same controllers, as one Markdown table.
 
 use super::description::min_margins;
 use crate::markdown::Markdown;
 use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict};
 
-/// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
-/// test that passes can be pushed.
+/// Renders one row per test and one column per controller: passed points of the grid, the highest impact speed, and the
+/// margin in the first direction of a test that passes.
 #[must_use]
 pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     let tests = || results.iter().flat_map(|result| result.tests().map(move |(_, test)| (result, test)));

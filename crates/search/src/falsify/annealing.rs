@@ -1,8 +1,8 @@
 //! Simulated annealing with adaptive steps.
 //!
-//! Metropolis acceptance, one coordinate moved at a time, and each coordinate's step adapted so that about half of its
-//! moves are accepted (Corana et al., ACM Transactions on Mathematical Software 13, 1987). The temperature falls
-//! geometrically over a cycle and is then raised again, from the best point found, so that no budget is too long.
+//! Metropolis acceptance, one coordinate per move, with steps that adapt to half acceptance (Corana et al., ACM
+//! Transactions on Mathematical Software 13, 1987). The temperature falls geometrically over a cycle; the next cycle
+//! starts at the best point.
 
 use rand::RngExt;
 
@@ -10,14 +10,12 @@ use super::method::nan_as_infinity;
 use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Moves of each coordinate in a cycle.
 const MOVES_PER_COORDINATE: usize = 100;
 /// Temperature at the end of a cycle, relative to its start.
 const FINAL_TEMPERATURE_RATIO: f64 = 1e-6;
-/// Uniform points whose spread sets the first temperature.
+/// Number of uniform points whose spread sets the initial temperature.
 const WARM_UP_POINTS: usize = 16;
 
-/// Simulated annealing.
 #[derive(Debug)]
 pub(super) struct Annealing {
     random: Stream,
@@ -53,7 +51,6 @@ impl Annealing {
         spread * FINAL_TEMPERATURE_RATIO.powf((self.moves % cycle) as f64 / cycle as f64)
     }
 
-    /// The coordinate that the current move changes.
     fn current_coordinate(&self) -> usize {
         self.moves % self.dimension
     }
@@ -87,12 +84,12 @@ impl SearchAlgorithm for Annealing {
             return;
         }
         let rise = least.0 - self.current.0;
-        // From one infinite value to another there is no rise.
+        // NaN: a move between two infinite values counts as no rise.
         let accepted = rise <= 0.0 || rise.is_nan() || self.random.random::<f64>() < (-rise / self.temperature()).exp();
         if accepted {
             self.current = least;
         }
-        // Grows by a tenth when accepted and shrinks by as much when not: at rest when half are accepted.
+        // Grows by a tenth if accepted and shrinks by as much if not, so it is stationary at half acceptance.
         let coordinate = self.current_coordinate();
         if let Some(step) = self.steps.get_mut(coordinate) {
             *step = (*step * if accepted { 1.1 } else { 1.0 / 1.1 }).clamp(1e-9, 0.5);
@@ -105,7 +102,6 @@ impl SearchAlgorithm for Annealing {
     }
 }
 
-/// Mirrored into [0, 1].
 fn reflect(x: f64) -> f64 {
     let folded = x.rem_euclid(2.0);
     if folded > 1.0 { 2.0 - folded } else { folded }

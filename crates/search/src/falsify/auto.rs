@@ -1,4 +1,4 @@
-//! The portfolio: no method is the best everywhere, so several share the budget.
+//! A portfolio of methods that share the budget, because no method is best for all problems.
 
 use rand::RngExt;
 
@@ -12,38 +12,32 @@ use super::surrogate::{MetricSelection, Surrogate};
 use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Simple points before anything else: problems that give in to extreme inputs end here.
+/// Number of simple points at the start; they solve problems with extreme inputs.
 const INITIAL_POINTS: usize = 16;
-/// Signals of a descent have at most so many pieces.
 const DESCENT_PIECES: usize = 10;
-/// Step of a descent that starts at one of the best points, and how many of them it may start from.
+/// Step size of a descent from one of the best points, and the number of these points.
 const LOCAL_SIGMA: f64 = 0.15;
 const START_CANDIDATES: usize = 5;
-/// A descent has met a plateau after so many generations without a gain of this share of its best value.
+/// A descent is on a plateau after `PATIENCE` generations without a gain of `MIN_RELATIVE_GAIN` of its best value.
 const PATIENCE: usize = 4;
 const MIN_RELATIVE_GAIN: f64 = 0.1;
-/// Most evaluations of exploration for each one of the descent before: a quarter of the budget always descends.
+/// Maximum exploration per evaluation of the last descent: descents get at least a quarter of the budget.
 const MAX_EXPLORATION_RATIO: usize = 3;
-/// Below this spread a descent is on its own: the surrogate shows the way from afar and would mislead it near by.
+/// Below this spread a descent runs without the surrogate, which is useful only at a distance.
 const FINE_SPREAD: f64 = 0.1;
-/// Since its points are screened, a descent makes do with half the usual population, but not with fewer than this.
+/// Minimum population of a descent, which has half the usual population because its points are screened.
 const MIN_POPULATION: usize = 4;
-/// Candidates of which the most promising one is evaluated.
 const SCREENING_CANDIDATES: usize = 16;
-/// Latest points the surrogate is fitted to: its cost grows with their cube.
+/// Number of recent points for the surrogate, whose cost is cubic.
 const MAX_SURROGATE_POINTS: usize = 150;
-/// Descents kept for later, for the same reason as good points.
 const MAX_PAUSED_DESCENTS: usize = 200;
-/// Good points kept: a long search must not fill memory, and descents start at the best few.
+/// Maximum number of good points, to limit memory. Descents start at the best few.
 const MAX_GOOD_POINTS: usize = 2000;
-/// Evaluations of everything else for each one of a descent of the leader's script.
+/// Other evaluations per evaluation of a descent of the leader's script.
 const OTHER_EVALUATIONS_PER_LEADER_EVALUATION: usize = 3;
-/// What goes along with each generation of a descent.
 const PLAN_DURING_DESCENT: BatchPlan = BatchPlan { screened: 2, simple: 0, edges: 0 };
-/// A batch while no descent runs.
 const EXPLORATION_PLAN: BatchPlan = BatchPlan { screened: 1, simple: 4, edges: 7 };
 
-/// How many points of each kind a batch holds.
 #[derive(Debug, Clone, Copy)]
 struct BatchPlan {
     screened: usize,
@@ -51,21 +45,15 @@ struct BatchPlan {
     edges: usize,
 }
 
-/// The portfolio. It knows the cube and the values, nothing else.
+/// Portfolio that uses only the cube and the values.
 ///
-/// It starts with a few simple points (`shape`). Then two kinds of work take turns:
+/// The search starts with a few simple points, and then alternates:
 ///
-/// - A *descent* is a run of CMA-ES on signals of at most ten pieces, each generation screened by a surrogate, for as long
-///   as the best value comes notably nearer to violation; broken off, it may be continued later.
-/// - *Exploration* draws simple points, some of them screened, and halves segments towards the edges of plateaus (`edge`).
-///   Where no two values are equal there is no plateau, and the climbs of `signals` take that share.
+/// - A *descent* runs CMA-ES on signals of at most ten pieces, screened by a surrogate, while the best value falls.
+/// - *Exploration* samples simple points and bisects segments to the edges of plateaus; without a plateau, it climbs.
 ///
-/// Where the problem has a leader, its script is made worse beside all that once the first descent is over, by sequential
-/// convex programming from the best point (`sequential`), whenever the best value has notably fallen since that was last
-/// done.
-///
-/// After the k-th descent exploration lasts k times as long as the descent did, up to three times: the first descents decide
-/// easy problems soon, and on deceptive slopes their share of the budget falls.
+/// After the first descent, sequential convex programming also worsens the script of a leader from the best point.
+/// After the k-th descent, exploration lasts k times as long, up to three times: descents solve easy problems early.
 #[derive(Debug)]
 pub(super) struct Auto {
     cube: UnitCube,
@@ -79,9 +67,9 @@ pub(super) struct Auto {
     descents: usize,
     paused: Vec<CmaDescent>,
     exploration_left: usize,
-    /// The latest coarse points and their values, in the order they were evaluated.
+    /// Recent coarse points and their values, in the order of evaluation.
     surrogate_data: Vec<(Vec<f64>, f64)>,
-    /// How many there have been, forgotten ones included.
+    /// Number of all coarse points, forgotten ones included.
     surrogate_data_count: usize,
     surrogate: Option<Surrogate>,
     metric_selection: MetricSelection,
@@ -89,15 +77,14 @@ pub(super) struct Auto {
     pending: Vec<PortfolioProposal>,
 }
 
-/// Descents of the leader's script, one after the other.
+/// A series of descents of the leader's script.
 #[derive(Debug, Default)]
 struct LeaderSearch {
     descent: Option<LeaderDescent>,
-    /// The best point so far, and its value.
     best: Option<(f64, Vec<f64>)>,
-    /// The best value when the last one began.
+    /// Best value at the start of the last descent.
     started_at_value: Option<f64>,
-    /// Evaluations of the descents, and of everything.
+    /// Evaluations of the descents, and all evaluations.
     evaluations: [usize; 2],
 }
 
@@ -172,7 +159,6 @@ impl Auto {
         PortfolioProposal::Simple(sample_simple_point(&self.cube, &mut self.random))
     }
 
-    /// The most promising of several simple points.
     fn propose_screened(&mut self) -> PortfolioProposal {
         let Some(surrogate) = &self.surrogate else { return self.propose_simple() };
         let candidates = (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
@@ -181,8 +167,7 @@ impl Auto {
         PortfolioProposal::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
 
-    /// The first two descents start at the centre; then the best one that was broken off continues, and new ones start at
-    /// the best points, by turns.
+    /// Starts two descents at the centre; then, in turns, resumes the best one or starts near the best points.
     fn next_descent(&mut self) -> CmaDescent {
         self.descents += 1;
         let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
@@ -240,7 +225,6 @@ impl LeaderSearch {
         self.descent.insert(LeaderDescent::new(cube, point.clone(), *best)).ask()
     }
 
-    /// The values of what was asked for last.
     fn tell(&mut self, robustness: &[f64]) {
         self.evaluations[0] += robustness.len();
         if let Some(descent) = self.descent.as_mut().filter(|_| !robustness.is_empty()) {
@@ -248,7 +232,6 @@ impl LeaderSearch {
         }
     }
 
-    /// Any value.
     fn learn(&mut self, point: &[f64], value: f64) {
         self.evaluations[1] += 1;
         if self.best.as_ref().is_none_or(|(best, _)| value < *best) {
@@ -296,7 +279,7 @@ impl SearchAlgorithm for Auto {
             self.descent = Some(descent);
             self.propose_batch(PLAN_DURING_DESCENT);
         }
-        // Not before the first descent has met its plateau: easy problems are decided by then.
+        // The first descent solves easy problems, so start after its plateau.
         if self.descents > 1 || self.exploration_left > 0 {
             self.pending.extend(self.leader_search.ask(&self.cube).into_iter().map(PortfolioProposal::Leader));
         }

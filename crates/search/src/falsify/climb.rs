@@ -1,25 +1,24 @@
-//! Many short climbs at once, the promising ones continued.
+//! Many short hill climbs at once, of which the promising ones continue.
 
 use crate::falsify::UnitCube;
 use crate::falsify::simple_points::sample_neighbour;
 use crumple_world::random::Stream;
 
-/// Fruitless moves that weigh as much as one place in the ranking.
+/// Number of unsuccessful moves that weigh as much as one rank.
 const MOVES_PER_RANK: f64 = 8.0;
-/// What is left of a coordinate's weight when a change of it has changed nothing, and the least that stays.
+/// Factor of a coordinate's weight after a change of it without effect, and the minimum weight.
 const NEUTRAL_DECAY: f64 = 0.3;
 const MIN_WEIGHT: f64 = 0.03;
-/// Climbs kept: worse ones are forgotten.
+/// Maximum number of climbs; the worst are dropped.
 const MAX_CLIMBS: usize = 200;
 
-/// Climbs from many points.
+/// Hill climbs from many points.
 ///
-/// The next move goes to the climb with the best sum of its rank by value and its fruitless moves since it last improved:
-/// the best one leads until it sits on a plateau, then others catch up.
+/// The next move goes to the climb with the smallest sum of its rank by value and its unsuccessful moves since its last
+/// improvement: the best one leads until it is on a plateau, then others catch up.
 ///
-/// Robustness is a minimum over time, so inputs after the critical instant, or to a vehicle that plays no part, change
-/// nothing at all. Each climb learns which coordinates those are from values that stay equal to the last bit, and moves
-/// them less. A move that improved is repeated, longer or shorter (the pattern move of Hooke and Jeeves, 1961).
+/// Robustness is a minimum over time, so late inputs, or those of an uninvolved vehicle, have no effect. Each climb
+/// moves such coordinates less. A successful move is repeated, longer or shorter (pattern move, Hooke and Jeeves 1961).
 #[derive(Debug, Default)]
 pub(super) struct Climbs {
     climbs: Vec<Climb>,
@@ -35,7 +34,7 @@ struct Climb {
     has_pending_move: bool,
 }
 
-/// A proposal of one climb; hand it back with its value.
+/// A proposal of one climb; return it with its value.
 #[derive(Debug)]
 pub(super) struct ClimbMove {
     climb: usize,
@@ -43,7 +42,6 @@ pub(super) struct ClimbMove {
 }
 
 impl Climbs {
-    /// A new start.
     pub(super) fn add_start(&mut self, point: Vec<f64>, value: f64) {
         let weights = vec![1.0; point.len()];
         self.climbs.push(Climb {
@@ -56,14 +54,14 @@ impl Climbs {
         });
     }
 
-    /// Puts the climbs in order; call it once before a batch of moves, and never between a move and its value.
+    /// Sorts the climbs. Call this once before a batch of moves, and never between a move and its value.
     pub(super) fn rank(&mut self) {
         self.climbs.sort_by(|a, b| a.value.total_cmp(&b.value));
         self.climbs.truncate(MAX_CLIMBS);
         self.climbs.iter_mut().for_each(|climb| climb.has_pending_move = false);
     }
 
-    /// The next move, of a climb that has none in this batch.
+    /// Proposes the next move, of a climb that has none in this batch.
     pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
         let cost =
             |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK;
@@ -104,7 +102,7 @@ impl Climb {
             self.moves_without_gain = 0;
             self.last_gain = Some(change);
         }
-        // Equals are taken, too: walking along a plateau costs nothing.
+        // Accept equal values, too, to move along a plateau.
         if value <= self.value {
             (self.point, self.value) = (point, value);
         }

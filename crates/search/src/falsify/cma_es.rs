@@ -1,7 +1,7 @@
 //! CMA-ES with restarts and growing populations.
 //!
-//! The strategy and its constants are those of Hansen's tutorial (The CMA evolution strategy, 2016, arXiv:1604.00772),
-//! restarted with twice the population where it stagnates (Auger and Hansen, IPOP-CMA-ES, CEC 2005).
+//! The strategy and its constants are those of Hansen's tutorial (The CMA evolution strategy, 2016, arXiv:1604.00772).
+//! It restarts with twice the population after stagnation (Auger and Hansen, IPOP-CMA-ES, CEC 2005).
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand::RngExt;
@@ -11,14 +11,14 @@ use super::method::nan_as_infinity;
 use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Largest population after restarts, as a multiple of the first one.
+/// Maximum population after restarts, as a multiple of the first one.
 const MAX_GROWTH: usize = 32;
-/// First step size, in parts of the cube: the tutorial's 0.3 of the range.
+/// Initial step size, relative to the cube: the tutorial's 0.3 of the range.
 pub(super) const INITIAL_SIGMA: f64 = 0.3;
-/// Where the covariance is worse conditioned than this, it is numerically useless.
+/// Maximum condition number of the covariance; beyond it the numerical error is too large.
 const MAX_CONDITION_NUMBER: f64 = 1e14;
 
-/// CMA-ES with restarts. The first run starts at the centre, later ones anywhere.
+/// CMA-ES with restarts. The first run starts at the centre, later ones at random points.
 #[derive(Debug)]
 pub(super) struct CmaEs {
     random: Stream,
@@ -27,10 +27,7 @@ pub(super) struct CmaEs {
     run: CmaRun,
 }
 
-/// One run, from a start to stagnation.
-///
-/// Points outside the cube are moved to its surface, and learned from where they were evaluated: the extreme inputs that
-/// falsification looks for are thus reached exactly.
+/// One run, from a start to stagnation. Points outside the cube are projected, so that extreme inputs are reached.
 #[derive(Debug)]
 pub(super) struct CmaRun {
     population: usize,
@@ -48,7 +45,7 @@ pub(super) struct CmaRun {
     recent_best_values: Vec<f64>,
 }
 
-/// The constants of the tutorial's table 1, without negative weights.
+/// Constants of the tutorial's table 1, without negative weights.
 #[derive(Debug)]
 struct Constants {
     weights: Vec<f64>,
@@ -107,7 +104,7 @@ impl SearchAlgorithm for CmaEs {
     }
 }
 
-/// The default of the tutorial, equation 48.
+/// Returns the default population of the tutorial, equation 48.
 pub(super) fn default_population(dimension: usize) -> usize {
     4 + (3.0 * (dimension as f64).ln()) as usize
 }
@@ -136,7 +133,7 @@ impl CmaRun {
         self.pending.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
-    /// Points like those of [`CmaRun::ask`], but each the best of `among` by `score`.
+    /// Returns points like those of [`CmaRun::ask`], each the best of `among` by `score`.
     pub(super) fn ask_screened(
         &mut self,
         random: &mut Stream,
@@ -154,7 +151,7 @@ impl CmaRun {
     }
 
     pub(super) fn tell(&mut self, robustness: &[f64]) {
-        // A generation cut short by the budget teaches nothing more.
+        // Ignore a generation that the budget cut short.
         if robustness.len() < self.population {
             return;
         }
@@ -171,7 +168,7 @@ impl CmaRun {
         (&self.mean + step * self.sigma).map(|x| x.clamp(0.0, 1.0))
     }
 
-    /// Equations 39 to 47 of the tutorial, for a population ranked from the best to the worst.
+    /// Applies equations 39 to 47 of the tutorial to a population sorted from the best to the worst.
     fn learn(&mut self, ranked: &[(f64, &DVector<f64>)]) {
         let n = self.mean.len() as f64;
         let constants = Constants::new(self.mean.len(), self.population);
@@ -207,18 +204,17 @@ impl CmaRun {
         self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
         self.axes = eigen.eigenvectors;
         self.recent_best_values.extend(ranked.first().map(|(value, _)| *value));
-        // Equal best and median: the population sits on a plateau; wider steps may leave it.
+        // Equal best and median indicate a plateau; wider steps may leave it.
         if ranked.first().map(|r| r.0) == ranked.get(self.population / 2).map(|r| r.0) {
             self.sigma *= (0.2 + c_sigma / d_sigma).exp();
         }
     }
 
-    /// Largest standard deviation in any direction.
     pub(super) fn spread(&self) -> f64 {
         self.lengths.max() * self.sigma
     }
 
-    /// The termination criteria of the IPOP paper that make sense in a unit cube.
+    /// Returns true if a termination criterion of the IPOP paper that applies to a unit cube holds.
     pub(super) fn has_stagnated(&self) -> bool {
         let spread = self.spread();
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);

@@ -1,7 +1,7 @@
 //! The cross-entropy method with independent normal coordinates.
 //!
-//! Rubinstein and Kroese (The cross-entropy method, Springer 2004, section 5.1) with the smoothing they recommend:
-//! constant for the mean, and for the deviation a smoothing that fades, so that it does not collapse early.
+//! Follows Rubinstein and Kroese (The cross-entropy method, Springer 2004, section 5.1) with the recommended smoothing:
+//! constant for the mean, and decreasing for the deviation, so that it does not collapse early.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -15,10 +15,9 @@ const ELITE_SIZE: usize = 6;
 const MEAN_SMOOTHING: f64 = 0.8;
 const DEVIATION_SMOOTHING: f64 = 0.8;
 const SMOOTHING_EXPONENT: f64 = 5.0;
-/// Where all deviations are smaller, the distribution is a point, and the search starts anew elsewhere.
+/// Minimum deviation: if all are smaller, the distribution has collapsed, and the search restarts elsewhere.
 const MIN_DEVIATION: f64 = 1e-5;
 
-/// Cross-entropy search.
 #[derive(Debug)]
 pub(super) struct CrossEntropy {
     random: Stream,

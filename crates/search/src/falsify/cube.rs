@@ -1,40 +1,38 @@
-//! The set a search moves in.
+//! The search domain.
 
 use std::ops::Range;
 
 use crumple_world::scenario::space::ScenarioSpace;
 
-/// The unit cube, with its coordinates in blocks: a block of one is a number by itself, a longer one a piecewise constant
-/// signal, piece after piece in time.
+/// The unit cube, with its coordinates in blocks: a number, or a piecewise constant signal, ordered by time.
 ///
-/// Methods that know signals may propose fewer pieces, which refine to all of them; to others it is just a cube.
+/// Methods that use signals may propose fewer pieces, which are refined. Other methods ignore the blocks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnitCube {
     blocks: Vec<Range<usize>>,
     leader_coordinates: Vec<usize>,
 }
 
-/// A cube without coordinates, or with a block without any.
+/// The error of a cube or block without coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a search needs at least one coordinate, and at least one in each block")]
 pub struct EmptyBlock;
 
 impl UnitCube {
-    /// The cube that a search in a space moves in: a block for each parameter, a signal's as long as it has pieces. It
-    /// knows which of them shape the script of the leader.
+    /// Creates the cube of a space: a block for each parameter, with marked coordinates of the leader's script.
     ///
     /// # Errors
-    /// None: a space has at least one parameter, and each has a coordinate.
+    /// [`EmptyBlock`] never: a space has at least one parameter, and each has a coordinate.
     pub fn from_space(space: &ScenarioSpace) -> Result<Self, EmptyBlock> {
         let cube = Self::new(space.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
         let of_leader = space.parameters().iter().filter(|parameter| parameter.is_leader_script());
         Ok(cube.with_leader_coordinates(of_leader.flat_map(|parameter| parameter.coordinates())))
     }
 
-    /// A cube of blocks with these numbers of coordinates.
+    /// Creates a cube of blocks with these numbers of coordinates.
     ///
     /// # Errors
-    /// [`EmptyBlock`] if there is none or one is zero.
+    /// [`EmptyBlock`] if there is no block, or one has length zero.
     pub fn new(lengths: impl IntoIterator<Item = usize>) -> Result<Self, EmptyBlock> {
         let mut blocks = Vec::new();
         let mut start = 0;
@@ -48,33 +46,32 @@ impl UnitCube {
         if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader_coordinates: Vec::new() }) }
     }
 
-    /// The number of coordinates, at least one.
+    /// Returns the number of coordinates, at least one.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.blocks.last().map_or(0, |block| block.end)
     }
 
-    /// The coordinates of each block.
+    /// Returns the coordinates of each block.
     #[must_use]
     pub fn blocks(&self) -> &[Range<usize>] {
         &self.blocks
     }
 
-    /// Names the coordinates that say how a scripted leader drives: the others are its circumstances. Coordinates outside
-    /// the cube are left out.
+    /// Marks the coordinates of the script of a leader. Ignores coordinates outside the cube.
     #[must_use]
     pub fn with_leader_coordinates(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
         self.leader_coordinates = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
         self
     }
 
-    /// The coordinates that say how a scripted leader drives; none where the problem has no leader.
+    /// Returns the coordinates of the script of a leader; empty without a leader.
     #[must_use]
     pub fn leader_coordinates(&self) -> &[usize] {
         &self.leader_coordinates
     }
 
-    /// A cube whose blocks have at most `pieces` coordinates each: signals of fewer pieces.
+    /// Returns a coarse cube, whose blocks have at most `pieces` coordinates each.
     #[must_use]
     pub fn with_max_pieces(&self, pieces: usize) -> Self {
         let lengths = self.blocks.iter().map(|block| block.len().min(pieces.max(1)));
@@ -86,7 +83,7 @@ impl UnitCube {
         Self { blocks: blocks.collect(), leader_coordinates: Vec::new() }
     }
 
-    /// A point of the coarse cube as one of this cube: every piece takes the value of the coarse piece it begins in.
+    /// Converts a point of the coarse cube: every piece takes the value of the coarse piece in which it begins.
     #[must_use]
     pub fn refine(&self, coarse: &Self, point: &[f64]) -> Vec<f64> {
         let mut refined = Vec::with_capacity(self.dimension());
@@ -98,7 +95,7 @@ impl UnitCube {
         refined
     }
 
-    /// The point of the coarse cube nearest to one of this cube: the mean over each coarse piece.
+    /// Converts a point to the nearest one of the coarse cube: the mean over each coarse piece.
     #[must_use]
     pub fn coarsen(&self, coarse: &Self, point: &[f64]) -> Vec<f64> {
         let mut means = Vec::with_capacity(coarse.dimension());
@@ -113,14 +110,13 @@ impl UnitCube {
         means
     }
 
-    /// Tells whether a point has the cube's dimension and lies in it.
+    /// Returns true if a point has the cube's dimension and lies in the cube.
     #[must_use]
     pub fn contains(&self, point: &[f64]) -> bool {
         point.len() == self.dimension() && point.iter().all(|x| (0.0..=1.0).contains(x))
     }
 
-    /// Distance of two points, from 0 to the number of blocks: mean difference in each block, so that a signal weighs as
-    /// much as a number.
+    /// Returns the distance of two points: the sum over blocks of the mean difference, from 0 to the number of blocks.
     #[must_use]
     pub fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
         let of_block = |block: &Range<usize>| {

@@ -1,4 +1,4 @@
-//! How runs are judged: by a specification, alone or beside a partner.
+//! Evaluation of scenarios by a specification, alone or with a partner simulation.
 
 use super::failure_criterion::FailureCriterion;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
@@ -8,7 +8,6 @@ use crumple_world::sim::{
     FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
 
-/// Everything that decides a verdict on a scenario.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Evaluator<'a> {
     pub(super) specification: &'a Specification,
@@ -18,18 +17,17 @@ pub(super) struct Evaluator<'a> {
 }
 
 impl Evaluator<'_> {
-    /// How a scenario is run with its step in so many parts, up to a contact.
+    /// Returns the options of a simulation up to a collision, with the step divided by `parts`.
     pub(super) fn run_options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
         run_options(self.controller, self.estimator, scenario, parts)
     }
 
-    /// The verdict with the scenario's step in so many parts.
+    /// Returns the verdict with the scenario's step divided by `parts`.
     pub(super) fn evaluate(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, SpecificationError> {
-        // One is asked for, and one comes back.
         self.evaluate_all(&[(scenario, parts)]).pop().unwrap_or(Err(SpecificationError::NoTrace))
     }
 
-    /// The same of many, which are run together.
+    /// Returns the verdicts of many scenarios, which are simulated together.
     pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
         let own = self.evaluate_with(self.controller, asked);
         let Some(contrast) = self.failure_criterion else { return own };
@@ -46,7 +44,7 @@ impl Evaluator<'_> {
             .collect()
     }
 
-    /// Why the controller of the run that a scenario is set against gives no answer there; none if it gives one.
+    /// Returns the reason why the controller of the partner simulation gives no answer; `None` if it answers.
     pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
         let contrast = self.failure_criterion?;
         let partner = contrast.partner(scenario)?;
@@ -76,7 +74,7 @@ impl Evaluator<'_> {
                 Some(run) => self.specification.judge(run, &result),
                 None => Err(SpecificationError::NoTrace),
             });
-        // In ascending order, so that each place is there when its turn comes.
+        // Insert in ascending order, so that each index exists.
         refused.into_iter().for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
         verdicts
     }

@@ -1,8 +1,7 @@
-//! Failures that say more than that something failed: another controller passes the same scenario, or the same one passes a harder one.
+//! Relative falsification: a failure counts only if a partner simulation passes.
 //!
-//! A run is judged beside a second one, its *partner*. What is looked for is a failure whose partner holds; its robustness is
-//! max(r, -r of the partner), that of "it holds, or the partner does not", and negative for such a failure alone. A partner whose controller
-//! gave no answer neither holds nor fails: such runs do not count, and how many there are is told.
+//! The robustness is max(r, -r of the partner): negative only if the run fails and the partner passes. If the partner's
+//! controller gave no answer, the run does not count and is reported separately.
 
 use std::fmt;
 use std::path::Path;
@@ -14,37 +13,36 @@ use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, UnknownController};
 
-/// What a failure is set against.
+/// A condition on a partner simulation for a failure to count.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum FailureCriterion {
-    /// Another controller, in the same scenario: what it fails as well does not count.
+    /// Another controller passes the same scenario.
     Differential(NamedController),
-    /// The same controller, in a scenario that should be no easier: what it fails there as well does not count.
+    /// This controller passes a partner scenario that should not be easier.
     Metamorphic(MetamorphicRelation),
 }
 
-/// What should make no scenario worse. A failure by it is a scenario that ends badly, and well with less of it.
+/// A change that should make no scenario worse: a scenario fails it that fails although the one with less of it passes.
 ///
-/// That such relations hold between runs where nobody knows what is right for one of them is the idea of metamorphic testing (Chen,
-/// Cheung and Yiu 1998, HKUST-CS98-01).
+/// Based on metamorphic testing, which needs no oracle (Chen, Cheung and Yiu 1998, HKUST-CS98-01).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum MetamorphicRelation {
-    /// Everybody ahead of the first vehicle under test starts further away.
+    /// All vehicles ahead of the first vehicle under test start further away.
     LargerGap {
-        /// By so much, in metres.
+        /// Additional gap, in metres.
         by_m: f64,
     },
-    /// The road has more grip.
+    /// The road has more friction.
     MoreFriction {
-        /// By so much of the coefficient.
+        /// Additional friction coefficient.
         by: f64,
     },
 }
 
-/// A relation cannot be understood.
+/// The error of a relation that cannot be parsed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no relation: there are larger-gap=M, in metres above 0, and more-friction=F, above 0 and below 1")]
 pub struct UnknownRelation(String);
@@ -53,7 +51,7 @@ const LARGER_GAP: &str = "larger-gap";
 const MORE_FRICTION: &str = "more-friction";
 
 impl MetamorphicRelation {
-    /// The partner of a scenario: the same with less of it; none if there can be none.
+    /// Returns the partner of a scenario, with less of the change; `None` if it would be invalid.
     #[must_use]
     pub(crate) fn partner(self, scenario: &Scenario) -> Option<Scenario> {
         match self {
@@ -68,7 +66,6 @@ impl MetamorphicRelation {
         }
     }
 
-    /// What the partner has, in words.
     #[must_use]
     pub(crate) fn describe_partner(self) -> String {
         match self {
@@ -103,7 +100,6 @@ impl FromStr for MetamorphicRelation {
 }
 
 impl FailureCriterion {
-    /// The partner's scenario; none if there can be none.
     pub(super) fn partner(&self, scenario: &Scenario) -> Option<Scenario> {
         match self {
             Self::Differential(_) => Some(scenario.clone()),
@@ -111,7 +107,7 @@ impl FailureCriterion {
         }
     }
 
-    /// Who drives in it, where `own` is under test.
+    /// Returns the controller of the partner simulation, if `own` is under test.
     pub(super) fn partner_controller<'a>(&'a self, own: &'a NamedController) -> &'a NamedController {
         match self {
             Self::Differential(other) => other,
@@ -119,7 +115,6 @@ impl FailureCriterion {
         }
     }
 
-    /// Whether it sets a controller against itself in the same scenario.
     pub(super) fn is_self_comparison(&self, own: &NamedController) -> bool {
         let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
         match self {
@@ -131,7 +126,6 @@ impl FailureCriterion {
         }
     }
 
-    /// What a file says of it.
     pub(super) fn to_record(&self) -> FailureCriterionRecord {
         match self {
             Self::Differential(other) => FailureCriterionRecord::Differential {
@@ -143,8 +137,8 @@ impl FailureCriterion {
         }
     }
 
-    /// Beside the partner's verdict; none if it has no partner, so that nothing can be said. Nor can anything where the partner's controller
-    /// gave no answer: when is then in `failed`, beside a robustness that is not negative.
+    /// Combines a verdict with that of the partner; infinite without a partner. A failure of the partner's controller
+    /// is recorded in `failure`, with a robustness that is not negative.
     pub(super) fn combine_verdicts(own: RunVerdict, partner: Option<RunVerdict>) -> RunVerdict {
         if let Some(failed) = partner.and_then(|partner| partner.failure) {
             return RunVerdict { failure: Some(failed), ..RunVerdict::new(f64::INFINITY) };
@@ -163,24 +157,24 @@ impl FailureCriterion {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum FailureCriterionRecord {
-    /// [`FailureCriterion::Against`].
+    /// A [`FailureCriterion::Differential`].
     #[serde(rename = "against")]
     Differential {
         /// Name of the other controller, or its file.
         controller: String,
-        /// Hash of its policy, if that is what it is.
+        /// Hash of its policy; `None` for other controllers.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         policy_sha256: Option<String>,
-        /// Identity of a controller whose name does not say what it is.
+        /// Identity of the controller, if its name does not determine it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         controller_sha256: Option<String>,
     },
-    /// [`FailureCriterion::Metamorphic`].
+    /// A [`FailureCriterion::Metamorphic`].
     Metamorphic(MetamorphicRelation),
 }
 
 impl FailureCriterionRecord {
-    /// What it stands for; relative paths start at `folder`.
+    /// Returns the criterion; relative paths start at `folder`.
     ///
     /// # Errors
     /// [`UnknownController`] if there is no such controller.
@@ -193,7 +187,7 @@ impl FailureCriterionRecord {
         })
     }
 
-    /// Which failures count, as the end of a sentence.
+    /// Describes the failures that count, as the end of a sentence.
     #[must_use]
     pub(crate) fn describe(&self) -> String {
         match self {
@@ -228,7 +222,7 @@ mod tests {
         assert_eq!(own[1..], partner[1..]);
         let slippery = MetamorphicRelation::MoreFriction { by: 0.25 }.partner(&scenario).unwrap();
         assert_eq!(slippery.spec().environment.friction, scenario.spec().environment.friction - 0.25);
-        // What would be no scenario is no partner.
+        // An invalid scenario is no partner.
         assert!(MetamorphicRelation::LargerGap { by_m: 1e3 }.partner(&scenario).is_none());
         assert!(MetamorphicRelation::MoreFriction { by: 0.999 }.partner(&scenario).is_none());
     }
@@ -243,7 +237,7 @@ mod tests {
         assert_eq!(judged(-0.5, Some(f64::INFINITY)), -0.5);
         assert_eq!(judged(2.0, Some(1.0)), 2.0);
         assert_eq!(judged(-3.0, Some(-4.0)), 4.0);
-        // A gap of nothing holds, and hardly.
+        // A robustness of zero passes.
         assert!(judged(-3.0, Some(0.0)) >= 0.0);
         assert_eq!(judged(-3.0, None), f64::INFINITY);
         assert_eq!(judged(f64::NEG_INFINITY, Some(1.0)), -1.0);

@@ -1,4 +1,4 @@
-//! A randomised Halton sequence: points that spread more evenly than independent ones.
+//! A randomised Halton sequence, whose points are spread more evenly than independent ones.
 
 use rand::seq::SliceRandom;
 
@@ -7,11 +7,8 @@ use crumple_world::random::{Purpose, stream};
 
 const BATCH_SIZE: usize = 32;
 
-/// Halton's sequence with every digit permuted at random, each position by itself (Owen, A randomized Halton algorithm
-/// in R, 2017, arXiv:1706.02808).
-///
-/// Without permutations the coordinates with large bases run in step with one another for hundreds of points, and there
-/// would be one sequence only: here a seed is a sequence, each point is uniform by itself, and all are evenly spread.
+/// A Halton sequence with random permutations of every digit (Owen, A randomized Halton algorithm in R, 2017,
+/// arXiv:1706.02808), without which coordinates with large bases correlate for hundreds of points.
 #[derive(Debug)]
 pub(super) struct Halton {
     coordinates: Vec<Coordinate>,
@@ -37,7 +34,7 @@ impl Coordinate {
         Self { base, digit_permutations: digits.collect() }
     }
 
-    /// The radical inverse of `index`: its digits, permuted and mirrored at the point.
+    /// Returns the radical inverse of `index`: its digits, permuted and mirrored at the point.
     fn radical_inverse(&self, mut index: u64) -> f64 {
         let mut weight = 1.0;
         let mut value = 0.0;
@@ -57,7 +54,6 @@ impl Halton {
         Self { coordinates: coordinates.collect(), next: 0 }
     }
 
-    /// What follows so many points.
     pub(super) fn skip_points(self, points: u64) -> Self {
         Self { next: points, ..self }
     }
@@ -84,7 +80,7 @@ mod tests {
     use super::super::Method;
     use super::*;
 
-    /// Warnock's formula for the squared L2 star discrepancy.
+    /// Returns the squared L2 star discrepancy (Warnock's formula).
     fn squared_discrepancy(points: &[Vec<f64>]) -> f64 {
         let (n, d) = (points.len() as f64, points[0].len() as i32);
         let single: f64 = points.iter().map(|p| p.iter().map(|x| (1.0 - x * x) / 2.0).product::<f64>()).sum();

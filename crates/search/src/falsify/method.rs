@@ -1,4 +1,4 @@
-//! What every search method can do, and their names.
+//! Search methods: their trait and their names.
 
 use std::fmt;
 use std::str::FromStr;
@@ -17,17 +17,17 @@ use super::signals::SignalSearch;
 use super::uniform::UniformSearch;
 use crumple_world::random::derived_seed;
 
-/// A search for the smallest robustness in a unit cube. [`CustomMethod`] puts an implementation into a campaign.
+/// A search for the smallest robustness in a unit cube. [`CustomMethod`] adds an implementation to a campaign.
 pub trait SearchAlgorithm: fmt::Debug + Send {
-    /// The next points to evaluate, at least one, every coordinate in [0, 1].
+    /// Proposes the next points to evaluate, at least one, every coordinate in [0, 1].
     fn ask(&mut self) -> Vec<Vec<f64>>;
 
-    /// The robustness of the points asked for last, in their order. Where it is shorter (the budget is used up), the
-    /// others count as never evaluated. NaN counts as +∞: a point that cannot be evaluated is no counterexample.
+    /// Receives the robustness of the last points, in their order. If it is shorter (the budget is used up), the other
+    /// points were not evaluated. NaN counts as +∞: a point that cannot be evaluated is no counterexample.
     fn tell(&mut self, robustness: &[f64]);
 }
 
-/// A search method. Files and the command line know the built-in ones only.
+/// A search method. Files and the command line support only the built-in ones.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -44,34 +44,34 @@ pub enum Method {
     Annealing,
     /// Signals of few pieces with bang-bang moves.
     Signals,
-    /// Sequential convex programming on how the leader brakes.
+    /// Sequential convex programming on the braking of the leader.
     Sequential,
     /// A portfolio.
     Auto,
-    /// A method of the program that uses the library.
+    /// A method of the program that uses this library.
     Custom(CustomMethod),
 }
 
-/// A search method that is not built in: a name, and a function that starts a search in a cube, decided by a seed.
+/// A search method that is not built in: a name, and a function that starts a search from a cube and a seed.
 ///
-/// A campaign records the name, and is not resumed with a method of another name. It cannot be divided into shards, nor shown by
-/// `crumple explore`, because these read its method from a file.
+/// A campaign records the name, and does not resume with a method of another name. It cannot be divided into shards,
+/// nor shown by `crumple explore`, because these read the method from a file.
 ///
 /// ```
 /// use crumple_core::observer::Quiet;
 /// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-/// use crumple_search::falsify::{Cube, CustomMethod, Method, Search};
+/// use crumple_search::falsify::{CustomMethod, Method, SearchAlgorithm, UnitCube};
 /// use crumple_world::control::ControllerSpec;
 /// use crumple_world::scenario::space::built_in_space;
 ///
-/// /// Proposes points on the diagonal of the cube, whatever they come to.
+/// /// Proposes points on the diagonal of the cube, and ignores their values.
 /// #[derive(Debug)]
 /// struct Diagonal {
 ///     dimension: usize,
 ///     proposed: u32,
 /// }
 ///
-/// impl Search for Diagonal {
+/// impl SearchAlgorithm for Diagonal {
 ///     fn ask(&mut self) -> Vec<Vec<f64>> {
 ///         self.proposed += 1;
 ///         vec![vec![(0.618 * f64::from(self.proposed)).fract(); self.dimension]]
@@ -80,7 +80,7 @@ pub enum Method {
 ///     fn tell(&mut self, _robustness: &[f64]) {}
 /// }
 ///
-/// let start = |cube: &Cube, _seed| -> Box<dyn Search> {
+/// let start = |cube: &UnitCube, _seed| -> Box<dyn SearchAlgorithm> {
 ///     Box::new(Diagonal { dimension: cube.dimension(), proposed: 0 })
 /// };
 /// let campaign = Campaign {
@@ -100,7 +100,7 @@ pub struct CustomMethod {
 
 type SearchFactory = dyn Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send + Sync;
 
-/// A name that no custom method can have.
+/// The error of an invalid name of a custom method.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name:?} cannot name a search method: use 1 to 40 of a-z, 0-9 and -, and not the name of a built-in method")]
 pub struct InvalidMethodName {
@@ -109,10 +109,10 @@ pub struct InvalidMethodName {
 }
 
 impl CustomMethod {
-    /// Gives a search method its name.
+    /// Creates a method from a name and a function that starts a search.
     ///
     /// # Errors
-    /// [`InvalidMethodName`] if the name is that of a built-in method, or does not consist of 1 to 40 of `a-z`, `0-9` and `-`.
+    /// [`InvalidMethodName`] for the name of a built-in method, or unless it is 1 to 40 of `a-z`, `0-9` and `-`.
     pub fn new(
         name: &str,
         start: impl Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send + Sync + 'static,
@@ -139,7 +139,7 @@ impl fmt::Debug for CustomMethod {
     }
 }
 
-/// A name that is not that of a method.
+/// The error of a name that is not that of a method.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is no method `{name}`; there are: {}", Method::ALL.each_ref().map(Method::name).join(", "))]
 pub struct UnknownMethod {
@@ -160,7 +160,7 @@ impl Method {
         Self::Auto,
     ];
 
-    /// The name used on the command line and in files.
+    /// Returns the name used on the command line and in files.
     #[must_use]
     pub fn name(&self) -> &str {
         match self {
@@ -192,14 +192,13 @@ impl Method {
         }
     }
 
-    /// Whether it does not look at values: a reference search, any part of which can be made by itself.
+    /// Returns true for non-adaptive methods (uniform, Halton), whose points can be generated from any index.
     #[must_use]
     pub fn is_blind(&self) -> bool {
         matches!(self, Self::Uniform | Self::Halton)
     }
 
-    /// The part of a search that begins after so many of its points: of a blind one the points that follow those, of any other a search
-    /// of its own, by a seed of its own.
+    /// Starts after `points` points of a non-adaptive search; any other method starts a new search with another seed.
     #[must_use]
     pub fn start_after(&self, points: u64, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
@@ -210,7 +209,7 @@ impl Method {
         }
     }
 
-    /// A search in `cube`, decided by `seed`.
+    /// Starts a search in `cube`, determined by `seed`.
     #[must_use]
     pub fn start(&self, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
@@ -256,7 +255,7 @@ impl FromStr for Method {
     }
 }
 
-/// A robustness that can be ranked: NaN is worst.
+/// Replaces NaN by infinity, so that it ranks worst.
 pub(super) fn nan_as_infinity(robustness: f64) -> f64 {
     if robustness.is_nan() { f64::INFINITY } else { robustness }
 }
@@ -273,7 +272,6 @@ mod tests {
     use proptest::prelude::*;
     use std::ops::ControlFlow;
 
-    /// Proposes one point again and again.
     #[derive(Debug)]
     struct FixedPointSearch(Vec<f64>);
 
@@ -332,7 +330,7 @@ mod tests {
         // Each case runs all methods twice.
         #![proptest_config(crumple_cases::with_cases(100))]
 
-        /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
+        /// Parts of a non-adaptive search equal the whole search; parts of any other are separate searches.
         #[test]
         fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
             let cube = UnitCube::new([1, 3]).unwrap();
@@ -376,7 +374,7 @@ mod tests {
                     one.tell(&told);
                     other.tell(&told);
                 }
-                // A budget that ends in the middle of a batch.
+                // The budget ends in the middle of a batch.
                 let points = one.ask();
                 one.tell(&vec![1.0; points.len() / 2]);
                 prop_assert!(!one.ask().is_empty());

@@ -1,16 +1,15 @@
-//! How it is attacked: search methods that look for negative robustness, and the problems they are measured on.
+//! Falsification: search methods that look for negative robustness, and problems to measure them.
 //!
-//! A search moves in a unit [`UnitCube`]; the owner of the problem scales it. A search proposes a batch of points
-//! ([`Search::ask`]) and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the
-//! seed and on earlier values alone, so its points may be evaluated in any order and on any number of threads without
-//! changing a result; and a search is resumed by asking and telling again what an earlier run has logged.
+//! A search moves in a [`UnitCube`]; the caller scales it to the problem. The search proposes a batch of points
+//! ([`SearchAlgorithm::ask`]) and receives their values ([`SearchAlgorithm::tell`]). A batch depends only on the seed
+//! and on earlier values. Its points may therefore be evaluated in any order and on any number of threads, and a search
+//! resumes by replaying the logged values.
 //!
-//! What a method knows of a problem stands in its cube: which coordinates are a signal, and which are the script of a
-//! leader. The convex programs of `worst_case` make that script worse step by step (`sequential`, and part of `auto`);
-//! where there is no leader, `auto` is what it is without them.
+//! The cube marks the coordinates of signals and of the script of a leader. Sequential convex programming
+//! ([`worst_case`](crate::worst_case)) worsens that script in the methods `sequential` and `auto`.
 //!
-//! A [`campaign`] puts it together: a space, a controller, a specification, a method with a budget, and a folder that holds
-//! every evaluation and the distinct failures as [`counterexample`] files.
+//! A [`campaign`] combines a space, a controller, a specification and a method with a budget. Its run folder contains
+//! every evaluation, and the distinct failures as [`counterexample`] files.
 
 mod annealing;
 mod auto;

@@ -1,5 +1,4 @@
-//! Numbers that may be infinite, in formats that have no word for it: robustness of "eventually" over nothing, the logarithm of
-//! a density of zero. Finite ones are numbers, the others the texts `inf` and `-inf`.
+//! Serialisation of numbers that may be infinite, such as a logarithm of zero, as the texts `inf` and `-inf`.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -41,7 +40,7 @@ impl From<NumberOrText> for f64 {
 /// Writes a number.
 ///
 /// # Errors
-/// The serialiser's.
+/// Any error of the serialiser.
 pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     NumberOrText::from(*value).serialize(serializer)
 }
@@ -49,19 +48,19 @@ pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::
 /// Reads a number.
 ///
 /// # Errors
-/// The deserialiser's, and for what is neither a number nor one of the two texts.
+/// Any error of the deserialiser, and for any content but a number or one of the two texts.
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     NumberOrText::deserialize(deserializer).map(f64::from)
 }
 
-/// Numbers that may be infinite or missing.
+/// Serialisation of numbers that may be infinite or missing.
 pub mod optional {
     use super::{Deserialize, Deserializer, NumberOrText, Serialize, Serializer};
 
     /// Writes a number, if there is one.
     ///
     /// # Errors
-    /// The serialiser's.
+    /// Any error of the serialiser.
     pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
         value.map(NumberOrText::from).serialize(serializer)
     }
@@ -69,7 +68,7 @@ pub mod optional {
     /// Reads a number, if there is one.
     ///
     /// # Errors
-    /// The deserialiser's, and for what is neither a number nor one of the two texts.
+    /// Any error of the deserialiser, and for any content but a number or one of the two texts.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
         Ok(Option::<NumberOrText>::deserialize(deserializer)?.map(f64::from))
     }

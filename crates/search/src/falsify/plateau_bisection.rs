@@ -1,9 +1,8 @@
-//! The edges of plateaus.
+//! Bisection towards the edges of plateaus.
 //!
-//! Where nothing reacts (no guard is crossed, no brake is triggered) many different inputs have the very same robustness:
-//! a plateau, on which no method sees a slope. A system with modes is often at its worst just beyond, where something is
-//! barely triggered, late or half-way; and since robustness jumps there, the slope outside seldom leads to it. Halving the
-//! segment from a point on a plateau to a near one outside finds the edge in a few evaluations.
+//! If no guard is crossed and no brake is triggered, many inputs have the same robustness: a plateau without slope. A
+//! system with modes is often worst just beyond its edge, where robustness jumps, so the slope outside seldom leads
+//! there. Bisecting a segment from a plateau point to a near outside point finds the edge in a few evaluations.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -13,33 +12,30 @@ use rand::RngExt;
 use super::UnitCube;
 use crumple_world::random::Stream;
 
-/// Halvings of a segment: to half a hundredth of the way.
+/// Maximum number of halvings of a segment, to 1/256 of its length.
 const MAX_HALVINGS: u32 = 8;
-/// After so many of them a segment is judged by the value beyond the edge: half of the work is left to be saved.
+/// Number of halvings after which a segment is dropped if the value beyond the edge is poor.
 const PRUNING_HALVINGS: u32 = 4;
-/// Points outside among which the nearest one is taken.
+/// Number of outside points of which the nearest one is used.
 const NEIGHBOUR_CANDIDATES: usize = 60;
 
-/// Points kept: in a long search, later ones would only cost memory.
+/// Maximum number of points, to limit memory.
 const MAX_POINTS: usize = 100_000;
 
-/// Independent points with their values, by whether others have the same value.
+/// Independent points with their values, grouped by shared values.
 #[derive(Debug, Default)]
 pub(super) struct Plateaus {
     points: Vec<(Vec<f64>, f64)>,
-    /// For each value, the first point that has it.
     first_by_value: HashMap<u64, usize>,
-    /// Points that share their value with others, and all others: indices, increasing.
+    /// Indices of points that share their value with others, and of all others, increasing.
     plateau_points: Vec<usize>,
     other_points: Vec<usize>,
-    /// Segments there have been, from a point of `flat` to one of `rest`. While points are few, the nearest one outside is mostly the
-    /// same, and halving the same segment again finds the same edge.
+    /// Used segments, from a point of `plateau_points` to one of `other_points`, which would yield the same edge again.
     used_segments: HashSet<(usize, usize)>,
-    /// The values beyond the edge of all segments that were judged, increasing.
+    /// Values beyond the edge of all segments at the pruning check, increasing.
     edge_values: Vec<f64>,
 }
 
-/// The search along one segment.
 #[derive(Debug, Clone)]
 pub(super) struct Segment {
     plateau_value: f64,
@@ -72,7 +68,7 @@ impl Plateaus {
         }
     }
 
-    /// A segment from a plateau to a near point outside that there has not been yet, if there are both.
+    /// Returns an unused segment from a plateau to a near point outside, if there is one.
     pub(super) fn next_segment(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<Segment> {
         if self.plateau_points.is_empty() || self.other_points.is_empty() {
             return None;
@@ -91,8 +87,8 @@ impl Plateaus {
         Some(Segment { plateau_value: *plateau, inside, outside, outside_value, halvings: 0 })
     }
 
-    /// The half of a segment that holds the edge, given the value half-way. None if it is short enough, or if the value beyond
-    /// the edge is worse than that of half of the segments so far: another edge is the better bet then.
+    /// Returns the half that contains the edge, given the value at the midpoint. `None` if it is short enough, or the
+    /// value beyond the edge is worse than that of half of the segments so far.
     pub(super) fn halve(&mut self, segment: Segment, value: f64) -> Option<Segment> {
         let half = segment.halve(value)?;
         if half.halvings == PRUNING_HALVINGS {
@@ -107,12 +103,10 @@ impl Plateaus {
 }
 
 impl Segment {
-    /// The point half-way.
     pub(super) fn midpoint(&self) -> Vec<f64> {
         self.inside.iter().zip(&self.outside).map(|(a, b)| 0.5 * (a + b)).collect()
     }
 
-    /// The half that holds the edge, unless it is short enough.
     fn halve(mut self, value: f64) -> Option<Self> {
         let middle = self.midpoint();
         if value == self.plateau_value {
@@ -134,7 +128,7 @@ mod tests {
     fn no_segment_is_halved_twice() {
         let cube = UnitCube::new([1, 1]).unwrap();
         let mut plateaus = Plateaus::default();
-        // Three points on a plateau, two outside: six segments.
+        // Three points on a plateau and two outside give six segments.
         let points = [([0.1, 0.1], 1.0), ([0.2, 0.9], 1.0), ([0.9, 0.2], 1.0), ([0.5, 0.5], 0.5), ([0.6, 0.8], 0.3)];
         for (point, value) in points {
             plateaus.add(point.to_vec(), value);
@@ -166,7 +160,7 @@ mod tests {
             }
             halvings
         };
-        // The first one has nothing to be judged by.
+        // The first segment has no comparison.
         assert_eq!([0.5, 0.1, 0.9, 0.3, 0.9].map(&mut halvings), [8, 8, 4, 8, 4]);
     }
 }

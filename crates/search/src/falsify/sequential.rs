@@ -1,9 +1,8 @@
-//! Sequential convex programming on how the leader brakes.
+//! Sequential convex programming on the braking of the leader.
 //!
-//! `crumple worst-case` varies the leader's profile in one scenario. Here the scenario is a point of the space: some of its
-//! coordinates are the leader's script ([`UnitCube::leader`]), the others its circumstances, held while the script is made
-//! worse by the same steps (`worst_case::Descent`). Every finite difference and every step is a point that is asked for, so
-//! that it counts as the evaluation it is, and a search that is resumed takes the same steps.
+//! The scenario is a point of the space: some coordinates are the leader's script ([`UnitCube::leader_coordinates`]);
+//! the others are held while [`TrustRegionDescent`] worsens the script. Every finite difference and every step is a
+//! proposed point, so that it counts as an evaluation, and a resumed search takes the same steps.
 
 use super::method::nan_as_infinity;
 use super::simple_points::sample_simple_point;
@@ -11,11 +10,10 @@ use super::{SearchAlgorithm, UnitCube};
 use crate::worst_case::{StepSchedule, TrustRegionDescent, VariableBounds};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
-/// the ranges.
+/// Finite difference of a coordinate, and the initial and final trust region, as shares of the ranges.
 const STEP_SCHEDULE: StepSchedule = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.02] };
 
-/// A descent over the script of the leader, its circumstances held; then over everything.
+/// A descent over the script of the leader, then over all coordinates.
 #[derive(Debug)]
 pub(super) struct LeaderDescent {
     point: Vec<f64>,
@@ -25,7 +23,7 @@ pub(super) struct LeaderDescent {
 }
 
 impl LeaderDescent {
-    /// From a point and the robustness there. In a cube without a leader every coordinate varies.
+    /// Creates a descent from a point and its robustness. In a cube without a leader every coordinate varies.
     pub(super) fn new(cube: &UnitCube, point: Vec<f64>, robustness: f64) -> Self {
         let is_joint = cube.leader_coordinates().is_empty();
         let coordinates = if is_joint { (0..cube.dimension()).collect() } else { cube.leader_coordinates().to_vec() };
@@ -38,7 +36,6 @@ impl LeaderDescent {
         Self { point, coordinates, descent, is_joint }
     }
 
-    /// What to evaluate next; nothing if it is over.
     pub(super) fn ask(&mut self) -> Vec<Vec<f64>> {
         let mut asked = self.descent.ask();
         if asked.is_empty() && !self.is_joint {
@@ -49,7 +46,6 @@ impl LeaderDescent {
         asked.iter().map(|at| self.full_point(at)).collect()
     }
 
-    /// The robustness of what was asked for last.
     pub(super) fn tell(&mut self, robustness: &[f64]) {
         self.descent.tell(robustness);
     }
@@ -65,9 +61,7 @@ impl LeaderDescent {
     }
 }
 
-/// Simple points tried before the first descent, and between one descent and the next.
 const EXPLORATION_POINTS: usize = 16;
-/// Starts kept for later.
 const MAX_STARTS: usize = 200;
 
 /// Descents from the best of many simple points.
@@ -77,7 +71,7 @@ pub(super) struct Sequential {
     random: Stream,
     starts: Vec<(f64, Vec<f64>)>,
     descent: Option<LeaderDescent>,
-    /// Points asked for to explore; none if they are the descent's.
+    /// Proposed points of the exploration; empty during a descent.
     exploration_points: Vec<Vec<f64>>,
 }
 

@@ -9,12 +9,11 @@ use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 8;
-/// Simple points before the first climb.
 const INITIAL_POINTS: usize = 24;
 /// Share of simple points after that.
 const SIMPLE_SHARE: f64 = 0.5;
 
-/// Signals of few pieces that switch anywhere, often between their extremes, changed piece by piece.
+/// A search over signals with few pieces at any times, often at their extremes, changed piece by piece.
 #[derive(Debug)]
 pub(super) struct SignalSearch {
     cube: UnitCube,

@@ -1,8 +1,7 @@
-//! Few-piece inputs: where falsifying inputs are found more often than anywhere else, and small moves between them.
+//! Inputs with few pieces, and small moves between them.
 //!
-//! Inputs that break a controller tend to be simple: a hard brake, a pulse, a step at the wrong moment. Uniform values for
-//! twenty pieces hardly ever look like that, since their sum hardly varies. So signals are drawn with few pieces, switching
-//! anywhere, and values are often the extreme ones (bang-bang).
+//! Falsifying inputs tend to be simple: a hard brake, a pulse, a step. Uniform values for twenty pieces are hardly ever
+//! like that. Signals are therefore drawn with few pieces at any times, often with extreme values (bang-bang).
 
 use std::ops::Range;
 
@@ -12,12 +11,12 @@ use rand_distr::{Distribution, StandardNormal};
 use super::UnitCube;
 use crumple_world::random::Stream;
 
-/// Numbers of pieces drawn with equal probability, where a signal has as many.
+/// Numbers of pieces, drawn with equal probability up to the length of the signal.
 const PIECE_COUNTS: [usize; 8] = [1, 2, 3, 4, 5, 6, 8, 10];
-/// The share of extreme values differs from point to point: from half to nearly all.
+/// Range of the share of extreme values, which is drawn for each point.
 const EXTREME_SHARE: Range<f64> = 0.5..0.9;
 
-/// A point whose signals have few pieces and whose values are often 0 or 1.
+/// Draws a point whose signals have few pieces and whose values are often 0 or 1.
 pub(super) fn sample_simple_point(cube: &UnitCube, random: &mut Stream) -> Vec<f64> {
     let extreme = random.random_range(EXTREME_SHARE);
     let mut point = Vec::with_capacity(cube.dimension());
@@ -41,7 +40,7 @@ fn sample_value(extreme: f64, random: &mut Stream) -> f64 {
     if random.random_bool(extreme) { f64::from(u8::from(random.random::<bool>())) } else { random.random() }
 }
 
-/// A maximal run of equal values in a block: one piece of a signal.
+/// Returns the piece of a signal at `index`: the maximal run of equal values.
 fn piece_at(block: &Range<usize>, point: &[f64], index: usize) -> Range<usize> {
     let same = |other: &usize| point.get(*other) == point.get(index);
     let before = (block.start..index).rev().take_while(same).count();
@@ -49,12 +48,10 @@ fn piece_at(block: &Range<usize>, point: &[f64], index: usize) -> Range<usize> {
     index - before..index + 1 + after
 }
 
-/// Smallest and largest standard deviation of a change of value; drawn evenly on a logarithmic scale, so that no
-/// step size needs to be adapted.
+/// Range of the standard deviation of a change, drawn on a logarithmic scale, so that no step size needs adaptation.
 const STEP_DEVIATION: Range<f64> = 0.01..0.5;
 
-/// A neighbour of a point: one piece, chosen by where `weights` lie, gets another value, moves a border, is cut in two or
-/// merges with the next. None if the move drawn changes nothing.
+/// Draws a neighbour: a piece, chosen by `weights`, changes its value or border, is split or merged. `None` if equal.
 pub(super) fn sample_neighbour(
     cube: &UnitCube,
     point: &[f64],
@@ -79,13 +76,13 @@ pub(super) fn sample_neighbour(
             (piece, (own + step * change).clamp(0.0, 1.0))
         }
         10..13 => (piece, sample_value(0.5, random)),
-        // Borders, in either direction.
+        // Moves of a border, in either direction.
         13 => (piece.start.saturating_sub(reach).max(block.start)..piece.start, own),
         14 => (piece.start..(piece.start + reach).min(piece.end), before?),
         15 => (piece.end..(piece.end + reach).min(block.end), own),
         16 => (piece.end.saturating_sub(reach).max(piece.start)..piece.end, after?),
         17 => (piece, if random.random() { before? } else { after? }),
-        // A cut, with a new value for the rest of the piece or, as a late decision, for the rest of the signal.
+        // Splits, with a new value for the rest of the piece or of the signal.
         18 => (if random.random() { piece.start..index + 1 } else { index..piece.end }, sample_value(0.5, random)),
         _ => (index..block.end, sample_value(0.5, random)),
     };

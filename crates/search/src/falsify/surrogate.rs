@@ -1,19 +1,18 @@
-//! A cheap guess of the robustness from what was evaluated before.
+//! A surrogate model that predicts robustness from earlier evaluations.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::UnitCube;
 
-/// Variance of the noise relative to that of the signal: near points with unlike values must not bend the fit.
+/// Variance of the noise relative to that of the signal: prevents overfitting to near points with different values.
 const NOISE_VARIANCE: f64 = 0.05;
-/// The metric is chosen anew when there are so many times as many points.
+/// Growth of the number of points after which the metric is selected again.
 const RESELECTION_GROWTH: f64 = 1.25;
 
-/// Kriging (a Gaussian process) with the Matérn 5/2 kernel through the ranks of earlier values, its metric chosen by
+/// Kriging (a Gaussian process) with the Matérn 5/2 kernel on the ranks of earlier values. The metric maximises the
 /// likelihood (Rasmussen and Williams, Gaussian processes for machine learning, 2006, equations 2.25, 2.30 and 4.17).
-///
-/// Ranks, since robustness jumps and has outliers, while only order matters for choosing among candidates.
+/// Ranks are used because robustness jumps and has outliers, and only order matters to choose candidates.
 #[derive(Debug)]
 pub(super) struct Surrogate {
     cube: UnitCube,
@@ -22,28 +21,22 @@ pub(super) struct Surrogate {
     weights: DVector<f64>,
 }
 
-/// The metric in use, kept from fit to fit.
 #[derive(Debug, Default)]
 pub(super) struct MetricSelection {
     metric: Metric,
     points: usize,
 }
 
-/// How far apart two points are.
-///
-/// What a signal does to a vehicle is speed and distance, its integrals: two signals that differ piece by piece but not in
-/// their running integral have much the same effect. And robustness is often decided at some instant, after which inputs
-/// play no part. Whether either holds is for the data to say.
+/// A distance of points. Signals act through their integrals, and only until some instant; the data select how.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Metric {
     signal_feature: SignalFeature,
-    /// Of each signal only the first 2^(-horizon/2) counts.
+    /// Exponent of the considered share of each signal, 2^(-horizon/2).
     horizon: i32,
-    /// The characteristic length is 1.6^length times [`MIN_LENGTH_SCALE`].
+    /// Exponent of the characteristic length, 1.6^exponent times [`MIN_LENGTH_SCALE`].
     length_exponent: i32,
 }
 
-/// What of a signal is compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum SignalFeature {
     Values,
@@ -54,7 +47,7 @@ enum SignalFeature {
 const SIGNAL_FEATURES: [SignalFeature; 3] = [SignalFeature::Values, SignalFeature::Integral, SignalFeature::Both];
 const HORIZON_COUNT: i32 = 7;
 const LENGTH_COUNT: i32 = 9;
-/// In parts of the diagonal of a cube with a coordinate for each block.
+/// Smallest characteristic length, relative to the diagonal of a cube with a coordinate for each block.
 const MIN_LENGTH_SCALE: f64 = 0.15;
 
 impl Default for Metric {
@@ -64,7 +57,7 @@ impl Default for Metric {
 }
 
 impl Metric {
-    /// All that differ in a cube: without signals, only the length counts.
+    /// Returns all metrics that differ in a cube: without signals, only the length matters.
     fn candidates(cube: &UnitCube) -> impl Iterator<Item = Self> {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
         let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZON_COUNT) } else { (1, 1) };
@@ -79,7 +72,7 @@ impl Metric {
         MIN_LENGTH_SCALE * 1.6_f64.powi(self.length_exponent) * (cube.blocks().len() as f64).sqrt()
     }
 
-    /// Coordinates whose Euclidean distance is that of the metric; every block weighs as much as a number.
+    /// Returns coordinates whose Euclidean distance is that of the metric; every block weighs as much as a number.
     fn features(self, cube: &UnitCube, point: &[f64]) -> Vec<f64> {
         let mut features = Vec::new();
         for block in cube.blocks() {
@@ -102,8 +95,7 @@ impl Metric {
 }
 
 impl Surrogate {
-    /// A fit to points of the cube and their values, the last ones of `known`; none if there are too few or the numbers do
-    /// not allow it.
+    /// Fits a model to the last ones of `known` points; `None` if there are too few or the factorisation fails.
     pub(super) fn fit(
         cube: &UnitCube,
         data: &[(Vec<f64>, f64)],
@@ -116,7 +108,7 @@ impl Surrogate {
         let scores = DVector::from_vec(scores(data));
         if known as f64 >= RESELECTION_GROWTH * chosen.points as f64 {
             let metrics: Vec<Metric> = Metric::candidates(cube).collect();
-            // Each fit is made alone, and the choice among them in their order: threads change nothing.
+            // Fits are independent and compared in a fixed order, so threads do not change the result.
             let fits = metrics.into_par_iter().map(|metric| Self::fit_with_metric(cube, data, &scores, metric));
             let fits: Vec<_> = fits.collect();
             let fits = fits.into_iter().flatten().filter(|(likelihood, _)| !likelihood.is_nan());
@@ -127,7 +119,6 @@ impl Surrogate {
         Self::fit_with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
     }
 
-    /// A fit and its logarithmic likelihood.
     fn fit_with_metric(
         cube: &UnitCube,
         data: &[(Vec<f64>, f64)],
@@ -152,7 +143,7 @@ impl Surrogate {
         Some((likelihood, Self { cube: cube.clone(), metric, features, weights }))
     }
 
-    /// The expected score of a point: lower is better.
+    /// Returns the predicted score of a point: lower is better.
     pub(super) fn score(&self, point: &[f64]) -> f64 {
         let (own, length) = (self.metric.features(&self.cube, point), self.metric.length_scale(&self.cube));
         let near = self.features.iter().map(|known| matern(square_distance(known, &own), length));
@@ -160,7 +151,7 @@ impl Surrogate {
     }
 }
 
-/// Logits of the ranks of the values; equal values have equal scores.
+/// Returns the logits of the ranks of the values; equal values have equal scores.
 fn scores(data: &[(Vec<f64>, f64)]) -> Vec<f64> {
     let mut sorted: Vec<f64> = data.iter().map(|(_, value)| *value).collect();
     sorted.sort_by(f64::total_cmp);

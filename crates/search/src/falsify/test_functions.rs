@@ -1,17 +1,16 @@
-//! Classic test functions with known optima, and what the methods are published to reach on them.
+//! Classic test functions with known optima, and the published performance of methods on them.
 
 use super::{Method, UnitCube};
 
 /// A function of a point of the unit cube, 0 at its global optimum and positive elsewhere.
 type TestFunction = fn(&[f64]) -> f64;
 
-/// A point of the unit cube scaled to the function's usual box.
 fn scale(point: &[f64], low: f64, high: f64) -> impl Iterator<Item = f64> + Clone {
     point.iter().map(move |x| low + x * (high - low))
 }
 
 fn sphere(point: &[f64]) -> f64 {
-    // Off centre, since searches that start at the centre would have nothing to do.
+    // Off centre, because some searches start at the centre.
     scale(point, -5.0, 5.0).map(|x| (x - 1.3).powi(2)).sum()
 }
 
@@ -45,7 +44,7 @@ fn branin(point: &[f64]) -> f64 {
     valley * valley + 10.0 * (1.0 - 1.0 / (8.0 * pi)) * x.cos() + 10.0 - 0.397_887_357_729_738
 }
 
-/// Evaluations until a value below `target`, for the seeds 0 to 8, sorted; the budget where it was not reached.
+/// Returns the sorted evaluations until a value below `target`, for the seeds 0 to 8; the budget without success.
 fn evaluations_to_target(
     method: &Method,
     function: TestFunction,

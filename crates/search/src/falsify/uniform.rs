@@ -7,7 +7,6 @@ use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 32;
 
-/// Independent uniform points.
 #[derive(Debug)]
 pub(super) struct UniformSearch {
     random: Stream,
@@ -19,7 +18,7 @@ impl UniformSearch {
         Self { random: stream(seed, Purpose::Search, 0), dimension: cube.dimension() }
     }
 
-    /// What follows so many points. The stream cannot leap over them; it takes a nanosecond a coordinate.
+    /// Skips `points` points. The stream cannot jump; drawing takes a nanosecond per coordinate.
     pub(super) fn skip_points(mut self, points: u64) -> Self {
         for _ in 0..points {
             for _ in 0..self.dimension {

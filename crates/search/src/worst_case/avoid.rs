@@ -1,4 +1,4 @@
-//! Could any driver have avoided the collision?
+//! Decision if any driver could have avoided a collision.
 
 use crumple_verify::{Certificate, ProvedClaim, Statement};
 
@@ -13,37 +13,35 @@ use super::reason::UndecidedReason;
 use super::scenario_box::ScenarioBox;
 use crumple_world::scenario::{Scenario, whole_multiple};
 
-/// How to search for an escape.
+/// Options of the search for an escape.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AvoidOptions {
-    /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. Where it is too
-    /// coarse to decide, the step itself is used. None for about a tenth of a second.
+    /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. If it is
+    /// too coarse to decide, the step itself is used. `None` means about a tenth of a second.
     pub grid_s: Option<f64>,
-    /// Which escape to show.
+    /// Kind of the escape to return.
     pub escape: EscapeKind,
-    /// Whether to write down, where there is an escape, why nobody keeps more than the bound.
+    /// True to certify, for an avoidable collision, that no profile exceeds the bound.
     pub certify_bound: bool,
     /// Extent of the simulations if the programs do not model every driver.
     pub effort: SearchEffort,
 }
 
-/// Which of all escapes is shown.
+/// Choice among all escapes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum EscapeKind {
-    /// The one with the largest smallest gap on the grid.
+    /// The largest smallest gap on the grid.
     #[default]
     LargestGap,
-    /// The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all
-    /// escapes with that firing, not of those with another, which may be gentler.
+    /// The least ∫ a² with half of the largest smallest gap, if the brake behind fires no later than for that gap.
     Gentlest,
-    /// The one whose acceleration changes least and that keeps half the largest smallest gap, of all escapes with that
-    /// firing.
+    /// The smallest changes of acceleration with half of the largest smallest gap, among escapes with the same firing.
     LeastJerk,
 }
 
 impl EscapeKind {
-    /// In what sense the escape is the best, in words.
+    /// Describes the optimality of the escape.
     #[must_use]
     pub fn optimality_description(self) -> &'static str {
         match self {
@@ -58,19 +56,19 @@ impl EscapeKind {
     }
 }
 
-/// Why a search cannot begin.
+/// An error of invalid options.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum AvoidError {
     /// The grid does not fit the scenario.
     #[error("a grid of {grid_s:?} s is not a multiple of the scenario's step of {step_s:?} s")]
     Grid {
-        /// The grid asked for, in seconds.
+        /// Requested grid, in seconds.
         grid_s: f64,
-        /// The scenario's step, in seconds.
+        /// Step of the scenario, in seconds.
         step_s: f64,
     },
-    /// More than can be decided in a minute or two.
+    /// The scenario is too large to decide within minutes.
     #[error(
         "{egos} vehicles under test over {steps} steps are too much to decide: at most {MAX_EGOS}, and {MAX_EGO_STEPS} vehicles times \
          steps"
@@ -83,19 +81,16 @@ pub enum AvoidError {
     },
 }
 
-/// Most vehicles under test that [`avoid()`] takes on.
+/// Maximum number of vehicles under test in [`avoid()`].
 pub const MAX_EGOS: usize = 20;
 
-/// Most vehicles under test times steps that [`avoid()`] takes on: where nothing can be decided, some two minutes and 150 MB.
+/// Maximum number of vehicles under test times steps in [`avoid()`]: undecided cases take two minutes and 150 MB.
 pub const MAX_EGO_STEPS: usize = 50_000;
 
-/// Most programs on the finest grid.
 const MAX_FINE_PROGRAMS: usize = 64;
-/// Most programs on each coarser one.
 const MAX_COARSE_PROGRAMS: usize = 64;
-/// Firings that their own program on the finest grid neither escapes nor closes, after which the search gives up. One of
-/// them already rules out a proof, which has to close every firing; the next most promising ones may still hold an escape,
-/// but a program there takes a third of a second, and where an ego answers late none of the firings may ever close.
+/// Maximum number of firings that their own program on the finest grid leaves open. One rules out a proof; others may
+/// yield an escape, but a program takes a third of a second, and with late egos no firing may close.
 const MAX_OPEN_FIRINGS: usize = 8;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
@@ -114,8 +109,7 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
     avoid_box(&ScenarioBox::point(scenario), options)
 }
 
-/// Decides for every scenario of a box at once: avoidable if one profile is an escape from each of them, which the checker
-/// has to accept; unavoidable if none of them has an escape.
+/// Decides for all scenarios of a box: avoidable if one escape fits all of them, unavoidable if none has an escape.
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
@@ -150,7 +144,7 @@ pub fn avoid_box(family: &ScenarioBox, options: AvoidOptions) -> Result<Avoidanc
     Ok(found)
 }
 
-/// Gaps that differ by less count as equal, in metres.
+/// Gaps that differ by less are equal, in metres.
 const GAP_TOLERANCE_M: f64 = 0.01;
 
 fn optimality(family: &ScenarioBox, found: &Avoidance) -> Optimality {
@@ -164,18 +158,15 @@ fn optimality(family: &ScenarioBox, found: &Avoidance) -> Optimality {
     }
 }
 
-/// Result of the programs.
 struct ProgramResult {
     avoidance: Avoidance,
-    /// The best profile of the programs, one acceleration a step.
+    /// Best profile of the programs, one acceleration per step.
     profile_mps2: Option<Vec<Vec<f64>>>,
-    /// No profile keeps a larger smallest gap, in metres.
+    /// Upper bound of the smallest gap of any profile, in metres.
     bound_m: f64,
-    /// Whether the programs model every driver.
     is_modelled: bool,
 }
 
-/// Solves the programs.
 fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
     let (cells, first) = control_grids(family.centre(), options)?;
     check_size(family.centre())?;
@@ -231,7 +222,6 @@ fn explore_grids(
     build_avoidance(family, situation, search, options, (AvoidanceVerdict::Undecided(reason), None))
 }
 
-/// Whether the programs are ones that can be solved in a minute or two.
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
     let egos = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).count();
     let steps = scenario.steps();
@@ -252,7 +242,6 @@ fn build_avoidance(
     (verdict, best_min_gap_m): Conclusion,
 ) -> Avoidance {
     let bound_m = search.bound_m();
-    // Noise may carry a vehicle beyond what was computed without it.
     let is_noisy = matches!(situation.proof_caveat, Some(UndecidedReason::Noise { .. }));
     let computed_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     let may_escape = match &verdict {
@@ -274,10 +263,10 @@ fn build_avoidance(
     }
 }
 
-/// A certified bound may be above the computed one by this much, in metres, so that short multipliers are enough.
+/// Allowed excess of a certified bound over the computed one, in metres, so that short multipliers suffice.
 const CERTIFICATE_SLACK_M: f64 = 1e-4;
 
-/// A bound that the checker accepts, and its certificate.
+/// Returns a bound that the checker accepts, and its certificate.
 fn certify_bound(
     family: &ScenarioBox,
     situation: &AvoidanceProblem,
@@ -294,9 +283,7 @@ fn certify_bound(
     Some((gap_m, Box::new(certificate)))
 }
 
-/// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.
-///
-/// A coarse grid costs a tenth of a fine one and leaves bounds that hold on every grid.
+/// Returns the control grids to try, in steps, coarse (fast) before fine, and the index of the first that may decide.
 fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
     let step_s = scenario.spec().step_s;
     let coarse = (0.1 / step_s).round().max(1.0) as usize;
@@ -310,7 +297,7 @@ fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usiz
     Ok((cells, first))
 }
 
-/// The verdict of what a search has found so far, or why there is none yet.
+/// Returns the verdict of the search so far, or the reason why there is none yet.
 fn conclude(
     family: &ScenarioBox,
     situation: &AvoidanceProblem,
@@ -336,7 +323,7 @@ fn conclude(
             && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
             && let Some(least_m) = certified.min_gap_m_at_least
         {
-            // What was replayed is one member; this holds for all of them.
+            // The replay covers one member; this gap holds for all.
             escape.min_gap_m = least_m;
             best_min_gap_m = Some(least_m);
         }
@@ -347,7 +334,7 @@ fn conclude(
         let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
-            // A proof is about drivers that answer at once, an escape about drivers that answer late.
+            // A proof covers drivers that answer at once, an escape drivers that answer late.
             (None, Some(ego)) => UndecidedReason::EgoResponse { vehicle: ego + 1 },
             (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
         });
@@ -363,10 +350,10 @@ fn conclude(
     }
 }
 
-/// The certificate that an escape is one from every scenario of a family, with the smallest gap that the checker confirms.
+/// Certifies that an escape is one from every scenario of a box, with the smallest gap that the checker confirms.
 ///
 /// # Errors
-/// The [`Reason`] why there is none.
+/// [`UndecidedReason`] if there is no certificate.
 pub fn certify(family: &ScenarioBox, escape: &Escape) -> Result<Certificate, UndecidedReason> {
     let situation = AvoidanceProblem::new(family)?;
     if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {

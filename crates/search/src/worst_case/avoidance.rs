@@ -1,4 +1,4 @@
-//! The result of the search for an escape.
+//! Result of an analysis of avoidability.
 
 use crumple_verify::Certificate;
 
@@ -8,27 +8,26 @@ use super::reason::UndecidedReason;
 /// Result of an analysis of avoidability.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Avoidance {
-    /// The answer.
+    /// Verdict of the analysis.
     pub verdict: AvoidanceVerdict,
-    /// The largest smallest gap of the escapes that were found and replayed, in metres: best found, not best there is, for a finer
-    /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`](super::EscapeKind)).
+    /// Largest smallest gap of all replayed escapes, in metres. The returned escape may have less.
     pub best_min_gap_m: Option<f64>,
-    /// No escape has a larger smallest gap, in metres: a bound over every controller. With a certificate it is the certified one,
-    /// otherwise as computed from multipliers of the programs. None if there is no bound, or no escape.
+    /// Upper bound of the smallest gap over every controller, in metres: certified if there is a certificate, otherwise
+    /// computed from multipliers. `None` without a bound or without an escape.
     pub min_gap_bound_m: Option<f64>,
-    /// Certificate of the bound, if the options ask for it and it could be written; the checker has accepted it.
+    /// Certificate of the bound, accepted by the checker, if the options request it and it could be written.
     pub bound_certificate: Option<Box<Certificate>>,
-    /// Convex programs solved.
+    /// Number of convex programs solved.
     pub programs: usize,
-    /// Reason why no profile can keep a larger smallest gap, if there is one.
+    /// Proof that no profile has a larger smallest gap, if there is one.
     pub optimality: Optimality,
 }
 
-/// Reason why no profile can keep a larger smallest gap than the best one found.
+/// Proof that no profile has a larger smallest gap than the best one found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Optimality {
-    /// Nothing shows it.
+    /// No proof.
     BestFound,
     /// The gap is within a centimetre of [`Avoidance::min_gap_bound_m`].
     Bound,
@@ -51,16 +50,16 @@ impl Optimality {
 /// Verdict on whether any driver could have avoided the collision.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AvoidanceVerdict {
-    /// Yes, like this.
+    /// An escape exists.
     Avoidable(Box<Escape>),
-    /// No, by this proof; the checker has accepted it.
+    /// No escape exists; the checker has accepted the proof.
     Unavoidable(Box<Certificate>),
     /// Neither was shown.
     Undecided(UndecidedReason),
 }
 
 impl AvoidanceVerdict {
-    /// The name used in results.
+    /// Returns the name used in results.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -70,7 +69,7 @@ impl AvoidanceVerdict {
         }
     }
 
-    /// The escape, if there is one.
+    /// Returns the escape, if there is one.
     #[must_use]
     pub fn escape(&self) -> Option<&Escape> {
         match self {

@@ -1,9 +1,8 @@
-//! What of a scenario (or of a box of scenarios) the convex programs know.
+//! Model of a scenario (or of a box of scenarios) for the convex programs.
 //!
-//! Everything is written for displacements from coasting: with d(t) = ∫∫a and w(t) = ∫a of an ego that starts at x₀ with
-//! v₀, its position is x₀ + v₀ t + d and its speed v₀ + w. Whatever does not depend on the ego's choice is then one number
-//! a row, the *slack*; over a box of scenarios the slack has an upper bound, which proofs use ([`BoundSide::Loose`]), and a
-//! lower bound, which escapes use ([`BoundSide::Tight`]).
+//! All quantities are displacements from coasting: with d(t) = ∫∫a and w(t) = ∫a, an ego that starts at x₀ with v₀ has
+//! position x₀ + v₀ t + d and speed v₀ + w. The rest of each row is a constant, the *slack*. Over a box the slack has
+//! an upper bound, for proofs ([`BoundSide::Upper`]), and a lower bound, for escapes ([`BoundSide::Lower`]).
 
 use crumple_verify::claim::MAX_EGOS;
 use crumple_verify::{Interval, SceneFollower};
@@ -14,12 +13,11 @@ use super::scripted_leader::{ScriptedLeader, interval_hull};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
 
-/// Which bound of the slacks over the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BoundSide {
-    /// The upper one: what no scenario of the box exceeds.
+    /// Upper bound over all scenarios of the box, for proofs.
     Upper,
-    /// The lower one: what every scenario of the box has.
+    /// Lower bound over all scenarios of the box, for escapes.
     Lower,
 }
 
@@ -32,16 +30,15 @@ impl BoundSide {
     }
 }
 
-/// A vehicle that chooses its acceleration.
+/// A vehicle under test, which chooses its acceleration.
 #[derive(Debug, Clone)]
 pub(super) struct EgoModel {
     pub(super) position_m: Interval,
     pub(super) speed_mps: Interval,
     pub(super) length_m: f64,
-    /// On this road.
     pub(super) max_brake_mps2: f64,
     pub(super) max_accel_mps2: f64,
-    /// Steps at the start over which nothing it commands has an effect yet.
+    /// Steps at the start before its first command has an effect.
     pub(super) dead_steps: usize,
 }
 
@@ -52,23 +49,22 @@ pub(super) struct AvoidanceProblem {
     pub(super) steps: usize,
     pub(super) leader: ScriptedLeader,
     pub(super) egos: Vec<EgoModel>,
-    /// The vehicle behind the egos, driven by the latched emergency brake, as a certificate describes it.
+    /// Vehicle behind the egos with a latched emergency brake, as in a certificate.
     pub(super) follower: Option<SceneFollower>,
-    /// Whether it stands for more than one scenario.
+    /// True if the problem covers more than one scenario.
     pub(super) is_box: bool,
-    /// The ranges of those scenarios, if it does.
     pub(super) ranges: Option<ScenarioRanges>,
-    /// Why an escape that was found may be none; the replay decides where it can.
+    /// Reason why an escape of the model may not be one; a replay decides if possible.
     pub(super) escape_caveat: Option<UndecidedReason>,
-    /// Why a proof would not be about this scenario.
+    /// Reason why a proof would not apply to this scenario.
     pub(super) proof_caveat: Option<UndecidedReason>,
 }
 
 impl AvoidanceProblem {
-    /// Reads a scenario, or a box of them.
+    /// Models a scenario or a box.
     ///
     /// # Errors
-    /// The [`Reason`] why neither verdict can be reached.
+    /// [`UndecidedReason`] if neither verdict can be reached.
     pub(super) fn new(family: &ScenarioBox) -> Result<Self, UndecidedReason> {
         let [low, high] = family.ends();
         let vehicles = low.vehicles();
@@ -120,7 +116,7 @@ impl AvoidanceProblem {
                         reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
                     });
                 }
-                // Whatever it does, a collision among the vehicles ahead of it is one.
+                // A collision ahead of it counts whatever it does.
                 driver => {
                     escape_caveat.get_or_insert(UndecidedReason::Follower { vehicle: behind, driver: driver.name() });
                 }
@@ -142,28 +138,25 @@ impl AvoidanceProblem {
         })
     }
 
-    /// The instant of a step, in seconds.
     pub(super) fn time_s(&self, step: usize) -> f64 {
         step as f64 * self.step_s
     }
 
-    /// The number of ways the follower's brake can fire: at each step, or never.
+    /// Returns the number of firings of the follower's brake: one per step, and never.
     pub(super) fn firing_count(&self) -> usize {
         if self.follower.is_some() { self.steps + 1 } else { 1 }
     }
 
-    /// The firing that stands for never.
     pub(super) fn never_firing(&self) -> usize {
         if self.follower.is_some() { self.steps } else { 0 }
     }
 
-    /// The first step from which the leader stands for good, in every scenario of the box; the number of steps if it does not.
+    /// Returns the first step from which the leader stands in every scenario of the box; the number of steps if never.
     pub(super) fn leader_standstill_step(&self) -> usize {
         self.leader.standstill_step
     }
 
-    /// The first step from which a follower whose brake fires at `firing` stands; the number of steps if it does not, 0
-    /// without a follower.
+    /// Returns the first step from which the follower stands; the number of steps if never, 0 without a follower.
     pub(super) fn follower_standstill_step(&self, firing: usize) -> usize {
         self.follower.as_ref().map_or(0, |follower| {
             let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
@@ -172,7 +165,7 @@ impl AvoidanceProblem {
         })
     }
 
-    /// Bound on d of the first ego behind the leader: its slack to the leader's rear bumper, in metres.
+    /// Returns the bound on d of the first ego: its slack to the leader's rear bumper, in metres.
     pub(super) fn front_slack_m(&self, step: usize, side: BoundSide) -> f64 {
         let (Some(ego), Some(rear)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
         let t = self.time_s(step);
@@ -183,7 +176,7 @@ impl AvoidanceProblem {
         )
     }
 
-    /// Slack between ego `ahead` and the one behind it if both coast, in metres.
+    /// Returns the slack between ego `ahead` and the next one if both coast, in metres.
     pub(super) fn pair_slack_m(&self, ahead: usize, step: usize, side: BoundSide) -> f64 {
         let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else { return f64::NAN };
         let t = self.time_s(step);
@@ -194,7 +187,7 @@ impl AvoidanceProblem {
         )
     }
 
-    /// Slack between the last ego, coasting, and a follower whose brake fires at `firing`, in metres.
+    /// Returns the slack between the coasting last ego and a follower whose brake fires at `firing`, in metres.
     pub(super) fn rear_slack_m(&self, firing: usize, step: usize, side: BoundSide) -> f64 {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
         let t = self.time_s(step);
@@ -207,25 +200,24 @@ impl AvoidanceProblem {
         )
     }
 
-    /// Front bumper of the follower at a step, in metres: coasting until `firing` and the reaction time, then braking to
-    /// standstill.
+    /// Returns the front bumper of a follower that coasts until `firing` and the reaction time, then brakes, in metres.
     fn follower_front_m(&self, follower: &SceneFollower, firing: usize, step: usize, side: BoundSide) -> f64 {
         let brakes_from = (firing + follower.reaction_steps as usize).min(step);
         let bound = |span: Interval| side.select(span.low(), span.high());
         let (x, v) = (bound(follower.position_m), bound(follower.speed_mps));
-        // Who brakes least gets furthest.
+        // The least braking gives the furthest position.
         let brake_mps2 = side.select(follower.brake_mps2.high(), follower.brake_mps2.low());
         let coasting_s = self.time_s(brakes_from);
         let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
         x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
     }
 
-    /// Bound on d + θ w of the last ego at step `firing` for the guard to have fired there.
+    /// Returns the bound on d + θ w of the last ego for the guard to have fired by step `firing`.
     pub(super) fn fired_slack_m(&self, firing: usize, side: BoundSide) -> f64 {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
         let t = self.time_s(firing);
         let theta = follower.ttc_s;
-        // - (gap - θ (closing speed)) with all vehicles coasting.
+        // -(gap - θ (closing speed)) if all vehicles coast.
         let of = |x: f64, v: f64, r: f64, vr: f64| -(x + v * t - ego.length_m - (r + vr * t) - theta * (vr - v));
         side.select(
             of(ego.position_m.high(), ego.speed_mps.high(), follower.position_m.low(), follower.speed_mps.low()),
@@ -233,12 +225,12 @@ impl AvoidanceProblem {
         )
     }
 
-    /// Bound on -w of an ego: its speed at the start, in m/s.
+    /// Returns the bound on -w of an ego: its initial speed, in m/s.
     pub(super) fn speed_slack_mps(&self, ego: usize, side: BoundSide) -> f64 {
         self.egos.get(ego).map_or(f64::NAN, |ego| side.select(ego.speed_mps.low(), ego.speed_mps.high()))
     }
 
-    /// The smallest gap at the start, in metres: no escape has a larger smallest gap.
+    /// Returns the smallest initial gap, in metres: an upper bound for every escape.
     pub(super) fn initial_gap_m(&self, side: BoundSide) -> f64 {
         let pairs = (0..self.egos.len().saturating_sub(1)).map(|ahead| self.pair_slack_m(ahead, 0, side));
         let rear = self.follower.iter().map(|_| self.rear_slack_m(0, 0, side));
@@ -246,7 +238,7 @@ impl AvoidanceProblem {
     }
 }
 
-/// The last of the vehicles under test behind a scripted leader.
+/// Returns the index of the last of the vehicles under test behind a scripted leader.
 fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     let vehicles = scenario.vehicles();
     if !scenario.keeps_lanes() {
@@ -263,7 +255,7 @@ fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     Ok(egos)
 }
 
-/// Reaction and actuator delay in whole steps, as the simulation counts them.
+/// Returns reaction and actuator delay in steps, as in the simulation.
 pub(super) fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
     let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
     ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())

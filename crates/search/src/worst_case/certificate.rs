@@ -1,4 +1,4 @@
-//! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
+//! Certificates that `crumple-verify` checks without the simulator and the solver.
 
 use crumple_verify::{
     Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece, GapBoundClaim, Interval,
@@ -13,7 +13,6 @@ use super::scenario_box::ScenarioBox;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
-/// The scene that a certificate about a situation speaks of.
 fn build_scene(situation: &AvoidanceProblem) -> Scene {
     let AvoidanceProblem { leader, egos, follower, .. } = situation;
     Scene {
@@ -39,7 +38,6 @@ fn build_scene(situation: &AvoidanceProblem) -> Scene {
     }
 }
 
-/// The certificate that a profile is an escape.
 pub(super) fn avoidable(
     scenario: &Scenario,
     situation: &AvoidanceProblem,
@@ -51,7 +49,7 @@ pub(super) fn avoidable(
     wrap_statement(scenario, situation, Statement::Avoidable(statement))
 }
 
-/// The certificate that there is no escape; none if the search has not closed every branch.
+/// Returns the certificate that there is no escape; `None` if the search has not closed every branch.
 pub(super) fn unavoidable(
     scenario: &Scenario,
     situation: &AvoidanceProblem,
@@ -66,7 +64,7 @@ pub(super) fn unavoidable(
     .map(Some)
 }
 
-/// The certificate that nobody keeps every gap at `gap_m` or more; none if the search has not shown that in every branch.
+/// Returns the certificate that no profile keeps every gap at `gap_m`; `None` if some branch has no proof.
 pub(super) fn gap_bound(
     scenario: &Scenario,
     situation: &AvoidanceProblem,
@@ -91,13 +89,11 @@ fn wrap_statement(
     Ok(certificate)
 }
 
-/// Whether the leader's accelerations hold noise, which is that of the scenario's seed.
 fn relies_on_noise(scenario: &Scenario) -> bool {
     scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 > 0.0)
 }
 
-/// A statement as a certificate of this program, with the assumptions it needs: about a scenario or space with this name and
-/// text, and perhaps a box around it.
+/// Creates a certificate of a statement, with its assumptions, about a scenario or space, and perhaps a box around it.
 #[must_use]
 pub fn build_certificate(
     scenario: String,
@@ -115,11 +111,8 @@ pub fn build_certificate(
     }
 }
 
-/// Branches that close every firing, that is, leave no profile that keeps every gap at `gap_m`: one for each early firing, and one
-/// for all late ones.
-///
-/// Multipliers that do not use the firing prove nothing but overlap with the follower's motion, and a follower that brakes
-/// later is further ahead: they close all later firings too.
+/// Returns branches that prove, for every firing, that no profile keeps every gap at `gap_m`. One branch covers all
+/// late firings: it shows an overlap with the follower's motion, and a follower that brakes later is further ahead.
 fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
     let never = situation.never_firing();
     let closes =
@@ -151,12 +144,11 @@ fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap
             branches.push(build_branch(situation, &proof, [firing, firing], true, gap_m));
         }
     }
-    // Without a follower there is one branch for everything.
+    // Without a follower one branch covers everything.
     branches.push(build_branch(situation, late, [first_late, situation.steps], false, gap_m));
     Some(branches)
 }
 
-/// A branch with multipliers as short as the proof survives.
 fn build_branch(
     situation: &AvoidanceProblem,
     proof: &DualProof,
@@ -181,7 +173,7 @@ fn build_branch(
     }
 }
 
-/// Multipliers with 20 bits and without those that hardly count.
+/// Rounds multipliers to 20 bits and drops negligible ones.
 fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
     let mut short = multipliers.clone();
     let lists = [&mut short.front, &mut short.rear].into_iter().chain(&mut short.between).chain(&mut short.speed);
@@ -197,18 +189,17 @@ fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
     short
 }
 
-/// Equal neighbours as one entry.
 fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<ConstantPiece<T>> {
     each.chunk_by(|a, b| a == b).filter_map(|run| Some(ConstantPiece(step_count(run.len()), *run.first()?))).collect()
 }
 
-/// A number of steps as the file holds it; scenarios have far fewer than that.
+/// Converts a number of steps to the type of the file; scenarios have far fewer than its maximum.
 fn step_count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
-/// Whether a certificate's claim is about a scenario: the same scene or a box that holds it, whatever the file says of its origin,
-/// nothing in the scenario that the claim does not model, and noise only if it says that it relies on its seed.
+/// Returns true if a certificate's claim covers a scenario: the same scene or a box around it, everything modelled.
+/// Noise is covered only if the certificate assumes its seed. The stated origin is ignored.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
     let Ok(situation) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };
@@ -216,7 +207,7 @@ pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
     is_modelled(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
 }
 
-/// Whether a certificate's claim is about exactly this family: no other scene and no smaller or larger box.
+/// Returns true if a certificate's claim is about exactly this box.
 #[must_use]
 pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
     let Ok(situation) = AvoidanceProblem::new(family) else { return false };
@@ -224,13 +215,13 @@ pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
         && certificate.statement.scene() == Some(&build_scene(&situation))
 }
 
-/// Whether there is nothing in a scenario that the claim does not model.
+/// Returns true if the claim models everything in a scenario.
 fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &AvoidanceProblem) -> bool {
     if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
         return false;
     }
     match &certificate.statement {
-        // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
+        // A proof covers any follower and any delay of the vehicles under test.
         Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
             let waits = |(ego, witness): (&super::avoidance_problem::EgoModel, &Vec<ConstantPiece<f64>>)| {
@@ -246,7 +237,6 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &Avoid
     }
 }
 
-/// Whether everything of `inner` lies in `outer`.
 fn covers(outer: &Scene, inner: &Scene) -> bool {
     let within = |outer: Interval, inner: Interval| outer.contains(inner.low()) && outer.contains(inner.high());
     let flat = |scene: &Scene| -> Vec<Interval> {

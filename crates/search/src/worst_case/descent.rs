@@ -1,37 +1,30 @@
-//! Steps of sequential convex programming: a function linearised by finite differences, and where it is lowest near by.
+//! Sequential convex programming: minimises a function that is linearised by finite differences.
 //!
-//! A [`TrustRegionDescent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
-//! an attack on one scenario and a search that shares a budget with others take the same steps.
+//! A [`TrustRegionDescent`] proposes points and receives their values, independent of the function and its evaluation.
+//! An attack on one scenario and a search with a shared budget thus use the same steps.
 
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
-/// What the variables may be.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VariableBounds {
-    /// The least of each.
     pub(crate) low: f64,
-    /// The most of each.
     pub(crate) high: f64,
 }
 
-/// How a descent goes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepSchedule {
-    /// Change of a variable for a finite difference.
     pub(crate) finite_difference: f64,
-    /// The trust region at first, and where the descent gives up.
+    /// Initial and final trust region.
     pub(crate) trust_region: [f64; 2],
 }
 
-/// Growth of the trust region after a step that was a success, and after one that was not.
 pub(super) const TRUST_REGION_FACTORS: [f64; 2] = [1.5, 0.4];
-/// A step that lowers the value by less is no success.
 const MIN_GAIN: f64 = 1e-6;
-/// Cost of the square of a variable beside its slope.
+/// Cost of the square of a variable, relative to its slope.
 const REGULARIZATION_WEIGHT: f64 = 1e-4;
 
 impl VariableBounds {
-    /// The rows of a step from a point inside a trust region: the first variables of the program are the new values.
+    /// Adds the rows of a step inside a trust region: the first variables of the program are the new values.
     pub(super) fn add_step_rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
         for (index, &now) in at.iter().enumerate() {
             cone.add_inequality(&[(index, 1.0)], (now + region).min(self.high));
@@ -39,15 +32,14 @@ impl VariableBounds {
         }
     }
 
-    /// The first variables of a solution; none if there is no solution.
+    /// Returns the first variables of a solution, within the bounds; `None` without a solution.
     pub(super) fn solve_clamped(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
         let QuadraticSolution::Optimal { point: at, .. } = cone.solve() else { return None };
         let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
         inside.iter().all(|value| value.is_finite()).then_some(inside)
     }
 
-    /// Each variable changed for a finite difference, and by how much: towards the middle, so that every change has an
-    /// effect.
+    /// Returns the perturbations and the perturbed points: each variable moves towards the middle of its bounds.
     pub(super) fn perturb(&self, at: &[f64], nudge: f64) -> (Vec<f64>, Vec<Vec<f64>>) {
         let middle = 0.5 * (self.low + self.high);
         let one = |(index, &now): (usize, &f64)| {
@@ -59,13 +51,12 @@ impl VariableBounds {
     }
 }
 
-/// The differences of values to that at a point, as slopes; what cannot be compared has none.
+/// Returns the slopes of values relative to the value at a point; 0 for values that are not finite.
 pub(super) fn finite_difference_gradient(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
     let slope = |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
     nudged.iter().zip(by).map(|pair| slope(pair).unwrap_or(0.0)).collect()
 }
 
-/// A descent by trust region.
 #[derive(Debug)]
 pub(crate) struct TrustRegionDescent {
     bounds: VariableBounds,
@@ -80,13 +71,11 @@ pub(crate) struct TrustRegionDescent {
 #[derive(Debug)]
 enum PendingRequest {
     Nothing,
-    /// By how much each variable was changed.
     Gradient(Vec<f64>),
     Step(Vec<f64>),
 }
 
 impl TrustRegionDescent {
-    /// From a point and the value there.
     pub(crate) fn new(limits: VariableBounds, pace: StepSchedule, at: Vec<f64>, value: f64) -> Self {
         Self {
             bounds: limits,
@@ -99,17 +88,15 @@ impl TrustRegionDescent {
         }
     }
 
-    /// Where it is.
     pub(crate) fn point(&self) -> &[f64] {
         &self.point
     }
 
-    /// The value there.
     pub(crate) fn value(&self) -> f64 {
         self.value
     }
 
-    /// What to evaluate next; nothing if it is over.
+    /// Returns the points to evaluate next; empty at the end.
     pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
         let Some(slope) = &self.gradient else {
             let (by, nudged) = self.bounds.perturb(&self.point, self.schedule.finite_difference);
@@ -122,7 +109,7 @@ impl TrustRegionDescent {
         step.into_iter().collect()
     }
 
-    /// The values of what was asked for last; where there are fewer, it goes on as if it had not asked.
+    /// Receives the values of the last points. If some are missing, the request is repeated.
     pub(crate) fn tell(&mut self, values: &[f64]) {
         match std::mem::replace(&mut self.pending, PendingRequest::Nothing) {
             PendingRequest::Gradient(by) if values.len() == by.len() => {
@@ -142,7 +129,7 @@ impl TrustRegionDescent {
         }
     }
 
-    /// Where the linearised value is lowest inside the trust region.
+    /// Returns the minimum of the linearised function inside the trust region.
     fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
         let mut cone = QuadraticProgram::new(self.point.len());
         self.bounds.add_step_rows(&mut cone, &self.point, self.trust_region);
@@ -161,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
-        // Lowest at (0.2, 0.9); the third variable has no say and stays.
+        // The minimum is at (0.2, 0.9); the third variable has no effect.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
         let limits = VariableBounds { low: 0.0, high: 0.9 };
         let pace = StepSchedule { finite_difference: 1e-3, trust_region: [0.25, 1e-4] };
@@ -175,7 +162,7 @@ mod tests {
         }
         assert!(descent.ask().is_empty(), "it ends");
         assert!((descent.point()[0] - 0.2).abs() < 2e-3 && descent.point()[1] > 0.899, "{descent:?}");
-        // But for the tolerance of the solver, step after step.
+        // Tolerance of the solver, accumulated over the steps.
         assert!((descent.point()[2] - 0.3).abs() < 1e-3);
         assert_eq!(descent.value(), value(descent.point()));
     }

@@ -7,16 +7,16 @@ use crumple_world::sim::Trace;
 /// Emergency brakes behind the vehicles under test in a replay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EmergencyBrake {
-    /// This is the first one that fires.
+    /// The first brake that fires.
     Fires {
         /// Index of its vehicle.
         vehicle: usize,
-        /// When, in seconds.
+        /// Time of firing, in seconds.
         time_s: f64,
     },
-    /// None fires; perhaps there is none.
+    /// No brake fires, or there is none.
     NeverFires,
-    /// Some vehicle behind is driven by a controller that may have one, and none of which the threshold is known fires.
+    /// Some controller behind may have a brake with unknown threshold, and no known brake fires.
     Unknown,
 }
 
@@ -42,10 +42,9 @@ impl EmergencyBrake {
     }
 }
 
-/// Condition under which a driver's emergency brake fires.
 enum Threshold {
     None,
-    /// A time to collision below this, in seconds.
+    /// Time to collision below which it fires, in seconds.
     TimeToCollision(f64),
     Unknown,
 }
@@ -66,9 +65,8 @@ impl Threshold {
     }
 }
 
-/// When the time to collision of a vehicle first falls below a threshold at an instant of decision, in seconds.
+/// Returns the time of the first decision at which the time to collision of a vehicle is below a threshold.
 fn firing_time_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
-    // No decision is made at the last sample.
     let decisions = trace.len().saturating_sub(1);
     trace.pairs(vehicle).iter().find_map(|pair| {
         let fires = |&(sample, gap_m): &(usize, f64)| {

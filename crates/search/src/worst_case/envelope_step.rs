@@ -1,27 +1,27 @@
-//! A step of a leader's braking profile inside its envelope, by a convex program.
+//! Step of a leader's braking profile inside its envelope, by a convex program.
 //!
-//! A profile has one acceleration a cell; a step changes it by a function that is linear between knots.
+//! A profile has one acceleration per cell; a step changes it by a function that is linear between knots.
 
 use super::attack::AttackObjective;
 use super::profile_simulator::ProfileSimulator;
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
-/// Knots until a run ends, and after that.
+/// Numbers of knots until a simulation ends, and after that.
 const KNOT_COUNTS: [usize; 2] = [24, 3];
-/// Cost of the square of a change where the margin is the objective.
+/// Cost of squared changes if the margin is the objective.
 const REGULARIZATION_WEIGHT: f64 = 1e-4;
-/// Cost of a metre by which the margin misses its aim.
+/// Cost per metre by which the margin misses its goal.
 const SHORTFALL_COST: f64 = 1e3;
 
-/// Changes that are linear between knots, at the middle of each cell.
+/// Functions that are linear between knots, sampled at the middle of each cell.
 pub(super) struct HatFunctions {
-    /// The knots left and right of each cell and the share of the right one.
+    /// Index of the knot left of each cell, and the weight of the right one.
     shares: Vec<(usize, f64)>,
     knots: usize,
 }
 
 impl HatFunctions {
-    /// Knots at equal distances until `until_s`, moved by `phase` of a distance, and a few after it.
+    /// Creates equidistant knots until `until_s`, shifted by `phase` of their distance, and a few after it.
     pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
         let all_s = bench.cell_count() as f64 * bench.cell_s();
         let until_s = until_s.min(all_s);
@@ -42,13 +42,12 @@ impl HatFunctions {
         Self { shares: (0..bench.cell_count()).map(share).collect(), knots: at_s.len() }
     }
 
-    /// The weights of the knots in a cell.
     fn terms(&self, cell: usize) -> [(usize, f64); 2] {
         let (left, share) = self.shares.get(cell).copied().unwrap_or((0, 0.0));
         [(left, 1.0 - share), (left + 1, share)]
     }
 
-    /// The profile with one knot changed, within the limits of the acceleration.
+    /// Returns the profile with one knot changed, within the limits of the acceleration.
     pub(super) fn perturb(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
         let held = |(cell, held): (usize, &f64)| {
             let weight: f64 =
@@ -58,7 +57,7 @@ impl HatFunctions {
         cells_mps2.iter().enumerate().map(held).collect()
     }
 
-    /// The weighted mean of the profile around each knot, in m/s².
+    /// Returns the weighted mean of the profile around each knot, in m/s².
     pub(super) fn means_mps2(&self, cells_mps2: &[f64]) -> impl Iterator<Item = f64> {
         let mut sums = vec![(0.0, 0.0); self.knots];
         for (cell, held) in cells_mps2.iter().enumerate() {
@@ -72,32 +71,28 @@ impl HatFunctions {
     }
 }
 
-/// Objective of a step.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum StepGoal {
-    /// The smallest margin.
     Margin,
-    /// The least cost of a profile whose linearised margin is at most this, in metres, or near it.
+    /// The least cost of a profile whose linearised margin is at most `margin_m`, in metres, or near it.
     Cost {
-        /// What costs: ∫ a² or the peak.
+        /// Definition of the cost: ∫ a² or the peak.
         objective: AttackObjective,
         margin_m: f64,
     },
 }
 
-/// Where a step begins, and how far it may go.
 pub(super) struct EnvelopeStep<'a> {
     pub(super) profile_mps2: &'a [f64],
     pub(super) margin_m: f64,
-    /// Change of the margin with each knot, in s².
+    /// Gradient of the margin with respect to the knots, in s².
     pub(super) gradient: &'a [f64],
     pub(super) hats: &'a HatFunctions,
-    /// Most change of a knot, in m/s².
     pub(super) trust_region_mps2: f64,
 }
 
 impl EnvelopeStep<'_> {
-    /// The profile after the step, and its predicted margin in metres; none if the solver finds none.
+    /// Returns the profile after the step, and its predicted margin in metres; `None` if the solver fails.
     pub(super) fn solve(&self, bench: &mut ProfileSimulator<'_>, goal: StepGoal) -> Option<(Vec<f64>, f64)> {
         bench.programs += 1;
         let knots = self.hats.knots;
@@ -131,7 +126,6 @@ impl EnvelopeStep<'_> {
         Some((self.apply_clamped(bench, &at), predicted_m.unwrap_or(self.margin_m + linear_m)))
     }
 
-    /// Rows of the trust region, the limits and the jerk.
     fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
         let (region, most) = (self.trust_region_mps2, bench.envelope.max_brake_mps2);
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
@@ -143,7 +137,6 @@ impl EnvelopeStep<'_> {
         let mut before: Option<(f64, [(usize, f64); 2])> = None;
         for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
-            // Rows that the trust region keeps are left out.
             if held + region > 0.0 {
                 program.add_inequality(&terms, -held);
             }
@@ -169,7 +162,6 @@ impl EnvelopeStep<'_> {
         }
     }
 
-    /// Cost of the whole profile.
     fn add_cost(
         &self,
         bench: &ProfileSimulator<'_>,
@@ -177,7 +169,7 @@ impl EnvelopeStep<'_> {
         aim: AttackObjective,
         peak: usize,
     ) {
-        // Of all profiles with the least peak, a mild one.
+        // Selects a mild one among profiles with the least peak.
         let weight = if aim == AttackObjective::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
         for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
@@ -195,14 +187,14 @@ impl EnvelopeStep<'_> {
         }
     }
 
-    /// The changed profile, exactly inside the envelope whatever the solver's tolerance is.
+    /// Returns the changed profile, clamped to the envelope because of the solver's tolerance.
     fn apply_clamped(&self, bench: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;
         let held = |(cell, held): (usize, &f64)| {
             let by: f64 = self.hats.terms(cell).iter().filter_map(|&(knot, w)| Some(w * change.get(knot)?)).sum();
             let wanted = (held + by).clamp(-bench.envelope.max_brake_mps2, 0.0);
-            // The solver's remains of a zero.
+            // Removes the solver's residue of a zero.
             let wanted = if wanted > -1e-6 { 0.0 } else { wanted };
             before = wanted.clamp(before - jump, before + jump);
             before

@@ -1,4 +1,4 @@
-//! An escape as a scenario, and what the ordinary simulation says about it.
+//! Escapes as scenarios, and their replay in the simulator.
 
 use super::avoidance_problem::AvoidanceProblem;
 use super::emergency_brake::EmergencyBrake;
@@ -8,14 +8,14 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
-/// Search that found an escape. The replay shows that it is one.
+/// Search that found an escape. A replay confirms it in any case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FoundBy {
     /// Convex programs, which model every driver behind.
     Programs,
-    /// Simulations with every other driver in the loop, because the programs do not model all of them.
+    /// Simulations in closed loop, because the programs do not model all drivers.
     ClosedLoop {
-        /// Simulations made.
+        /// Number of simulations.
         simulations: usize,
     },
 }
@@ -41,11 +41,11 @@ impl FoundBy {
 /// An escape that was replayed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Escape {
-    /// The scenario with a script in place of every vehicle under test: a file that simulates without contact.
+    /// Scenario with a script in place of every vehicle under test, without collision.
     pub scenario: Scenario,
     /// Smallest gap between any two vehicles at any instant, in metres, at a tenth of the scenario's step.
     pub min_gap_m: f64,
-    /// How it was found.
+    /// Search that found it.
     pub found_by: FoundBy,
     /// Emergency brakes behind the vehicles under test, in the replay at the scenario's step.
     pub emergency_brake: EmergencyBrake,
@@ -54,13 +54,12 @@ pub struct Escape {
 }
 
 impl Escape {
-    /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
+    /// Replays an escape of the model at the full step and at a tenth of it; `None` after a collision.
     pub(super) fn replay(scenario: &Scenario, situation: &AvoidanceProblem, found: &ModelEscape) -> Option<Self> {
         Self::from_accelerations(scenario, 1, step_accelerations_mps2(situation, found), FoundBy::Programs)
     }
 
-    /// Replays accelerations of the vehicles under test, the first of which is `first`, at the scenario's step and at a tenth of it;
-    /// none if vehicles touch in either.
+    /// Replays accelerations of the vehicles from index `first` at both steps; `None` after a collision.
     pub(super) fn from_accelerations(
         scenario: &Scenario,
         first: usize,
@@ -73,7 +72,7 @@ impl Escape {
             .map(|(index, each)| {
                 let brake_mps2 = scenario.usable_brake_mps2(index);
                 let accel_mps2 = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.max_accel_mps2());
-                // Rounded up, full braking would be more than there is.
+                // Rounding up must not exceed full braking.
                 each.into_iter().map(|held| round_acceleration(held).max(-brake_mps2).min(accel_mps2)).collect()
             })
             .collect();
@@ -91,7 +90,7 @@ impl Escape {
         Some(Self { scenario: scripted, min_gap_m, found_by, emergency_brake, acceleration_mps2 })
     }
 
-    /// Returns when the first emergency brake behind fires, in seconds; none if none does.
+    /// Returns the time at which the first emergency brake behind fires, in seconds; `None` if no brake fires.
     #[must_use]
     pub fn trigger_time_s(&self) -> Option<f64> {
         match self.emergency_brake {
@@ -100,7 +99,7 @@ impl Escape {
         }
     }
 
-    /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
+    /// Returns Σ ∫ a² of the vehicles under test, in m²/s³, a measure of roughness.
     #[must_use]
     pub fn effort_m2ps3(&self) -> f64 {
         let step_s = self.scenario.spec().step_s;
@@ -108,24 +107,20 @@ impl Escape {
     }
 }
 
-/// To a millionth of a metre per second squared: of what a solver answers, the last digits differ from machine to machine, and files of
-/// escapes shall not. What is replayed, and so what counts, is what the file holds.
+/// Rounds to 1e-6 m/s², as a solver's last digits differ between machines; the replay uses the rounded values.
 fn round_acceleration(acceleration_mps2: f64) -> f64 {
     const UNIT: f64 = 1e6;
     (acceleration_mps2 * UNIT).round() / UNIT + 0.0
 }
 
-/// Runs of a scenario in which nobody is under test.
 pub(super) fn scripted_run_options() -> RunOptions {
     RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
 }
 
-/// Returns the acceleration of each vehicle under test in each step, in m/s².
 pub(super) fn step_accelerations_mps2(situation: &AvoidanceProblem, found: &ModelEscape) -> Vec<Vec<f64>> {
     found.acceleration_mps2.iter().map(|cells| expand_cells(found, situation.steps, cells)).collect()
 }
 
-/// The acceleration of every step from that of every cell.
 fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
     let mut each = Vec::with_capacity(steps);
     for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
@@ -135,7 +130,6 @@ fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
     each
 }
 
-/// The scenario with a script in place of every vehicle under test.
 fn with_scripts(
     scenario: &Scenario,
     first: usize,
@@ -152,14 +146,12 @@ fn with_scripts(
     })
 }
 
-/// A script in place of who drives.
 pub(super) fn set_script(vehicle: &mut VehicleSpec, pieces: PiecewiseAcceleration) {
     vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces));
-    // A script has no delay; the profile already is what the vehicle does.
+    // The profile is the motion itself, so a script has no delay.
     (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
 }
 
-/// A script that holds an acceleration in each step.
 pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> PiecewiseAcceleration {
     let (mut from_s, mut accel_mps2): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for (step, &held) in each_mps2.iter().enumerate() {

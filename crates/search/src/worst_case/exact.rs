@@ -1,16 +1,16 @@
-//! The mildest lead braking that makes the baseline collide.
+//! Mildest braking of the leader that makes the baseline collide, exact on the grid.
 //!
-//! Until its brake fires, the first vehicle under test coasts; from then on the motion of it and of all vehicles behind it is
-//! known. So a collision is one of two things, each a convex program of the leader's motion:
+//! Until its brake fires, the first vehicle under test coasts; after that the motion of it and of all vehicles behind
+//! it is known. A collision is therefore one of two cases, each a convex program of the leader's motion:
 //!
-//! - the brake fires at a step σ for which the vehicles behind collide on their own;
-//! - the brake fires at σ, and at a step k the leader's rear bumper is not ahead of the vehicle that brakes.
+//! - the brake fires at a step σ for which the vehicles behind collide by themselves;
+//! - the brake fires at σ, and at a step k the leader's rear bumper is not ahead of the braking vehicle.
 //!
-//! The guard d + θ w is linear and, as long as the leader brakes, falls once it is negative: a brake that has fired by σ₂
-//! has a negative guard there. The position of the vehicle that brakes grows with σ, and the leader's displacement d from
-//! coasting only falls. So for σ in [σ₁, σ₂] and k in [k₁, k₂] it is a relaxation that the guard has not fired before σ₁, has
-//! by σ₂, and that d at k₂ is at most the furthest the vehicle braking from σ₂ gets, at any k, beyond where the leader's
-//! rear bumper would be if it coasted. Best-first search over such boxes ends with the cheapest.
+//! The guard d + θ w is linear and, while the leader brakes, decreases once it is negative: a brake that has fired by
+//! σ₂ has a negative guard there. The position of the braking vehicle grows with σ, and the leader's displacement d
+//! only decreases. For σ in [σ₁, σ₂] and k in [k₁, k₂], this relaxation is therefore valid: the guard has not fired
+//! before σ₁ and has fired by σ₂; d at k₂ is at most the largest distance, over k, of the vehicle braking from σ₂
+//! beyond the rear bumper of a coasting leader. Best-first search over such boxes ends with the cheapest profile.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -24,7 +24,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
-/// Whether the first vehicle under test does at once and without noise what it decides.
+/// Returns true if the first vehicle under test executes its commands at once and without noise.
 pub(super) fn is_applicable(scenario: &Scenario) -> bool {
     scenario.vehicles().get(1).is_some_and(|ego| {
         ego.driver == Driver::UnderTest
@@ -34,13 +34,13 @@ pub(super) fn is_applicable(scenario: &Scenario) -> bool {
     }) && scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 == 0.0)
 }
 
-/// Boxes after which the enumeration is given up for a local search.
+/// Maximum number of programs; after that a local search takes over.
 const MAX_PROGRAMS: usize = 1500;
 
-/// How far beyond the bounds a profile goes, in metres: first as little as rounding needs, then as much as a filter may.
+/// Distances beyond the bounds, in metres: first as little as rounding needs, then as much as a filter may need.
 const MARGINS_BEYOND_BOUND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
 
-/// The cheapest profile that makes the baseline collide; none if there is none.
+/// Returns the cheapest profile that makes the baseline collide; `None` if there is none.
 pub(super) fn find_mildest(
     bench: &mut ProfileSimulator<'_>,
     ttc_s: f64,
@@ -49,7 +49,7 @@ pub(super) fn find_mildest(
 ) -> Result<Option<Attack>, AttackError> {
     let options_see_truth = bench.options.estimator == EstimatorKind::Truth;
     let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
-    // Perhaps the leader need not brake at all.
+    // The leader may not need to brake at all.
     let coasting = vec![0.0; bench.cell_count()];
     if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(ProfileOutcome::collides) {
         return Ok(Some(bench.report(&coasting, 0.0, AttackMethod::Exact)?));
@@ -59,7 +59,7 @@ pub(super) fn find_mildest(
     let mut node = None;
     for (widened, beyond_m) in MARGINS_BEYOND_BOUND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
-        // The first margin decides when the brake fires; later ones only make sure that a filter sees it too.
+        // The first margin selects the firing; later ones only ensure that a filter detects it, too.
         let found = match node {
             None => search.find_cheapest()?,
             Some(node) => match search.solve_relaxation(node) {
@@ -76,7 +76,7 @@ pub(super) fn find_mildest(
             return Ok(Some(attack));
         }
     }
-    // Too many boxes, or a filter that sees something else.
+    // Too many boxes, or a filter with another observation.
     if search.bench.programs < MAX_PROGRAMS && options_see_truth {
         Ok(None)
     } else {
@@ -84,7 +84,7 @@ pub(super) fn find_mildest(
     }
 }
 
-/// For each step whether the vehicles behind collide on their own if the first one under test begins to brake for it then.
+/// Returns true for each firing step of the first vehicle under test at which the vehicles behind collide.
 fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
     let scenario = bench.scenario;
     let step_s = scenario.spec().step_s;
@@ -119,7 +119,7 @@ fn ego_delay_steps(scenario: &Scenario) -> usize {
     (delay_s / scenario.spec().step_s).round() as usize
 }
 
-/// A box of firings, and of contacts ahead unless it is about contacts behind.
+/// A box of firings and, except for rear collisions, of collision steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct FiringBox {
     firing_steps: [usize; 2],
@@ -134,7 +134,7 @@ struct RankedBox {
 
 impl Ord for RankedBox {
     fn cmp(&self, other: &Self) -> Ordering {
-        // The heap yields the greatest: the cheapest, and of equals the one furthest divided.
+        // The heap yields the greatest: the cheapest, and of equals the one with the latest first step.
         other.cost.total_cmp(&self.cost).then(self.firing_box.firing_steps[0].cmp(&other.firing_box.firing_steps[0]))
     }
 }
@@ -170,7 +170,7 @@ impl Enumeration<'_, '_> {
             open.extend(self.solve_relaxation(FiringBox { firing_steps: all, contact_steps: touches }));
         }
         while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MAX_PROGRAMS) {
-            // What costs no more than any relaxation and collides is the answer, whatever its box.
+            // A profile that costs no more than any relaxation and collides is optimal, whatever its box.
             let Some(halves) = split_box(cheapest.firing_box) else { return Ok(Some(cheapest)) };
             let tried = self.bench.simulate(std::slice::from_ref(&cheapest.profile))?;
             if tried.iter().any(ProfileOutcome::collides) {
@@ -183,13 +183,12 @@ impl Enumeration<'_, '_> {
         Ok(None)
     }
 
-    /// The cheapest profile of a relaxed box; none if it is empty.
+    /// Returns the cheapest profile of a relaxed box; `None` if it is empty.
     fn solve_relaxation(&mut self, node: FiringBox) -> Option<RankedBox> {
         let [first, last] = node.firing_steps;
         let mut asked = Vec::new();
         match node.contact_steps {
             None => {
-                // Shrink to the firings that matter.
                 let hits = self.hits_behind.get(first..=last)?;
                 let (from, to) = (hits.iter().position(|hit| *hit)?, hits.iter().rposition(|hit| *hit)?);
                 if (from, to) != (0, last - first) {
@@ -215,7 +214,7 @@ impl Enumeration<'_, '_> {
         Some(RankedBox { cost, firing_box: node, profile })
     }
 
-    /// Whether the brake has fired by a step, or has not, as a bound on d + θ w of the leader.
+    /// Returns the constraint that the brake has fired by a step, or has not, as a bound on d + θ w of the leader.
     fn guard_constraint(&self, step: usize, fired: bool) -> LeaderConstraint {
         let ego = &self.bench.scenario.vehicles()[1];
         let t = step as f64 * self.bench.scenario.spec().step_s;
@@ -225,13 +224,12 @@ impl Enumeration<'_, '_> {
         LeaderConstraint { step, theta_s: self.ttc_s, bound_m, is_upper_bound: fired }
     }
 
-    /// The leader's rear bumper if it coasts, in metres.
     fn leader_rear_m(&self, step: usize) -> f64 {
         let leader = &self.bench.scenario.vehicles()[0];
         leader.position_m - leader.length_m() + leader.speed_mps * step as f64 * self.bench.scenario.spec().step_s
     }
 
-    /// Front bumper at step `at` of the first vehicle under test if its brake fires at step `fires`, in metres.
+    /// Returns the front bumper at step `at` of the first vehicle under test if its brake fires at step `fires`.
     fn braking_ego_front_m(&self, fires: usize, at: usize) -> f64 {
         let scenario = self.bench.scenario;
         let ego = &scenario.vehicles()[1];
@@ -244,7 +242,7 @@ impl Enumeration<'_, '_> {
     }
 }
 
-/// The two halves of a box across its longer side; none of a single firing and contact.
+/// Returns the two halves of a box across its longer side; `None` for a single firing and collision step.
 fn split_box(node: FiringBox) -> Option<[FiringBox; 2]> {
     let split = |[first, last]: [usize; 2]| {
         let middle = usize::midpoint(first, last);

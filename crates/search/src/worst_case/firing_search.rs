@@ -1,31 +1,28 @@
-//! The search over the steps at which the follower's brake may fire.
+//! Search over the steps at which the follower's brake may fire.
 //!
-//! Every program that is solved leaves multipliers, and those bound the programs of all other firings as well (see
-//! [`super::multipliers`]) at a thousandth of the price. So the search is one of cuts: solve the firing whose bound is
-//! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
-//! left. If no escape is found, what is left of it is a proof.
+//! The multipliers of each solved program also bound the programs of all other firings (see [`super::multipliers`]) at
+//! a thousandth of the cost. The search solves the firing with the highest bound, lowers all other bounds, drops
+//! firings that cannot beat the best escape, and repeats. If no escape is found, the bounds are a proof.
 
 use super::avoidance_problem::{AvoidanceProblem, BoundSide};
 use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN};
 use super::program::{self, EscapeObjective, EscapeQuery, Grid, ProgramOutcome};
 
-/// An escape of the model.
 #[derive(Debug, Clone)]
 pub(super) struct ModelEscape {
     /// The step by which the follower's brake fires; the number of steps for never.
     pub(super) firing: usize,
-    /// The smallest gap at the instants of the grid, in metres.
+    /// Smallest gap at the instants of the grid, in metres.
     pub(super) gap_m: f64,
     /// Acceleration of each ego in each cell, in m/s².
     pub(super) acceleration_mps2: Vec<Vec<f64>>,
     pub(super) grid: Grid,
 }
 
-/// The state of a search.
 pub(super) struct FiringSearch<'a> {
     situation: &'a AvoidanceProblem,
     pub(super) proofs: Vec<DualProof>,
-    /// What no escape with that firing exceeds, in metres.
+    /// Upper bound of the smallest gap of an escape with each firing.
     bounds_m: Vec<f64>,
     solved: Vec<bool>,
     pub(super) best: Option<ModelEscape>,
@@ -33,11 +30,9 @@ pub(super) struct FiringSearch<'a> {
     pub(super) solver_failure: Option<String>,
 }
 
-/// A larger smallest gap than the best one by less than this is not searched for, in metres.
 const MIN_GAP_GAIN_M: f64 = 2e-3;
 
 impl<'a> FiringSearch<'a> {
-    /// Nothing solved yet.
     pub(super) fn new(situation: &'a AvoidanceProblem) -> Self {
         let firings = situation.firing_count();
         let mut search = Self {
@@ -51,20 +46,19 @@ impl<'a> FiringSearch<'a> {
         };
         Multipliers::for_initial_gaps(situation).for_each(|multipliers| search.cut(multipliers));
         if situation.follower.is_some() {
-            // Where not even full braking makes the brake fire, there is nothing to solve.
+            // Firings that full braking cannot cause need no program.
             search.cut(Multipliers::for_firing(situation));
             search.cut_unreachable_firings();
         }
         search
     }
 
-    /// What no escape exceeds, in metres, whenever the brake fires.
+    /// Returns the upper bound of the smallest gap over all firings, in metres.
     pub(super) fn bound_m(&self) -> f64 {
         self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// Solves programs on a grid until no firing promises more than what was found, `most` have been solved, or `open_ends` of
-    /// them have left their own firing open without an escape.
+    /// Solves programs until no firing can improve, `most` are solved, or `open_ends` of them left their firing open.
     pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
@@ -79,17 +73,17 @@ impl<'a> FiringSearch<'a> {
         }
     }
 
-    /// What a bound must exceed for its firing to be worth a program.
+    /// Returns the bound that a firing must exceed to be worth a program.
     fn min_useful_bound_m(&self) -> f64 {
         let escape = self.best.as_ref().filter(|best| best.gap_m > 0.0);
         escape.map_or(0.0, |best| {
-            // What the grid costs against continuous time is not worth more programs on the same grid.
+            // The loss of the grid against continuous time cannot be recovered on the same grid.
             let slack_m = (self.bounds_m[best.firing] - best.gap_m).max(0.0);
             best.gap_m + slack_m + MIN_GAP_GAIN_M
         })
     }
 
-    /// The unsolved firing with the highest bound above `floor_m`; the middle one of the first that share it.
+    /// Returns the unsolved firing with the highest bound above `floor_m`; of equal neighbours the middle one.
     fn most_promising(&self, floor_m: f64) -> Option<usize> {
         let open =
             || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
@@ -99,7 +93,6 @@ impl<'a> FiringSearch<'a> {
         Some(first + alike.count() / 2)
     }
 
-    /// Solves one program and learns from it.
     fn solve(&mut self, grid: &Grid, firing: usize) {
         match self.solve_program(grid, firing, BoundSide::Lower) {
             ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers } => {
@@ -111,7 +104,7 @@ impl<'a> FiringSearch<'a> {
             ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
             ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
         }
-        // That no profile is an escape from all of a box does not say that some member has none: that is another program.
+        // A profile for the whole box may not exist although each member has one: a proof needs the upper slacks.
         if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
             match self.solve_program(grid, firing, BoundSide::Upper) {
                 ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => {
@@ -127,7 +120,7 @@ impl<'a> FiringSearch<'a> {
         program::solve(self.situation, grid, firing, EscapeQuery { objective: EscapeObjective::LargestGap, side })
     }
 
-    /// An escape made smoother: for its firing, with half its smallest gap kept.
+    /// Returns a smoother escape with the same firing and at least half of its smallest gap.
     pub(super) fn smooth(&self, best: &ModelEscape, objective: impl Fn(f64) -> EscapeObjective) -> Option<ModelEscape> {
         let wanted = EscapeQuery { objective: objective(0.5 * best.gap_m), side: BoundSide::Lower };
         match program::solve(self.situation, &best.grid, best.firing, wanted) {
@@ -138,7 +131,7 @@ impl<'a> FiringSearch<'a> {
         }
     }
 
-    /// Drops the firings that not even a standing ego brings about: up to some step, since the follower only comes closer.
+    /// Drops the early firings that even a standing ego cannot cause, because the follower only approaches.
     fn cut_unreachable_firings(&mut self) {
         let stands_from = Multipliers::standstill_step(self.situation);
         let empty = |firing: usize| {
@@ -155,13 +148,12 @@ impl<'a> FiringSearch<'a> {
         }
     }
 
-    /// Lowers every bound that multipliers lower.
     fn cut(&mut self, multipliers: Multipliers) {
         let proof = DualProof::new(self.situation, multipliers);
         let never = self.situation.never_firing();
         let floor_m = self.best.as_ref().map_or(0.0, |best| best.gap_m.max(0.0));
         for (firing, bound_m) in self.bounds_m.iter_mut().enumerate() {
-            // What cannot win any more need not be bounded better.
+            // Bounds below the best escape need no update.
             if *bound_m >= floor_m {
                 *bound_m = bound_m.min(proof.gap_bound_m(self.situation, firing, firing < never));
             }

@@ -2,13 +2,12 @@
 //!
 //! Variables are the peak and, for each cell, the change of speed w and the displacement d from coasting, as in
 //! [`super::program`]: -b H <= w⁺ - w <= 0, w >= -v₀, and accelerations of successive cells differ by at most the jerk
-//! times H. Everything asked of the leader at a step is a bound on d + θ w there.
+//! times H. Each constraint at a step is a bound on d + θ w.
 
 use super::attack::AttackObjective;
 use super::profile_simulator::ProfileSimulator;
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
-/// The variable of the peak.
 const PEAK_VARIABLE: usize = 0;
 
 /// A bound on d + θ w of the leader at a step.
@@ -17,11 +16,10 @@ pub(super) struct LeaderConstraint {
     pub(super) step: usize,
     pub(super) theta_s: f64,
     pub(super) bound_m: f64,
-    /// Whether it is an upper bound.
     pub(super) is_upper_bound: bool,
 }
 
-/// The cheapest profile that does what is asked, one acceleration a cell, and its cost; none if there is none.
+/// Returns cost and accelerations per cell of the cheapest profile that satisfies the constraints, if there is one.
 pub(super) fn cheapest_profile(
     bench: &mut ProfileSimulator<'_>,
     aim: AttackObjective,
@@ -29,7 +27,7 @@ pub(super) fn cheapest_profile(
 ) -> Option<(f64, Vec<f64>)> {
     bench.programs += 1;
     let (all, cell_s, cell) = (bench.cell_count(), bench.cell_s(), bench.cell);
-    // After the last thing asked there is only easing off, within the jerk.
+    // After the last constraint the braking only eases off, within the jerk.
     let last = asked.iter().map(|ask| ask.step.div_ceil(cell)).max()?;
     let easing = bench.envelope.max_brake_mps2 / (bench.envelope.jerk_mps3 * cell_s);
     let cells = all.min(last.max(1) + easing.ceil() as usize);
@@ -37,7 +35,7 @@ pub(super) fn cheapest_profile(
     let speed_mps = bench.scenario.vehicles().first().map_or(0.0, |leader| leader.speed_mps);
     let envelope = bench.envelope;
     let mut cone = QuadraticProgram::new(1 + 2 * cells);
-    // The change of speed after cell j, counted from 1; its displacement is the next variable.
+    // Index of the change of speed after cell j, counted from 1; its displacement is the next variable.
     let w = |j: usize| 2 * j - 1;
     let change = |j: usize| if j > 1 { vec![(w(j), 1.0), (w(j - 1), -1.0)] } else { vec![(w(j), 1.0)] };
     let negative = |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
@@ -61,7 +59,7 @@ pub(super) fn cheapest_profile(
         if aim == AttackObjective::LeastPeak {
             brake.push((PEAK_VARIABLE, -cell_s));
             cone.add_inequality(&brake, 0.0);
-            // Of all profiles with the least peak, a mild one.
+            // Selects a mild one among profiles with the least peak.
             cone.add_squared_cost(&change(j), 1e-3 / cell_s);
         } else {
             cone.add_squared_cost(&change(j), 1.0 / cell_s);
@@ -99,7 +97,7 @@ pub(super) fn cheapest_profile(
             let after = at.get(w(j)).copied().unwrap_or(before).max(-speed_mps);
             let held = ((after - before) / cell_s).clamp(-envelope.max_brake_mps2, 0.0);
             before += held * cell_s;
-            // What the solver leaves of a zero.
+            // Removes the solver's residue of a zero.
             if held > -1e-6 { 0.0 } else { held }
         })
         .collect();

@@ -1,23 +1,19 @@
-//! Convex programs: could any driver have avoided a collision, and how little braking makes a controller fail.
+//! Convex programs that decide avoidability, and that find the least braking that makes a controller fail.
 //!
-//! **Could any driver have avoided it?** A leader follows its script; the vehicles under test may do what they like within
-//! their limits, knowing the future; the vehicle behind them coasts until its latched emergency brake fires. For each step
-//! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
-//! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:
+//! **Avoidability** ([`avoid()`]). A leader follows its script; the vehicles under test move freely within their limits
+//! and know the future; the vehicle behind them coasts until its latched emergency brake fires. Each firing step is a
+//! linear program (`program`), whose multipliers bound all others (`multipliers`, `firing_search`). Verdicts:
 //!
-//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`). The
-//!   programs find it, or simulations with every other driver in the loop if the programs do not model all of them
-//!   (`closed_loop`);
-//! - *unavoidable*, with multipliers that prove it about every driver and in continuous time, accepted by
-//!   `crumple_verify::check` (`certificate`);
-//! - *undecided*, with the [`Reason`].
+//! - *avoidable*, with a profile that the simulator replays without collision at two step sizes (`escape`). The
+//!   programs find it, or closed-loop simulations if the programs do not model all drivers (`closed_loop`);
+//! - *unavoidable*, with multipliers that prove it for every driver in continuous time, checked (`certificate`);
+//! - *undecided*, with an [`UndecidedReason`].
 //!
-//! **How little does it take?** [`attack()`] looks for the mildest braking of the leader that makes a controller collide, or
-//! the severest impact: exactly for the baseline, whose motion is known once it is known when it fires (`exact`), by
-//! simulating pulses and ramps and by sequential convex programming from the best of them for every other controller
-//! (`pulses`, `sequential`). What it returns has been simulated, and only the exact method shows that nothing milder exists.
+//! **Worst-case braking** ([`attack()`]). The search finds the mildest braking of the leader that makes a controller
+//! collide, or the fastest impact. It is exact for the baseline, whose motion follows from its firing step (`exact`).
+//! For other controllers it combines pulses, ramps and sequential convex programming (`pulses`, `sequential`).
 //!
-//! Nothing a solver says is believed: a profile is replayed, and multipliers prove what they prove.
+//! No solution is trusted: each profile is replayed, and each proof is checked from its multipliers.
 
 mod attack;
 mod avoid;

@@ -1,17 +1,23 @@
-//! What the multipliers of one program prove, for any firing of the follower's brake and in continuous time.
+//! Bounds from the multipliers of one program, for any firing of the follower's brake and in continuous time.
 //!
-//! With a multiplier for each row (none negative) the weighted sum of what the rows say is
-//! L(a) = Σ y (d - front slack) + Σ p (d₂ - d₁ - pair slack) + Σ r (-d - rear slack) - Σ s (w + v₀) + φ (d + θ w - fired slack)
-//! and an escape with smallest gap m has L <= -m Σ (y + p + r). Since d and w are integrals of a, so is L; its infimum over
-//! every measurable a within the limits is the integral of min(-b q, a q), where q is the coefficient of a at each moment,
-//! linear between the instants that carry a multiplier. The bound holds for every control grid and every controller.
+//! With a nonnegative multiplier for each row, the weighted sum of the rows is
+//!
+//! ```text
+//! L(a) = Σ y (d - front slack) + Σ p (d₂ - d₁ - pair slack) + Σ r (-d - rear slack) - Σ s (w + v₀)
+//!        + φ (d + θ w - fired slack)
+//! ```
+//!
+//! An escape with smallest gap m has L <= -m Σ (y + p + r). Since d and w are integrals of a, so is L. Its infimum over
+//! every measurable a within the limits is the integral of min(-b q, a q), where q is the coefficient of a at each
+//! time, piecewise linear between instants with a multiplier. The bound holds for every control grid and every
+//! controller.
 
 use super::avoidance_problem::{AvoidanceProblem, BoundSide};
 
 /// An instant, in steps, and its multiplier.
 pub(super) type WeightedInstant = (usize, f64);
 
-/// One for each row that a proof may use; rows that are not listed have none.
+/// Multipliers of the rows that a proof may use; unlisted rows have multiplier 0.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Multipliers {
     pub(super) front: Vec<WeightedInstant>,
@@ -23,17 +29,16 @@ pub(super) struct Multipliers {
     pub(super) fired: f64,
 }
 
-/// Multipliers smaller than this share of the largest one are noise of the solver.
+/// Multipliers below this share of the largest one are noise of the solver.
 const NEGLIGIBLE_SHARE: f64 = 1e-9;
 
 impl Multipliers {
-    /// No multipliers.
     pub(super) fn zero(situation: &AvoidanceProblem) -> Self {
         let egos = situation.egos.len();
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
-    /// Only that the gaps were no larger at the start: one for each of them.
+    /// Returns, for each initial gap, a multiplier of that row alone.
     pub(super) fn for_initial_gaps(situation: &AvoidanceProblem) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
         let none = Self::zero(situation);
@@ -47,12 +52,12 @@ impl Multipliers {
         [Some(front), rear].into_iter().flatten().chain(between)
     }
 
-    /// Only that the brake fires.
+    /// Returns a multiplier of the firing row alone.
     pub(super) fn for_firing(situation: &AvoidanceProblem) -> Self {
         Self { fired: 1.0, ..Self::zero(situation) }
     }
 
-    /// The first step at which a last ego that brakes fully stands.
+    /// Returns the first step at which a fully braking last ego stands.
     pub(super) fn standstill_step(situation: &AvoidanceProblem) -> usize {
         situation.egos.last().map_or(0, |ego| {
             let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
@@ -60,10 +65,8 @@ impl Multipliers {
         })
     }
 
-    /// That the brake fires, and that the last ego, once it stands, does not reverse to make it fire.
-    ///
-    /// With φ = 1 at τ the coefficient is q(t) = t_τ - t + θ; subtracting the spacing at every so many steps from standstill
-    /// on keeps it near zero there, and the closer the steps, the nearer.
+    /// Returns multipliers for the firing, and for the last ego not to reverse once it stands. With φ = 1 at τ the
+    /// coefficient is q(t) = t_τ - t + θ; `spacing` is subtracted at every `spacing` steps after standstill.
     pub(super) fn for_standstill(situation: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
         let mut multipliers = Self::for_firing(situation);
         let theta_s = situation.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
@@ -85,7 +88,6 @@ impl Multipliers {
         [&self.front, &self.rear].into_iter().chain(&self.between).chain(&self.speed)
     }
 
-    /// Drops multipliers so small that they are only noise.
     pub(super) fn without_negligible(mut self) -> Self {
         let largest = self.lists().flatten().fold(self.fired, |most, (_, value)| most.max(*value));
         let lists = [&mut self.front, &mut self.rear].into_iter().chain(&mut self.between).chain(&mut self.speed);
@@ -99,20 +101,18 @@ impl Multipliers {
     }
 }
 
-/// Multipliers prepared for asking about many firings.
 #[derive(Debug, Clone)]
 pub(super) struct DualProof {
     multipliers: Multipliers,
-    /// For each ego what each instant adds to q, latest first: step, to its slope in time, to its value.
+    /// Contribution of each instant to q for each ego, latest first: step, change of the slope, change of the value.
     kinks: Vec<Vec<(usize, f64, f64)>>,
-    /// All of L that depends neither on a nor on the firing.
+    /// Part of L that depends neither on a nor on the firing.
     constant: f64,
     /// Σ (y + p + r).
     weight: f64,
 }
 
 impl DualProof {
-    /// Prepares multipliers.
     pub(super) fn new(situation: &AvoidanceProblem, multipliers: Multipliers) -> Self {
         let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); situation.egos.len()];
         let mut constant = 0.0;
@@ -148,17 +148,16 @@ impl DualProof {
         Self { multipliers, kinks, constant, weight }
     }
 
-    /// The multipliers for a firing; without that of firing for one that says nothing about it.
+    /// Returns the multipliers for a firing; without `fired`, the multiplier of the firing row is 0.
     pub(super) fn multipliers(&self, fired: bool) -> Multipliers {
         Multipliers { fired: if fired { self.multipliers.fired } else { 0.0 }, ..self.multipliers.clone() }
     }
 
-    /// Whether it uses that the brake fires.
     pub(super) fn uses_firing(&self) -> bool {
         self.multipliers.fired > 0.0
     }
 
-    /// The infimum of L if the brake fires at step `firing`, or, without `fired`, then or later.
+    /// Returns the infimum of L if the brake fires at step `firing`, or, without `fired`, then or later.
     pub(super) fn infimum(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let mut total = self.constant;
         for &(step, value) in &self.multipliers.rear {
@@ -181,13 +180,12 @@ impl DualProof {
         total
     }
 
-    /// By how much the infimum exceeds what it is at most for a profile that keeps every gap at `gap_m`: where it does at all, there is
-    /// none.
+    /// Returns the infimum minus its maximum for profiles that keep every gap at `gap_m`. If positive, there is none.
     pub(super) fn excess(&self, situation: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
         self.infimum(situation, firing, fired) + gap_m * self.weight
     }
 
-    /// What the smallest gap of an escape cannot exceed, in metres; minus infinity if there is none at all.
+    /// Returns the upper bound of the smallest gap of an escape, in metres; minus infinity if there is no escape.
     pub(super) fn gap_bound_m(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let infimum = self.infimum(situation, firing, fired);
         if infimum > ROUNDING_MARGIN && self.weight <= 1e-9 * infimum {
@@ -197,10 +195,10 @@ impl DualProof {
     }
 }
 
-/// What L must exceed for a proof to survive outward rounding: values of some hundred metres are summed.
+/// Minimum of L for a proof to survive outward rounding: it sums values of some hundred metres.
 pub(super) const ROUNDING_MARGIN: f64 = 1e-9;
 
-/// The integral of min(-b q, a q) from 0 to the latest kink. All kinks latest first; `extra` is one more.
+/// Returns the integral of min(-b q, a q) from 0 to the latest kink; kinks are sorted latest first, except `extra`.
 fn min_integral(
     kinks: &[(usize, f64, f64)],
     mut extra: Option<(usize, f64, f64)>,
@@ -232,7 +230,7 @@ fn min_integral(
     }
 }
 
-/// The integral of min(-b q, a q) for q linear between two values.
+/// Returns the integral of min(-b q, a q) for q linear between two values.
 fn min_integral_linear(one: f64, other: f64, over_s: f64, [brake, accel]: [f64; 2]) -> f64 {
     let (high, low) = (one.max(other), one.min(other));
     if low >= 0.0 {

@@ -1,4 +1,4 @@
-//! Simulation of a leader's braking profiles, with a count of what was spent.
+//! Simulation of a leader's braking profiles, with counts of simulations and programs.
 
 use super::attack::{Attack, AttackError, AttackMethod, Envelope};
 use super::escape::script_pieces;
@@ -6,12 +6,11 @@ use crumple_core::observer::{Observer, RunProgress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch};
 
-/// Where profiles are tried out.
 pub(super) struct ProfileSimulator<'a> {
     pub(super) scenario: &'a Scenario,
     pub(super) options: &'a RunOptions,
     pub(super) envelope: Envelope,
-    /// Steps in a cell over which the leader's acceleration is held.
+    /// Steps per cell, over which the leader's acceleration is held.
     pub(super) cell: usize,
     pub(super) evaluations: usize,
     pub(super) programs: usize,
@@ -19,16 +18,15 @@ pub(super) struct ProfileSimulator<'a> {
     observer: &'a dyn Observer<RunProgress>,
 }
 
-/// Outcome of a brake profile.
 #[derive(Debug, Clone)]
 pub(super) struct ProfileOutcome {
     pub(super) outcome: Outcome,
     pub(super) margin_m: f64,
 }
 
-/// No impact is faster, in m/s: the speed that scenarios may have at most.
+/// Maximum impact speed, in m/s: the maximum speed in scenarios.
 const MAX_IMPACT_SPEED_MPS: f64 = 100.0;
-/// Deceleration by which the speed of an impact becomes a depth, in m/s²: v² / 2 of it.
+/// Deceleration that converts an impact speed to a depth, v² / (2 a), in m/s².
 const IMPACT_DECELERATION_MPS2: f64 = 5.0;
 
 impl<'a> ProfileSimulator<'a> {
@@ -43,17 +41,15 @@ impl<'a> ProfileSimulator<'a> {
         Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, budget, observer }
     }
 
-    /// The number of cells.
     pub(super) fn cell_count(&self) -> usize {
         self.scenario.steps().div_ceil(self.cell)
     }
 
-    /// The length of a cell in seconds.
     pub(super) fn cell_s(&self) -> f64 {
         self.cell as f64 * self.scenario.spec().step_s
     }
 
-    /// The scenario with a profile, one acceleration a cell, as the leader's script.
+    /// Returns the scenario with a profile, one acceleration per cell, as the leader's script.
     pub(super) fn with_leader_script(&self, cells_mps2: &[f64]) -> Result<Scenario, InvalidField> {
         let profile = LeadProfile::Pieces(script_pieces(cells_mps2, self.cell_s()));
         self.scenario.edited(|spec| {
@@ -63,7 +59,6 @@ impl<'a> ProfileSimulator<'a> {
         })
     }
 
-    /// Simulates many profiles.
     pub(super) fn simulate(&mut self, profiles: &[Vec<f64>]) -> Result<Vec<ProfileOutcome>, AttackError> {
         let scripted = profiles.iter().map(|cells| self.with_leader_script(cells)).collect::<Result<Vec<_>, _>>()?;
         let runs = scripted
@@ -77,7 +72,6 @@ impl<'a> ProfileSimulator<'a> {
         Ok(trials)
     }
 
-    /// Simulates one profile and reports it.
     pub(super) fn report(
         &mut self,
         cells_mps2: &[f64],
@@ -106,8 +100,8 @@ impl<'a> ProfileSimulator<'a> {
 }
 
 impl ProfileOutcome {
-    /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact;
-    /// where a controller fails, that of an impact faster than there are any.
+    /// Creates an outcome with the smallest gap, or minus v²/10 of an impact, so that the margin is smooth at a
+    /// collision. A controller failure counts as an impact at the maximum speed.
     pub(super) fn from_simulated(simulated: &SimulationResult) -> Self {
         let depth_m = |impact_mps: f64| impact_mps.powi(2) / (2.0 * IMPACT_DECELERATION_MPS2);
         let margin_m = match &simulated.outcome {
@@ -124,7 +118,6 @@ impl ProfileOutcome {
         !self.outcome.is_safe()
     }
 
-    /// When a contact or a controller's failure ends the run, in seconds.
     pub(super) fn end_time_s(&self) -> Option<f64> {
         match &self.outcome {
             Outcome::NoCollision => None,

@@ -1,8 +1,9 @@
 //! The convex program of one firing of the follower's brake.
 //!
 //! Variables are the smallest gap m and, for every ego and instant of a control grid, the change of speed w and the
-//! displacement d from coasting (see [`super::situation`]). Eliminating them would make every row dense; in the
-//! sparse form the work of an iteration grows with the number of cells, not with its cube. For a firing at step τ the rows are
+//! displacement d from coasting (see [`super::avoidance_problem`]). Eliminating w and d would make every row dense; in
+//! the sparse form the cost of an iteration is linear in the number of cells, not cubic. For a firing at step τ the
+//! rows are
 //!
 //! ```text
 //! d⁺ - d = H (w + w⁺) / 2          exact for an acceleration (w⁺ - w) / H held over the cell
@@ -13,8 +14,7 @@
 //! -d + m <= rear slack of τ        ahead of the follower
 //! d + θ w <= fired slack, at τ     by τ the brake has fired
 //! ```
-//! A profile that fires earlier than τ makes the follower brake earlier, which leaves more room: it is an escape as well,
-//! so nothing need say that the brake has not fired before τ.
+//! A profile that fires before τ makes the follower brake earlier and leaves more room, so it is an escape as well.
 
 use super::avoidance_problem::{AvoidanceProblem, BoundSide};
 use super::multipliers::Multipliers;
@@ -23,52 +23,46 @@ use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 /// Instants, in steps, between which accelerations are held.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Grid {
-    /// Increasing, from 0 to the number of steps.
+    /// Increasing steps, from 0 to the number of steps.
     pub(super) steps: Vec<usize>,
 }
 
-/// What to minimise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum EscapeObjective {
-    /// The negative of the smallest gap.
     LargestGap,
     /// ∫ a² with all gaps at least this many metres.
     GentlestEscape(f64),
-    /// The sum of squared changes of acceleration over time, likewise.
+    /// Sum of squared changes of acceleration with all gaps at least this many metres.
     LeastJerk(f64),
 }
 
-/// What is wanted of an escape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EscapeQuery {
     pub(super) objective: EscapeObjective,
     pub(super) side: BoundSide,
 }
 
-/// What became of a program.
 #[derive(Debug, Clone)]
 pub(super) enum ProgramOutcome {
-    /// A profile, and the multipliers that bound how much better any other can be.
+    /// A profile, and the multipliers that bound the improvement of any other one.
     Profile {
-        /// m, in metres.
         gap_m: f64,
         /// Acceleration of each ego in each cell, in m/s².
         acceleration_mps2: Vec<Vec<f64>>,
-        /// One for each row that is a matter of gaps, speeds or firing.
+        /// Multipliers of the rows for gaps, speeds and firing.
         multipliers: Multipliers,
     },
     /// No profile makes the brake fire there.
     Infeasible(Multipliers),
-    /// The solver gave up.
+    /// The solver failed; holds its status.
     SolverFailed(String),
 }
 
-/// The guard is to have fired by this much, in metres, so that rounding cannot undo it.
+/// Margin of the guard, in metres, so that rounding cannot undo the firing.
 const GUARD_MARGIN_M: f64 = 1e-5;
 
 impl Grid {
-    /// Cells of `cell` steps, five times as long once the leader stands for good and nothing urgent can happen; the last one
-    /// may be shorter.
+    /// Creates a grid with cells of `cell` steps, and five times as long once the leader stands.
     pub(super) fn new(situation: &AvoidanceProblem, cell: usize) -> Self {
         let calm = situation.leader_standstill_step();
         let mut steps = Vec::new();
@@ -86,7 +80,6 @@ impl Grid {
     }
 }
 
-/// What a row is about.
 #[derive(Debug, Clone, Copy)]
 enum ConstraintRow {
     Front(usize),
@@ -97,7 +90,7 @@ enum ConstraintRow {
     Other,
 }
 
-/// The largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
+/// Returns the largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
 pub(super) fn solve(situation: &AvoidanceProblem, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
     let mut program = EscapeProgram::new(situation, grid, wanted);
     program.add_motion_rows();
@@ -123,7 +116,6 @@ struct EscapeProgram<'a> {
     rows: Vec<ConstraintRow>,
 }
 
-/// The variable m.
 const GAP_VARIABLE: usize = 0;
 
 impl<'a> EscapeProgram<'a> {
@@ -132,17 +124,16 @@ impl<'a> EscapeProgram<'a> {
         Self { situation, grid, query: wanted, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
-    /// The variable w of an ego at a grid instant after the first; d is the next one.
+    /// Returns the variable w of an ego at a grid instant after the first; d is the next one.
     fn speed_variable(&self, ego: usize, instant: usize) -> usize {
         1 + 2 * ((instant - 1) * self.situation.egos.len() + ego)
     }
 
-    /// The length of the cell before an instant, in seconds.
     fn cell_s(&self, instant: usize) -> f64 {
         (self.grid.steps[instant] - self.grid.steps[instant - 1]) as f64 * self.situation.step_s
     }
 
-    /// The acceleration in the cell before an instant, times its length.
+    /// Returns the change of speed in the cell before an instant.
     fn speed_change_terms(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
         let w = self.speed_variable(ego, instant);
         if instant > 1 { vec![(w, 1.0), (self.speed_variable(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
@@ -183,7 +174,7 @@ impl<'a> EscapeProgram<'a> {
         }
     }
 
-    /// The change of acceleration from the cell before, or from none at the start.
+    /// Returns the change of acceleration from the previous cell; from 0 at the start.
     fn acceleration_change_terms(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
         let scaled = |instant: usize, by: f64| {
             let cell_s = self.cell_s(instant);
@@ -204,13 +195,12 @@ impl<'a> EscapeProgram<'a> {
         let last = situation.egos.len() - 1;
         let (leader_rests, follower_rests) =
             (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
-        // Over a box the loose side lets the slowest member lose the speed of the fastest one: it may reverse.
+        // With upper slacks over a box, the slowest member may lose the speed of the fastest one, and so reverse.
         let may_reverse = situation.is_box && side == BoundSide::Upper;
         for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
-            // Behind a standing leader the last instant says it all, since no vehicle reverses; likewise ahead of a
-            // follower that stands.
+            // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
             if step <= leader_rests || instant == self.grid.cell_count() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
                 self.add_inequality(ConstraintRow::Front(step), &terms, situation.front_slack_m(step, side));
@@ -236,7 +226,7 @@ impl<'a> EscapeProgram<'a> {
         }
     }
 
-    /// d + θ w of the last ego at a step, which may lie inside a cell.
+    /// Returns d + θ w of the last ego at a step, which may lie inside a cell.
     fn guard_terms(&self, step: usize, theta_s: f64) -> Vec<(usize, f64)> {
         if step == 0 {
             return Vec::new();
@@ -275,7 +265,7 @@ impl<'a> EscapeProgram<'a> {
         }
     }
 
-    /// The accelerations of a solution, within the limits whatever the solver's accuracy.
+    /// Returns the accelerations of a solution, clamped to the limits because of the solver's accuracy.
     fn accelerations(&self, at: &[f64], ego: usize) -> Vec<f64> {
         let limits = &self.situation.egos[ego];
         let lowest_mps = -self.situation.speed_slack_mps(ego, BoundSide::Lower);
@@ -286,7 +276,7 @@ impl<'a> EscapeProgram<'a> {
                 return 0.0;
             }
             let wanted = at.get(self.speed_variable(ego, instant)).copied().unwrap_or(before);
-            // A vehicle that hardly moves stands.
+            // Treat negligible speeds as standstill.
             let wanted = if wanted - lowest_mps < STANDSTILL_SPEED_MPS { lowest_mps } else { wanted };
             let cell_s = self.cell_s(instant);
             let held = ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
@@ -296,7 +286,6 @@ impl<'a> EscapeProgram<'a> {
         of_cell.collect()
     }
 
-    /// The multipliers of the rows that a proof may use.
     fn multipliers(&self, values: &[f64]) -> Multipliers {
         let mut multipliers = Multipliers::zero(self.situation);
         for (row, &value) in self.rows.iter().zip(values) {

@@ -2,30 +2,27 @@
 
 use super::profile_simulator::ProfileSimulator;
 
-/// Course of a plain braking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BrakeForm {
     /// Built up as fast as the jerk allows, held, and released.
     Pulse,
-    /// Built up evenly over the whole length, and released.
+    /// Built up linearly over the whole length, and released.
     Ramp,
-    /// Built up as fast as the jerk allows, and eased off evenly over the whole length.
+    /// Built up as fast as the jerk allows, and eased off linearly over the whole length.
     Fall,
 }
 
-/// A plain braking.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pulse {
     form: BrakeForm,
-    /// Cells before it and in it, its release apart.
+    /// Numbers of cells before it and in it, without the release.
     onset: usize,
     length: usize,
     pub(super) depth_mps2: f64,
-    /// Difference to the next shallower one of the scan, in m/s².
+    /// Difference to the next shallower depth of the scan, in m/s².
     spacing_mps2: f64,
 }
 
-/// Number of depths, lengths and onsets of a scan.
 struct ScanSize {
     depths: usize,
     lengths: usize,
@@ -33,7 +30,7 @@ struct ScanSize {
     forms: &'static [BrakeForm],
 }
 
-/// Pulses and ramps of several depths, lengths and onsets: 40 for a small budget, 112 for a medium one, 864 for a large one.
+/// Returns pulses and ramps of several depths, lengths and onsets: 40, 112 or 864, depending on the budget.
 pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
     let ScanSize { depths, lengths, onsets, forms } = match budget {
         ..400 => ScanSize { depths: 4, lengths: 5, onsets: 2, forms: &[BrakeForm::Pulse] },
@@ -43,7 +40,7 @@ pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
         }
     };
     let (cells, most) = (bench.cell_count(), bench.envelope.max_brake_mps2);
-    // From 0.4 s to the whole duration, evenly on a logarithmic scale.
+    // From 0.4 s to the whole duration, on a logarithmic scale.
     let shortest = (0.4 / bench.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
     let length =
@@ -67,7 +64,6 @@ impl Pulse {
         (self.form, self.onset, self.length) == (other.form, other.onset, other.length)
     }
 
-    /// The depth of the next shallower pulse of the scan, in m/s².
     pub(super) fn shallower_depth_mps2(&self) -> f64 {
         self.depth_mps2 - self.spacing_mps2
     }
@@ -76,7 +72,6 @@ impl Pulse {
         Self { depth_mps2, ..self }
     }
 
-    /// Its acceleration in each cell, in m/s².
     pub(super) fn cells_mps2(&self, bench: &ProfileSimulator<'_>) -> Vec<f64> {
         let most = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;

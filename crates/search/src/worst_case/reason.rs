@@ -1,84 +1,84 @@
-//! Why a question has no answer.
+//! Reasons for an undecided result.
 
 use serde::Serialize;
 
-/// Why neither an escape nor a proof was reached.
+/// Reason why neither an escape nor a proof was found.
 #[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum UndecidedReason {
-    /// The leader reacts to other vehicles.
+    /// The leader is not scripted.
     #[error("vehicle 0 does not follow a script")]
     Leader,
-    /// Who is ahead of whom changes.
+    /// The order of vehicles changes.
     #[error("vehicles enter or leave the lane, which the programs do not model")]
     LaneChanges,
-    /// No vehicle is under test behind the leader, or those that are do not follow each other.
+    /// No vehicle under test is behind the leader, or they are not neighbours.
     #[error("the vehicles under test are not those directly behind the leader")]
     NoEgo,
-    /// The vehicle behind those under test is not driven by the latched emergency brake.
+    /// The vehicle behind those under test has another driver than the latched emergency brake.
     #[error(
         "vehicle {vehicle} is driven by {driver}, and only a latched emergency brake without lag is modelled there"
     )]
     Follower {
-        /// Its index.
+        /// Index of the vehicle.
         vehicle: usize,
-        /// What drives it.
+        /// Name of its driver.
         driver: &'static str,
     },
-    /// The scenario cannot be written down, and a certificate holds its hash.
+    /// The scenario has no TOML form, whose hash a certificate contains.
     #[error("the scenario cannot be written as TOML: {why}")]
     Unwritable {
-        /// Why.
+        /// Cause of the error.
         why: String,
     },
-    /// The escape that was found makes a vehicle collide that is not modelled.
+    /// An unmodelled vehicle collides in the escape that was found.
     #[error("vehicle {vehicle} and those behind it are not modelled")]
     BehindFollower {
-        /// The first of them.
+        /// Index of the first unmodelled vehicle.
         vehicle: usize,
     },
-    /// A vehicle under test that does not do at once what it wants: one that did might escape, and whether this one does is open.
+    /// A vehicle under test does not execute commands at once; if it did, it might escape.
     #[error("what decides is how late or sluggishly vehicle {vehicle} answers, which is not modelled")]
     EgoResponse {
-        /// Its index.
+        /// Index of the vehicle.
         vehicle: usize,
     },
-    /// More vehicles under test than the checker reads.
+    /// More vehicles under test than the checker accepts.
     #[error("{egos} vehicles under test are too many for a certificate, which holds {most} at most")]
     TooManyVehicles {
-        /// How many there are.
+        /// Number of vehicles under test.
         egos: usize,
-        /// How many there may be.
+        /// Maximum number.
         most: usize,
     },
-    /// Noise on an acceleration that a proof would have to bound.
+    /// Noise on an acceleration, which a proof would have to bound.
     #[error("the acceleration of vehicle {vehicle} is noisy, and no proof covers that")]
     Noise {
-        /// Its index.
+        /// Index of the vehicle.
         vehicle: usize,
     },
-    /// The two answers are closer together than the arithmetic.
+    /// The lower and upper bounds are closer than the accuracy of the arithmetic.
     #[error("{}", describe_undecided_gap(*low_m, *high_m))]
     TooClose {
-        /// What was reached, in metres.
+        /// Smallest gap that was reached, in metres.
         low_m: f64,
-        /// What cannot be exceeded, in metres.
+        /// Upper bound of the smallest gap, in metres.
         high_m: f64,
     },
-    /// An escape of the model that the simulation does not confirm.
+    /// The simulation does not confirm an escape of the model.
     #[error("an escape was found, but vehicles touch when it is replayed")]
     Replay,
-    /// A proof that the checker does not accept.
+    /// The checker rejects a proof.
     #[error("a proof was found, but the checker rejects it: {why}")]
     Rejected {
-        /// What the checker says.
+        /// Message of the checker.
         why: String,
     },
-    /// The solver gave up on a program.
+    /// The solver failed.
     #[error("the solver could not solve a program: {status}")]
     Solver {
-        /// What it says.
+        /// Status of the solver.
         status: String,
     },
 }
@@ -92,7 +92,7 @@ fn describe_undecided_gap(low_m: f64, high_m: f64) -> String {
 }
 
 impl UndecidedReason {
-    /// Whether it is that the programs do not model who drives: an escape may be found without them.
+    /// Returns true if the programs do not model a driver: an escape may be found without them.
     pub(super) fn is_not_modelled(&self) -> bool {
         matches!(self, Self::Leader | Self::LaneChanges | Self::Follower { .. } | Self::BehindFollower { .. })
     }

@@ -1,4 +1,4 @@
-//! What an attack found, for a program that reads it.
+//! Machine-readable result of an attack.
 
 use serde::Serialize;
 
@@ -6,45 +6,44 @@ use super::{AttackMethod, AttackObjective, AttackResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome};
 
-/// What `crumple worst-case --format json` prints. Everything about the profile is absent if none was found.
+/// Output of `crumple worst-case --format json`. Fields of the profile are absent if none was found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AttackReport {
     /// Name of the scenario.
     pub scenario: String,
     /// Name of the controller.
     pub controller: String,
-    /// What it looked through.
+    /// Estimator of the vehicles under test.
     pub estimator: &'static str,
-    /// What was looked for.
+    /// Objective of the attack.
     pub aim: &'static str,
-    /// Whether the controller says of itself that another run may end otherwise.
+    /// True if the controller declares itself non-deterministic.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub nondeterministic: bool,
-    /// Whether some profile makes the controller fail.
+    /// True if some profile makes the controller fail.
     pub found: bool,
-    /// How it was found; none where the controller gave no answer.
+    /// Method that found it; `None` if the controller gave no answer.
     pub method: Option<AttackMethod>,
-    /// `exact-on-grid` if nothing on the grid is better, `best-found` if nothing shows that; none where the controller gave no
-    /// answer.
+    /// `exact-on-grid` or `best-found`; `None` if the controller gave no answer.
     pub optimality: Option<&'static str>,
-    /// How the run with it ended.
+    /// Outcome of the simulation with the profile.
     pub outcome: Option<Outcome>,
     /// ∫ a² of the leader's script, in m²/s³.
     pub effort_m2ps3: Option<f64>,
     /// Hardest braking of the script, in m/s², positive.
     pub peak_brake_mps2: Option<f64>,
-    /// Margin that the convex program predicted, in metres; none where the controller gave no answer, as that below.
+    /// Margin that the convex program predicted, in metres; like `margin_m`, `None` if the controller gave no answer.
     pub predicted_margin_m: Option<f64>,
-    /// The margin that the simulation has, in metres.
+    /// Margin of the simulation, in metres.
     pub margin_m: Option<f64>,
-    /// Simulations spent.
+    /// Number of simulations.
     pub evaluations: usize,
-    /// Convex programs solved.
+    /// Number of convex programs solved.
     pub programs: usize,
 }
 
 impl AttackReport {
-    /// The report of an attack on a controller in the scenario of that name.
+    /// Creates the report of an attack on a controller in the scenario of that name.
     #[must_use]
     pub fn new(
         scenario: &str,
@@ -54,7 +53,7 @@ impl AttackReport {
         result: &AttackResult,
     ) -> Self {
         let found = result.attack.as_ref();
-        // A run that its controller ended has no margin, and is no optimum of anything.
+        // A simulation that its controller ended has no margin and no optimality.
         let answered = found.filter(|attack| attack.outcome.failed_controller().is_none());
         Self {
             scenario: scenario.to_owned(),

@@ -1,26 +1,26 @@
-//! Boxes of scenarios: one scenario with ranges in place of some of its numbers.
+//! Boxes of scenarios: a scenario with ranges in place of some numbers.
 
 use serde::{Deserialize, Serialize};
 
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec};
 
-/// Ranges as a file states them.
+/// Ranges as in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioRanges {
     /// Version of the file format: 1.
     pub version: u32,
-    /// The fields that are not single numbers; any combination of their values is meant.
+    /// Fields with ranges; the box contains all combinations of their values.
     pub ranges: Vec<FieldRange>,
 }
 
-/// All values of one field of a scenario.
+/// Range of one field of a scenario.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FieldRange {
-    /// Path of the field: `vehicles[i].position_m`, `vehicles[i].speed_mps`, or of a leader that brakes at a constant rate
+    /// Path of the field: `vehicles[i].position_m`, `vehicles[i].speed_mps`, or, of a leader with constant braking,
     /// `vehicles[0].driver.brake.rate_mps2` or `vehicles[0].driver.brake.onset_s`.
     pub field: String,
     /// Smallest value, in the unit of the field.
@@ -38,45 +38,45 @@ pub struct ScenarioBox {
     ranges: Vec<FieldRange>,
 }
 
-/// Why ranges make no box.
+/// An error of ranges that define no box.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScenarioBoxError {
     /// The file is of another version.
     #[error("version {0} of a file of ranges is not supported: this release reads version 1")]
     Version(u32),
-    /// A field that cannot have a range.
+    /// The field cannot have a range.
     #[error(
         "{field}: cannot have a range; there are vehicles[i].position_m and .speed_mps, and of a leader that brakes \
          vehicles[0].driver.brake.rate_mps2 and .onset_s"
     )]
     UnsupportedField {
-        /// The field.
+        /// Path of the field.
         field: String,
     },
-    /// Ends that are not two numbers in order.
+    /// The ends are not two numbers in order.
     #[error("{field}: {low} to {high} is not a range")]
     InvalidRange {
-        /// The field.
+        /// Path of the field.
         field: String,
-        /// Its lower end.
+        /// Lower end.
         low: f64,
-        /// Its upper end.
+        /// Upper end.
         high: f64,
     },
     /// A field has two ranges.
     #[error("{field} has two ranges")]
     DuplicateField {
-        /// Its path.
+        /// Path of the field.
         field: String,
     },
-    /// An end or the middle of the box is no valid scenario.
+    /// An end or the middle of the box is not a valid scenario.
     #[error("at an end or in the middle of the ranges, {0}")]
     Scenario(#[from] InvalidField),
 }
 
 impl ScenarioBoxError {
-    /// The path in a file of these ranges of what is wrong, such as `ranges[1].low`.
+    /// Returns the path of the error in the file of these ranges, such as `ranges[1].low`.
     #[must_use]
     pub fn field_location(&self, ranges: &ScenarioRanges) -> String {
         let of = |field: &str| ranges.ranges.iter().position(|range| range.field == field);
@@ -93,13 +93,13 @@ impl ScenarioBoxError {
 }
 
 impl ScenarioBox {
-    /// One scenario.
+    /// Creates a box of one scenario.
     #[must_use]
     pub fn point(scenario: &Scenario) -> Self {
         Self { centre: scenario.clone(), low: scenario.clone(), high: scenario.clone(), ranges: Vec::new() }
     }
 
-    /// A scenario with ranges.
+    /// Creates a box from a scenario and ranges.
     ///
     /// # Errors
     /// [`ScenarioBoxError`] names the field that cannot have that range.
@@ -116,7 +116,7 @@ impl ScenarioBox {
             if !(low.is_finite() && high.is_finite() && low <= high) {
                 return Err(ScenarioBoxError::InvalidRange { field: field.clone(), low: *low, high: *high });
             }
-            // A leader that brakes harder is further back: the ends of a box are those of positions and speeds.
+            // A leader that brakes harder is further back, so its ends are swapped.
             let turned = field.ends_with("rate_mps2");
             let values = if turned { [*high, *low] } else { [*low, *high] };
             let targets = [(&mut *least, values[0]), (&mut *most, values[1]), (&mut *centre, 0.5 * (low + high))];
@@ -134,31 +134,30 @@ impl ScenarioBox {
         })
     }
 
-    /// The scenario in the middle.
+    /// Returns the scenario in the middle.
     #[must_use]
     pub fn centre(&self) -> &Scenario {
         &self.centre
     }
 
-    /// Its ranges; none if it is a single scenario. Around [`ScenarioBox::centre`] they make this family.
+    /// Returns the ranges around [`ScenarioBox::centre`]; `None` for a single scenario.
     #[must_use]
     pub(crate) fn ranges(&self) -> Option<ScenarioRanges> {
         (!self.is_point()).then(|| ScenarioRanges { version: 1, ranges: self.ranges.clone() })
     }
 
-    /// The scenarios with every position and speed least and most, and the leader's script likewise.
+    /// Returns the scenarios with the least and with the greatest positions and speeds, also of the leader's script.
     pub(super) fn ends(&self) -> [&Scenario; 2] {
         [&self.low, &self.high]
     }
 
-    /// Whether it is a single scenario.
     #[must_use]
     pub(crate) fn is_point(&self) -> bool {
         self.low == self.high
     }
 }
 
-/// The number in a scenario that a path names, if it is one that may have a range.
+/// Returns the number at a path in a scenario, if it may have a range.
 fn field_mut<'a>(spec: &'a mut ScenarioSpec, field: &str) -> Option<&'a mut f64> {
     let (index, rest) = field.strip_prefix("vehicles[")?.split_once("].")?;
     let index: usize = index.parse().ok()?;

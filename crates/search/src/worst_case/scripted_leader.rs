@@ -1,4 +1,4 @@
-//! The leader follows its script and reacts to no vehicle: where it is, in all scenarios of a box.
+//! Motion of a scripted leader, which reacts to no vehicle, in all scenarios of a box.
 
 use crumple_verify::Interval;
 
@@ -6,28 +6,25 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 use crumple_world::sim::{Motion, RecordingLevel, Run, RunOptions, simulate};
 
-/// The leader: scripted, so known.
 #[derive(Debug, Clone)]
 pub(super) struct ScriptedLeader {
     pub(super) position_m: Interval,
     pub(super) speed_mps: Interval,
     pub(super) length_m: f64,
-    /// Held over each step.
     pub(super) acceleration_mps2: Vec<Interval>,
     /// Rear bumper at each instant.
     pub(super) rear_m: Vec<Interval>,
-    /// The first step from which it stands for good, in every scenario of the box.
+    /// First step from which it stands in every scenario of the box.
     pub(super) standstill_step: usize,
 }
 
 impl ScriptedLeader {
-    /// Drives the ends of a box.
     pub(super) fn new(low: &Scenario, high: &Scenario) -> Self {
         let (one, other) = (script_acceleration_mps2(low), script_acceleration_mps2(high));
         let hull = one.iter().zip(&other).map(|(&a, &b)| interval_hull(a, b));
         let driver = |scenario: &Scenario| scenario.vehicles().first().map(|leader| leader.driver.clone());
         let mut hardest = Interval::point(0.0);
-        // Where rate or onset vary, the first to stand no longer says how hard the others brake: it did before.
+        // If rate or onset vary, the first end to stand no longer shows the braking of the others: keep the last value.
         let acceleration_mps2: Vec<Interval> = if driver(low) == driver(high) {
             hull.collect()
         } else {
@@ -62,16 +59,12 @@ impl ScriptedLeader {
     }
 }
 
-/// Everything between two numbers.
 pub(super) fn interval_hull(one: f64, other: f64) -> Interval {
     Interval::point(one).hull(Interval::point(other))
 }
 
-/// The acceleration of the scripted leader in each step, its noise included: it reacts to no vehicle, so it drives alone.
-///
-/// Without noise it is what the script asks for, also of a leader that stands: in a box another one may still be moving. A
-/// script asks the faster of two vehicles for no more acceleration than the slower, so whatever starts between the ends of
-/// a box is asked for something between.
+/// Returns the acceleration of the scripted leader in each step. Without noise it is the command, also at standstill,
+/// because another member of a box may still move. Commands do not increase with speed, so the ends bound the box.
 fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let Some(leader) = scenario.vehicles().first() else { return Vec::new() };
     let Driver::Profile(profile) = &leader.driver else { return Vec::new() };
@@ -89,12 +82,11 @@ fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     (0..scenario.steps()).map(of_step).collect()
 }
 
-/// The acceleration of the scripted leader in each step, by simulation.
+/// Returns the acceleration of the scripted leader in each step, by simulation.
 fn simulated_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let alone = scenario.edited(|spec| {
         spec.vehicles.truncate(2);
         if let Some(other) = spec.vehicles.get_mut(1) {
-            // Far behind and standing.
             *other = VehicleSpec::new(VehicleClass::Light, -1e6, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
         }
     });

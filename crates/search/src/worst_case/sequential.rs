@@ -1,10 +1,10 @@
-//! Search against any controller, network included: pulses and ramps, then sequential convex programming.
+//! Search against any controller, networks included: pulses and ramps, then sequential convex programming.
 //!
-//! Pulses and ramps of several depths, lengths and onsets are simulated first ([`super::pulses`]). From the best few the
-//! search descends: the margin (smallest gap, or depth of an impact) is linearised along the rollout by finite differences,
-//! all in one batch, over changes that are linear between a few knots. A convex program inside a trust region proposes a
-//! step, and a rollout judges it. First down to a collision, then, along its boundary, to a mild one; or on down to a severe
-//! one. The result is the best profile found: nothing shows that no milder one exists.
+//! From the best few pulses and ramps ([`super::pulses`]) the search descends. Finite differences in one batch
+//! linearise the margin (smallest gap, or depth of an impact) over changes that are linear between a few knots. A
+//! convex program in a trust region proposes a step, and a simulation decides on it. The search goes down to a
+//! collision, then along its boundary to a mild one, or further down to a severe one. A milder profile than the result
+//! may exist.
 
 use super::attack::{Attack, AttackError, AttackMethod, AttackObjective};
 use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
@@ -12,33 +12,27 @@ use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
 use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
 use super::pulses::{self, Pulse};
 
-/// Change of a knot for a finite difference, in m/s².
 const FINITE_DIFFERENCE_MPS2: f64 = 0.05;
-/// The trust region at first, and where a search gives up, in m/s².
 const TRUST_REGION_MPS2: [f64; 2] = [1.0, 0.01];
-/// Most profiles from which descents start, and simulations that are worth a start.
+/// Maximum number of starts of descents, and simulations per start.
 const MAX_STARTS: usize = 8;
 const SIMULATIONS_PER_START: usize = 250;
-/// Bisections of the depth of a pulse between one that collides and one that does not.
 const BISECTIONS: usize = 6;
-/// Least and most pulses that are bisected.
 const BISECTED_PULSES: [usize; 2] = [8, 24];
-/// A step that lowers the cost, or the margin in metres, by less than this is a failure.
 const MIN_GAIN: f64 = 1e-4;
-/// Time after a contact that still belongs to the knots before it, in seconds.
+/// Time after a collision that is still covered by the knots before it, in seconds.
 const CONTACT_TAIL_S: f64 = 0.3;
 
-/// A profile, one acceleration a cell, and its simulation.
+/// A profile, one acceleration per cell, and its simulation.
 #[derive(Debug, Clone)]
 pub(super) struct SimulatedBraking {
     pub(super) cells_mps2: Vec<f64>,
     margin_m: f64,
     collides: bool,
-    /// When its run ends, in seconds.
     until_s: f64,
 }
 
-/// The best profile found with about `budget` simulations; none if none collides.
+/// Returns the best profile found with about `budget` simulations; `None` without a collision.
 pub(super) fn attack(
     bench: &mut ProfileSimulator<'_>,
     aim: AttackObjective,
@@ -50,7 +44,7 @@ pub(super) fn attack(
     starts.truncate((budget.saturating_sub(search.bench.evaluations) / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
-        // Each descent gets an equal share of the simulations that are left.
+        // Each descent gets an equal share of the remaining simulations.
         let spent = search.bench.evaluations;
         let until = spent + budget.saturating_sub(spent) / (count - index);
         let found = search.descend(start, until)?;
@@ -86,7 +80,7 @@ impl AttackSearch<'_, '_> {
         Ok(all.into_iter().zip(trials).map(point).collect())
     }
 
-    /// Pulses and ramps from which descents start: the mildest that collide, or those with the smallest margins.
+    /// Returns pulses and ramps as starts: the mildest that collide, or those with the smallest margins.
     fn find_starts(&mut self, budget: usize) -> Result<Vec<SimulatedBraking>, AttackError> {
         let pulses = pulses::scan(self.bench, budget);
         let profiles: Vec<_> = pulses.iter().map(|pulse| pulse.cells_mps2(self.bench)).collect();
@@ -113,7 +107,7 @@ impl AttackSearch<'_, '_> {
         Ok(points)
     }
 
-    /// Makes pulses that collide less deep, as long as they collide.
+    /// Reduces the depth of colliding pulses while they collide.
     fn bisect(&mut self, pulses: &mut [(Pulse, SimulatedBraking)]) -> Result<(), AttackError> {
         let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_depth_mps2()).collect();
         for _ in 0..BISECTIONS {
@@ -130,7 +124,7 @@ impl AttackSearch<'_, '_> {
         Ok(())
     }
 
-    /// Steps from one profile, until `until` simulations have been made or none improves it; with what the last program predicted.
+    /// Steps from one profile until `until` simulations or no improvement. Returns it with the last predicted margin.
     fn descend(&mut self, mut at: SimulatedBraking, until: usize) -> Result<(SimulatedBraking, f64), AttackError> {
         let [success, failure] = TRUST_REGION_FACTORS;
         let (mut region, mut predicted_m, mut phase) = (TRUST_REGION_MPS2[0], at.margin_m, 0.0);
@@ -138,7 +132,7 @@ impl AttackSearch<'_, '_> {
             let wants_cost = at.collides && self.objective != AttackObjective::Severest;
             let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
             let slope = self.gradient(&at, &hats)?;
-            // Several depths beyond contact at once: the linear prediction is not exact.
+            // Try several depths, because the linear prediction is not exact.
             let goals: Vec<StepGoal> = match wants_cost {
                 true => [-1e-3, -0.05, -0.3, -1.0]
                     .map(|margin_m| StepGoal::Cost { objective: self.objective, margin_m })
@@ -173,7 +167,7 @@ impl AttackSearch<'_, '_> {
         Ok((at, predicted_m))
     }
 
-    /// The same profile, released as fast as the jerk allows once its run has ended.
+    /// Returns the profile with a release as fast as the jerk allows after the end of the simulation.
     fn trim(&self, mut point: SimulatedBraking) -> SimulatedBraking {
         let (cell_s, most) = (self.bench.cell_s(), self.bench.envelope.jerk_mps3 * self.bench.cell_s());
         let over = (point.until_s / cell_s).ceil() as usize;
@@ -194,7 +188,7 @@ impl AttackSearch<'_, '_> {
         }
     }
 
-    /// The change of the margin with each knot, in s².
+    /// Returns the gradient of the margin with respect to the knots, in s².
     fn gradient(&mut self, at: &SimulatedBraking, hats: &HatFunctions) -> Result<Vec<f64>, AttackError> {
         let most = self.bench.envelope.max_brake_mps2;
         let by: Vec<f64> = hats

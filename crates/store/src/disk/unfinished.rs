@@ -1,8 +1,8 @@
-//! Files beside their places: `.crumple-unfinished-*`, written and not yet moved.
+//! Temporary files `.crumple-unfinished-*`, written and not yet renamed.
 //!
-//! Two kinds exist. [`Files`](super::Files) gives its files random names and keeps each of them locked until it is moved, so that any
-//! process can tell a file whose writer has ended. [`Work`](crate::work::Work) numbers its files. They belong to the folder of work:
-//! its manifest may announce them, and only a process that holds the lock of that folder removes them.
+//! [`StagedFiles`](super::StagedFiles) uses random names and locks each file until it is renamed, so that any process
+//! can recognise a file of an ended writer. [`RunFolder`](crate::run_folder::RunFolder) numbers its files, which only
+//! the process that holds the lock of the folder removes.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -14,18 +14,16 @@ use super::{DiskError, none_if_missing, remove};
 
 const PREFIX: &str = ".crumple-unfinished-";
 
-/// Returns whether the name is that of a file that is not yet in its place.
 #[must_use]
 pub(crate) fn is_unfinished(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
 }
 
-/// Returns the name of the file with a number, of a folder of work.
+/// Returns the name of the numbered file of a run folder.
 pub(crate) fn numbered_name(number: u64) -> String {
     format!("{PREFIX}{number}")
 }
 
-/// Returns the number in the name of such a file.
 pub(crate) fn parse_number(name: &str) -> Option<u64> {
     name.strip_prefix(PREFIX)?.parse().ok()
 }
@@ -33,24 +31,23 @@ pub(crate) fn parse_number(name: &str) -> Option<u64> {
 /// Creates a file with a random name that stays locked while it is open.
 pub(super) fn create_locked(folder: &Path) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    // With a letter first, no random name is a number.
+    // The letters keep random names distinct from numbers.
     let prefix = format!("{PREFIX}file-");
     builder.prefix(&prefix);
-    // A temporary file is private; the result should be as readable as any other new file.
+    // Temporary files are private by default; the result should have the usual permissions.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
     loop {
         let file = builder.tempfile_in(folder)?;
         let is_locked = !matches!(file.as_file().try_lock(), Err(TryLockError::WouldBlock));
-        // Another process may have removed the file before it was locked. Without locks, no process removes files of others.
+        // Another process may have removed the unlocked file. Without locks, no process removes files of others.
         if is_locked && file.path().exists() {
             return Ok(file);
         }
     }
 }
 
-/// Removes the unfinished files of writers that have ended from a folder, if there is one. Files of living writers stay, and so do those
-/// of a folder of work.
+/// Removes the unfinished files of ended writers from a folder, except the numbered files of a run folder.
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
@@ -58,7 +55,7 @@ pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
     remove_abandoned(folder, false)
 }
 
-/// Removes those of the folder of work, too. The caller holds the lock of that folder, and no change is pending.
+/// Removes numbered files, too. The caller holds the lock of the folder, and no change is pending.
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
@@ -85,13 +82,13 @@ fn is_numbered(path: &Path) -> bool {
     path.file_name().is_some_and(|name| parse_number(&name.to_string_lossy()).is_some())
 }
 
-/// Locks a file whose writer has ended; none if the writer still holds the lock, or the file belongs to a folder of work.
+/// Locks a file whose writer has ended; `None` if the writer still holds the lock, or a run folder owns the file.
 fn lock_if_abandoned(path: &Path) -> Option<File> {
     let is_plain = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
     if !is_plain || is_numbered(path) {
         return None;
     }
-    // Some file systems lock only what is open for writing.
+    // Some file systems lock only files that are open for writing.
     let file = File::options().read(true).write(true).open(path).ok()?;
     file.try_lock().is_ok().then_some(file)
 }
@@ -101,7 +98,7 @@ mod tests {
     use super::*;
     use crate::disk::StagedFiles;
 
-    /// A file of a writer that was killed carries no lock.
+    /// A file of a killed writer carries no lock.
     #[test]
     fn the_next_writer_removes_what_no_process_writes_any_more() {
         let folder = tempfile::tempdir().unwrap();

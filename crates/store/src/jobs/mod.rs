@@ -1,28 +1,27 @@
-//! Files for engines that place work on machines: one script that makes a shard, and for each engine one that has all of them made.
+//! Job files: a shell script that runs one shard, and for each engine a file that runs all shards.
 //!
-//! Whatever a user wrote stands in the script for a shard alone, each word quoted for a POSIX shell; what the engines read holds numbers
-//! and, quoted likewise, the name of that script.
+//! User-supplied text stands only in the script, quoted for a POSIX shell. Engine files contain numbers and its name.
 
 use crumple_core::quoting::ShellWord;
 
 use crate::shard::MAX_SHARDS;
 
-/// Work to be divided.
+/// A run to be divided into shards.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Jobs {
-    /// The words after `crumple --quiet` that make the work as a whole, without `--shard`, `--out` and `--resume`.
+    /// Words after `crumple --quiet` of the undivided run, without `--shard`, `--out` and `--resume`.
     pub arguments: Vec<String>,
-    /// Into how many shards.
+    /// Number of shards.
     pub shards: u32,
-    /// Cores for each.
+    /// Cores for each shard.
     pub cores: u32,
-    /// Minutes after which Slurm ends one.
+    /// Slurm's time limit of a shard, in minutes.
     pub max_minutes: u64,
-    /// Where the files go and the shards come to lie, as a user would write it where the jobs are begun.
+    /// Folder of the job files and shards, as the user would write it in the folder of submission.
     pub folder: String,
 }
 
-/// What places the work.
+/// An engine that distributes the shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Engine {
     /// <https://it4innovations.github.io/hyperqueue>
@@ -34,24 +33,24 @@ pub enum Engine {
 }
 
 impl Engine {
-    /// All of them.
+    /// All engines.
     pub const ALL: [Self; 3] = [Self::HyperQueue, Self::Ray, Self::Slurm];
 }
 
-/// Does something on one core, as a shard would.
+/// Runs `work` in a one-thread rayon pool.
 pub fn run_on_one_core<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
         Ok(one) => one.install(work),
-        // Without a pool of its own it is done on all cores.
+        // Without a pool, fall back to all cores.
         Err(_) => work(),
     }
 }
 
-/// The script that makes a shard.
+/// Name of the script that runs a shard.
 pub const TASK_SCRIPT: &str = "task.sh";
 
 impl Jobs {
-    /// The script that makes a shard: which, is its argument, or what HyperQueue or Slurm say.
+    /// Returns the script that runs a shard. Its argument, HyperQueue or Slurm provides the index of the shard.
     #[must_use]
     pub fn task_script(&self) -> String {
         let words: Vec<String> = self.arguments.iter().map(|word| ShellWord(word).to_string()).collect();
@@ -70,7 +69,7 @@ impl Jobs {
         )
     }
 
-    /// The name and the text of the file for an engine.
+    /// Returns the name and the text of an engine's file.
     #[must_use]
     pub fn engine_file(&self, engine: Engine) -> (&'static str, String) {
         let filled = |text: &str| {
@@ -107,7 +106,7 @@ mod tests {
         Jobs { arguments: words, shards: 8, cores: 2, max_minutes: 30, folder: folder.to_owned() }
     }
 
-    /// What a shell makes of the script, with a program in place of crumple that prints its arguments.
+    /// Runs the script with a program in place of crumple that prints its arguments, and returns them.
     #[cfg(unix)]
     fn arguments(script: &str, name: &str, file: &str) -> Vec<String> {
         use std::os::unix::fs::PermissionsExt;
@@ -130,7 +129,7 @@ mod tests {
     proptest! {
         #![proptest_config(crumple_cases::with_cases(40))]
 
-        /// Whatever somebody calls a controller or a folder, a shell reads it as that word, and nothing else is run.
+        /// A shell reads any name of a controller or folder as one word, and runs nothing else.
         #[test]
         fn words_arrive_as_they_were_written(
             controller in "[a-z $`\"'\\\\;&|<>(){}*?!#~\n\u{202e}é=-]{1,20}",
@@ -144,7 +143,7 @@ mod tests {
         }
     }
 
-    /// Their lines for the engine hold numbers alone, and nothing is left to be filled in.
+    /// The engine files contain only numbers, and no placeholder is left.
     #[test]
     fn files_for_engines_are_filled_in() {
         for engine in Engine::ALL {

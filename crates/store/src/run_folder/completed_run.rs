@@ -1,4 +1,4 @@
-//! Reading work that was finished: nothing is locked and nothing written, so that it may lie where nothing can be.
+//! Reading a completed run. Takes no lock and writes nothing, so that a read-only folder works.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,28 +9,28 @@ use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAG
 use crate::disk::{self, DiskError};
 use crumple_core::digest::sha256;
 
-/// What a folder holds.
+/// State of a folder.
 #[derive(Debug)]
 pub enum RunState {
-    /// No work, but perhaps what a process leaves that ended before its first file.
+    /// No run, but perhaps temporary files of a process that ended before its first file.
     Missing,
-    /// Work of some kind that was not finished.
+    /// An incomplete run of this kind.
     InProgress(String),
-    /// Work that was finished.
+    /// A completed run.
     Complete(CompletedRun),
 }
 
-/// Work that was finished. Its files are checked when they are read.
+/// A completed run. Its files are checked when they are read.
 #[derive(Debug)]
 pub struct CompletedRun {
     folder: PathBuf,
     manifest: Manifest,
 }
 
-/// Looks for finished work in a folder.
+/// Reads the state of a folder.
 ///
 /// # Errors
-/// [`WorkError`] if there is no such folder, there is something else in it, or its manifest is damaged.
+/// [`RunFolderError`] if there is no such folder, it contains anything else, or its manifest is damaged.
 pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
     if !folder.is_dir() {
         return Err(RunFolderError::damaged(folder, "there is no such folder"));
@@ -55,16 +55,16 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
 }
 
 impl CompletedRun {
-    /// What kind of work it is.
+    /// Returns the kind of the run.
     #[must_use]
     pub fn kind(&self) -> &str {
         &self.manifest.kind
     }
 
-    /// The text of one of its files.
+    /// Reads one of its files as text.
     ///
     /// # Errors
-    /// [`WorkError`] if it is not there, is not as it was written, or is no text.
+    /// [`RunFolderError`] if it is missing, is not as it was written, or is not UTF-8.
     pub fn read(&self, name: &str) -> Result<String, RunFolderError> {
         let path = self.folder.join(name);
         let no_text =
@@ -72,16 +72,16 @@ impl CompletedRun {
         String::from_utf8(self.read_bytes(name)?).map_err(no_text)
     }
 
-    /// The names of its files, but for the manifest.
+    /// Returns the names of its files, without the manifest.
     #[must_use]
     pub fn file_names(&self) -> Vec<String> {
         self.manifest.file_names()
     }
 
-    /// The bytes of one of its files.
+    /// Reads one of its files.
     ///
     /// # Errors
-    /// [`WorkError`] if it is not there, or is not as it was written.
+    /// [`RunFolderError`] if it is missing, or is not as it was written.
     pub fn read_bytes(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         let path = self.folder.join(name);
         if self.manifest.whole_file_state(name).is_some_and(|state| state.max_bytes() > MAX_BYTES) {
@@ -95,10 +95,10 @@ impl CompletedRun {
         bytes.ok_or_else(|| RunFolderError::missing(&path))
     }
 
-    /// The text of the file that says what decides its results.
+    /// Reads the configuration file.
     ///
     /// # Errors
-    /// As for [`Self::read`], and if it was done with another.
+    /// [`RunFolderError`] as for [`Self::read`], and if the run used another configuration.
     pub fn read_configuration(&self, name: &str) -> Result<String, RunFolderError> {
         let text = self.read(name)?;
         match sha256(&text) == self.manifest.configuration_sha256 {
@@ -109,30 +109,30 @@ impl CompletedRun {
         }
     }
 
-    /// Whether that is what decides its results.
+    /// Returns true if the run used this configuration.
     #[must_use]
     pub fn has_configuration(&self, configuration: &str) -> bool {
         self.manifest.configuration_sha256 == sha256(configuration)
     }
 
-    /// Whether every file is as it was written.
+    /// Checks that every file is as it was written.
     ///
     /// # Errors
-    /// [`WorkError`] names the first that is not.
+    /// [`RunFolderError`] names the first that is not.
     pub fn check(&self) -> Result<(), RunFolderError> {
         self.file_names().iter().try_for_each(|name| self.read_bytes(name).map(drop))
     }
 
-    /// Whether other work was configured the same and came to the same.
+    /// Returns true if another run has the same configuration and results.
     #[must_use]
     pub fn is_identical_to(&self, other: &Self) -> bool {
         self.manifest == other.manifest
     }
 
-    /// Whether it is in a folder already, and need not be copied there.
+    /// Returns true if the folder already contains this run, so that no copy is needed.
     ///
     /// # Errors
-    /// [`WorkError`] if there is other work.
+    /// [`RunFolderError`] if the folder contains another run.
     pub fn is_present_in(&self, folder: &Path) -> Result<bool, RunFolderError> {
         let path = folder.join(MANIFEST_FILE);
         let own = self.folder.display();
@@ -150,10 +150,10 @@ impl CompletedRun {
         }
     }
 
-    /// Copies it to a folder, every file checked on the way and the manifest last; where it is already, nothing is done.
+    /// Copies the run to a folder, unless it is there already. Checks every file, and writes the manifest last.
     ///
     /// # Errors
-    /// [`WorkError`] if a file is not as it was written, or there is other work in that folder.
+    /// [`RunFolderError`] if a file is not as it was written, or the folder contains another run.
     pub fn copy_to(&self, folder: &Path) -> Result<(), RunFolderError> {
         if self.is_present_in(folder)? {
             return Ok(());
@@ -167,13 +167,13 @@ impl CompletedRun {
         Ok(self.manifest.write(folder)?)
     }
 
-    /// The error about one of its files that is no JSON of the right form.
+    /// Returns the error about a file that is not JSON of the expected form.
     #[must_use]
     pub fn unreadable_error(&self, name: &str, error: &serde_json::Error) -> RunFolderError {
         self.damaged_error(name, format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
     }
 
-    /// An error about one of its files.
+    /// Returns an error about one of its files.
     #[must_use]
     pub fn damaged_error(&self, name: &str, problem: impl std::fmt::Display) -> RunFolderError {
         RunFolderError::damaged(&self.folder.join(name), problem.to_string())

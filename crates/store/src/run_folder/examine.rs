@@ -1,4 +1,4 @@
-//! Looking at work without changing it.
+//! Read-only examination of a run folder.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -8,39 +8,38 @@ use super::manifest::Manifest;
 use super::{MANIFEST_FILE, RunFolderError, UNLISTED_FILE_MESSAGE};
 use crate::program;
 
-/// What is found in a folder of work that is only looked at.
+/// Result of the examination of a run folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FolderExamination {
-    /// What kind of work it is.
+    /// Kind of the run.
     pub kind: String,
-    /// Whether it was finished.
+    /// True if the run is complete.
     pub is_complete: bool,
-    /// Whether this build may go on with it, or read it.
+    /// True if this build may resume or read the run.
     pub is_of_this_build: bool,
-    /// Each file, and what is wrong with it.
+    /// Name of each file, and the problem with it, if any.
     pub files: Vec<(String, Result<(), String>)>,
-    /// What lies where nothing but the work may be.
+    /// Paths where only files of the run may be, but that the manifest does not list.
     pub unlisted_files: Vec<String>,
-    /// [`super::Work::identity`] of what is half done.
+    /// [`super::RunFolder::identity`] of an incomplete run.
     pub identity: Option<String>,
-    /// What lies in the folder beside the work.
+    /// Files and folders beside the run.
     pub unrelated_files: Vec<String>,
 }
 
 impl FolderExamination {
-    /// Whether everything is as it was written, and nothing is in its way.
+    /// Returns true if every file is as it was written, and no unlisted file exists.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         self.unlisted_files.is_empty() && self.files.iter().all(|(_, state)| state.is_ok())
     }
 
-    /// Of work within other work: nobody else has anything to do in there.
+    /// Converts the examination of an included folder, which may contain no unrelated files.
     pub(super) fn into_included(mut self) -> Self {
         self.unlisted_files.append(&mut self.unrelated_files);
         self
     }
 
-    /// The first file that is not as it was written, as an error.
     pub(super) fn first_damage(&self, folder: &Path) -> Option<RunFolderError> {
         let problem = |(name, found): &(String, Result<(), String>)| {
             let problem = found.as_ref().err()?;
@@ -52,14 +51,14 @@ impl FolderExamination {
     }
 }
 
-/// Looks at everything in a folder of work and in those it includes, changes nothing, and goes on where something is damaged.
+/// Examines every file of a run folder and of its included folders. Changes nothing, and continues after damage.
 ///
 /// # Errors
-/// [`WorkError`] if there is no manifest, or one that is damaged itself, or if the folder is in use.
+/// [`RunFolderError`] if there is no manifest, if it is damaged, or if the folder is in use.
 pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let path = folder.join(MANIFEST_FILE);
     let manifest = Manifest::read(&path)?.ok_or_else(|| RunFolderError::missing(&path))?;
-    // What cannot be written cannot be at work.
+    // No process can run in a folder that is not writable.
     let is_free = match FolderLock::try_acquire(folder) {
         Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {
             true

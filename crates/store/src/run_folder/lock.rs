@@ -1,4 +1,4 @@
-//! One process a folder.
+//! Lock of a folder for one process.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -6,22 +6,21 @@ use std::path::{Path, PathBuf};
 
 use crate::disk::DiskError;
 
-/// The file that is locked.
 pub(super) const LOCK_FILE: &str = "work.lock";
 
-/// The exclusive use of a folder. It ends with the value, and with the process however that ends.
+/// The exclusive use of a folder. The operating system releases it when the process ends.
 ///
 /// The file stays: a process that removed it might remove one that another process is about to lock.
 #[derive(Debug)]
 pub struct FolderLock {
     /// Holds the lock of the operating system.
     file: File,
-    /// The folder itself, where it can be locked: its lock stays if somebody removes the file.
+    /// The folder itself, if it can be locked: this lock stays if the file is removed.
     folder: Option<File>,
 }
 
 impl FolderLock {
-    /// None if another process has it.
+    /// Acquires the lock; returns `None` if another process has it.
     ///
     /// # Errors
     /// [`DiskError`] if there is no such folder, or it cannot be written.
@@ -32,7 +31,7 @@ impl FolderLock {
             Err(TryLockError::WouldBlock) => return Ok(None),
             Err(TryLockError::Error(source)) => return Err(DiskError::at(&path)(source)),
         };
-        // Not every system opens folders, and not every file system locks them.
+        // Some systems cannot open folders, and some file systems cannot lock them.
         let Ok(folder) = File::open(folder) else { return Ok(Some(lock)) };
         match folder.try_lock() {
             Ok(()) => lock.folder = Some(folder),
@@ -44,15 +43,15 @@ impl FolderLock {
 }
 
 impl Drop for FolderLock {
-    /// Closing would not be enough: a child that another thread is starting holds the file open until it is another program.
+    /// Unlocks explicitly: a child process that is being started holds the file open until it executes its program.
     fn drop(&mut self) {
-        // Nothing can be done if it fails, and the end of the process releases it at the latest.
+        // A failure has no remedy; the end of the process releases the lock at the latest.
         let _ = self.file.unlock();
         let _ = self.folder.as_ref().map(File::unlock);
     }
 }
 
-/// The file, which is one of the folder's own: no link is followed, and no pipe waited for.
+/// Opens the lock file, which must be a regular file: follows no link, and waits for no pipe.
 fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK_FILE);
     let unusable = DiskError::at(&path);
@@ -64,10 +63,10 @@ fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     Ok((file, path))
 }
 
-/// Does something short in a folder while no other process does the same: waits until it may.
+/// Waits for the lock of a folder, and runs a short `work` under it.
 ///
 /// # Errors
-/// [`DiskError`] if the folder cannot be locked, or what is done has it.
+/// [`DiskError`] if the folder cannot be locked, or the error of `work`.
 pub fn with_folder_lock<T, E: From<DiskError>>(folder: &Path, work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
     let (file, path) = open_lock_file(folder)?;
     file.lock().map_err(DiskError::at(&path))?;
@@ -84,7 +83,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none());
-        // As a child has it that is about to become another program.
+        // A duplicate, as a child process holds it before it executes its program.
         let held = lock.file.try_clone().unwrap();
         drop(lock);
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());

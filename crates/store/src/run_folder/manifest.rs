@@ -1,4 +1,4 @@
-//! What a folder of work holds.
+//! The manifest of a run folder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -14,32 +14,30 @@ use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAG
 use crate::disk::{self, DiskError};
 use crumple_core::digest::{Sha256, sha256};
 
-/// The version of the file.
+/// Version of the format.
 const VERSION: u32 = 1;
 
-/// The longest manifest that is read: that of ten thousand files is not a tenth of it.
+/// Maximum size of a manifest that is read; ten thousand files need less than a tenth of it.
 pub(super) const MAX_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Manifest {
     version: u32,
-    /// What kind of work it is, as a noun for readers.
+    /// Kind of the run, as a noun for readers.
     pub(super) kind: String,
-    /// [`crate::program::identity`] of the program at work; none once the work is complete, so that results are the same
-    /// bytes whatever build made them.
+    /// [`crate::program::identity`]; `None` once the run is complete, so that all builds write the same bytes.
     pub(super) program: Option<String>,
-    /// SHA-256 of everything that decides the results.
     pub(super) configuration_sha256: String,
-    /// What it is to write, apart from its other files: nothing else may be in these places. Folders end in a slash.
+    /// Outputs of the run, apart from its other files: nothing else may be at these paths. Folders end in a slash.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     outputs: Vec<String>,
-    /// Whether others may put files into its folders, beside its own.
+    /// True if other files may lie in its folders.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     shares_folders: bool,
-    /// Each file as it is, once what is pending is made.
+    /// State of each file, once the pending changes are applied.
     files: BTreeMap<String, FileState>,
-    /// Changes that were announced and may not yet be made. All that they need is on the disk.
+    /// Changes that were announced and may not have been applied. Everything they need is on disk.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pending: Vec<PendingChange>,
     /// SHA-256 of this file with an empty string here.
@@ -61,7 +59,7 @@ impl Manifest {
         }
     }
 
-    /// Of work that is complete: these are its files, and others may lie in their folders.
+    /// Creates the manifest of a complete run with these files; other files may lie in their folders.
     pub(super) fn from_files<'a>(
         kind: &str,
         configuration_sha256: &str,
@@ -71,12 +69,12 @@ impl Manifest {
         Self { program: None, shares_folders: true, files, ..Self::new(kind, "", configuration_sha256, &[]) }
     }
 
-    /// What tells the work from all other, as it is done by a program.
+    /// Returns a hash that is unique to the kind, the configuration and the program.
     pub(super) fn identity(&self, program: &str) -> String {
         Sha256::default().with(&self.kind).with(&self.configuration_sha256).with(program).hexadecimal()
     }
 
-    /// The manifest in a file; none if there is no such file.
+    /// Reads the manifest in a file; returns `None` if there is no such file.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, RunFolderError> {
         let Some(bytes) = read_regular_file(path, MAX_BYTES)? else { return Ok(None) };
         let damaged = |problem: String| RunFolderError::damaged(path, problem);
@@ -92,27 +90,25 @@ impl Manifest {
         }
     }
 
-    /// Whether all that it names lies in its folder.
+    /// Returns true if all its names are inside its folder.
     fn is_inside_folder(&self) -> bool {
         self.files.keys().chain(&self.outputs).all(|name| is_inside_folder(name))
             && self.pending.iter().all(PendingChange::is_inside_folder)
     }
 
-    /// Writes it, whole or not at all.
     pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
         let path = folder.join(MANIFEST_FILE);
         let text = self.to_json().map_err(|error| DiskError::at(&path)(error.into()))?;
         disk::write(&path, text)
     }
 
-    /// The file, with its digest in it.
+    /// Returns the text of the file, with its digest.
     pub(super) fn to_json(&self) -> Result<String, serde_json::Error> {
         let with = |sha256| serde_json::to_string_pretty(&Self { sha256, ..self.clone() }).map(|text| text + "\n");
         with(sha256(with(String::new())?))
     }
 
-    /// The bytes of a file, unless it cannot be what was written; none if there is no such file. What is to be in its place counts as
-    /// being there.
+    /// Reads a regular file, or its pending replacement, of at most the recorded size; `None` if it does not exist.
     pub(super) fn read_contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
         let path = folder.join(name);
         let Some(state) = self.files.get(name) else {
@@ -131,7 +127,7 @@ impl Manifest {
         }
     }
 
-    /// What is to be in the place of a file.
+    /// Returns the name of the file that will replace a file.
     fn unfinished_for(&self, of: &str) -> Option<&str> {
         self.pending.iter().find_map(|pending| match pending {
             PendingChange::Move { unfinished, name } if name == of => Some(unfinished.as_str()),
@@ -139,7 +135,7 @@ impl Manifest {
         })
     }
 
-    /// Returns the name and SHA-256 of every file that is there as a whole, and of the manifest.
+    /// Returns the name and SHA-256 of every whole file, and of the manifest.
     pub(super) fn digests(&self) -> Vec<(String, String)> {
         let own = self.to_json().map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
         let files = self.files.iter().filter_map(|(name, state)| match state {
@@ -153,13 +149,13 @@ impl Manifest {
         self.files.keys().cloned().collect()
     }
 
-    /// Whether a file is there, or still to go.
+    /// Returns true if a file is listed, or its removal is pending.
     pub(super) fn has_entry(&self, name: &str) -> bool {
         self.files.contains_key(name) || self.pending.iter().any(|pending| pending.name() == name)
     }
 
-    /// Files in the folders of the work of which it knows nothing, and folders that are none of its own, or links; and whatever is in
-    /// the place of something that is still to be written. In the first folder anything else may lie beside the work.
+    /// Returns unlisted entries in the folders of the run, except the root, and files at the paths of unwritten
+    /// outputs.
     pub(super) fn unlisted_files(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
         if self.shares_folders {
             return Ok(Vec::new());
@@ -180,7 +176,7 @@ impl Manifest {
         Ok(strangers)
     }
 
-    /// Whether something in a folder of the work is the work's own. What is under way in a folder of its own is known once it is done.
+    /// Returns true if a path in a folder of the run belongs to it. Any subfolder may belong to an incomplete run.
     fn is_expected(&self, root: &Path, path: &Path) -> bool {
         let Ok(name) = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned()) else { return false };
         if path.is_dir() && !path.is_symlink() {
@@ -190,7 +186,7 @@ impl Manifest {
         self.has_entry(&name) || path == root.join(PREVIOUS_FOLDER).join(MANIFEST_FILE) || disk::is_unfinished(path)
     }
 
-    /// What lies in the first folder and is none of the work's.
+    /// Returns the entries of the root folder that do not belong to the run.
     pub(super) fn unrelated_files(&self, root: &Path) -> Result<Vec<String>, DiskError> {
         let known = self.folders();
         let outputs = self.outputs.iter().map(String::as_str);
@@ -205,17 +201,14 @@ impl Manifest {
         Ok(beside)
     }
 
-    /// What a file is, if it is there as a whole.
     pub(super) fn whole_file_state(&self, name: &str) -> Option<&FileState> {
         self.files.get(name).filter(|state| matches!(state, FileState::Whole { .. }))
     }
 
-    /// Takes a file to be as it is.
     pub(super) fn set_state(&mut self, name: &str, state: FileState) {
         self.files.insert(name.to_owned(), state);
     }
 
-    /// The folders in which there is work of its own.
     pub(super) fn included_folders(&self) -> Vec<String> {
         let folder = |name: &String| Some(name.strip_suffix(MANIFEST_FILE)?.strip_suffix('/')?.to_owned());
         self.files.keys().filter_map(folder).collect()
@@ -225,7 +218,7 @@ impl Manifest {
         self.has_entry(&format!("{folder}/{MANIFEST_FILE}"))
     }
 
-    /// How a file begins that grows.
+    /// Returns the recorded prefix of an append-only file.
     fn prefix(&self, name: &str) -> Option<&Prefix> {
         match self.files.get(name)? {
             FileState::AppendOnly(prefix) => Some(prefix),
@@ -233,37 +226,35 @@ impl Manifest {
         }
     }
 
-    /// Whether more may follow what is known of a file.
     pub(super) fn is_append_only(&self, name: &str) -> bool {
         self.prefix(name).is_some()
     }
 
-    /// The folders that files are in, beside that of the manifest itself.
     pub(super) fn folders(&self) -> BTreeSet<&str> {
         self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
     }
 
-    /// Says that the file `unfinished` will be in the place of another, and what that is then.
+    /// Announces that the file `unfinished` will replace another, and the state after that.
     pub(super) fn add_pending_move(&mut self, name: &str, unfinished: String, state: FileState) {
         self.pending.retain(|pending| pending.name() != name);
         self.pending.push(PendingChange::Move { unfinished, name: name.to_owned() });
         self.set_state(name, state);
     }
 
-    /// Says that a file will go, if it is there.
+    /// Announces the removal of a file, if it exists.
     pub(super) fn add_pending_removal(&mut self, name: &str) {
         let was = self.files.remove(name);
         self.pending.extend(was.map(|was| PendingChange::Remove { name: name.to_owned(), old_state: was }));
     }
 
-    /// Makes what is pending, which nobody has touched since it was announced.
+    /// Applies the pending changes of this process.
     pub(super) fn apply_pending(&mut self, folder: &Path) -> Result<(), DiskError> {
         pending::apply(folder, &self.pending.iter().collect::<Vec<_>>())?;
         self.pending.clear();
         Ok(())
     }
 
-    /// Makes what is still pending of what another process announced, once it has found all that it needs to be as it was written.
+    /// Applies the pending changes that another process announced, after a check of everything that they need.
     pub(super) fn recover_pending(&mut self, folder: &Path) -> Result<(), RunFolderError> {
         if self.pending.is_empty() {
             return Ok(());
@@ -273,7 +264,7 @@ impl Manifest {
             if self.is_unapplied(folder, pending)? {
                 open.push(pending);
             } else if let Some(parent) = folder.join(pending.name()).parent().filter(|parent| parent.is_dir()) {
-                // It was made, and may not have reached the disk.
+                // The change was applied, and may not have reached the disk.
                 disk::sync_folder(parent)?;
             }
         }
@@ -282,7 +273,7 @@ impl Manifest {
         Ok(())
     }
 
-    /// Whether a change is still to be made.
+    /// Returns true if a change is still to be applied.
     fn is_unapplied(&self, folder: &Path, pending: &PendingChange) -> Result<bool, RunFolderError> {
         let path = folder.join(pending.name());
         match pending {
@@ -298,7 +289,6 @@ impl Manifest {
         }
     }
 
-    /// Names for files that are to be in the places of others, none of which is in use.
     pub(super) fn unfinished_names(&self) -> impl Iterator<Item = String> + use<> {
         let used = self.pending.iter().filter_map(|pending| match pending {
             PendingChange::Move { unfinished, .. } => disk::parse_number(unfinished),
@@ -308,7 +298,7 @@ impl Manifest {
         (first..).map(disk::numbered_name)
     }
 
-    /// Whether a file is as it is said to be.
+    /// Checks the contents of a file against its recorded state.
     pub(super) fn check(&self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
         match (self.files.get(name), found) {
             (None, None) | (Some(FileState::AppendOnly(_)), _) => Ok(()),
@@ -319,7 +309,7 @@ impl Manifest {
         }
     }
 
-    /// Whether a file in the folder is as it was written.
+    /// Checks that a file in the folder is as it was written.
     pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<(), RunFolderError> {
         let path = folder.join(name);
         let damaged = |problem| RunFolderError::damaged(&path, problem);
@@ -333,7 +323,6 @@ impl Manifest {
     }
 }
 
-/// What is in a folder, in order; nothing if there is no such folder.
 pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

@@ -1,15 +1,14 @@
-//! Work that is kept in a folder, so that it can be gone on with: what lies there is what was written, or an error names it.
+//! A resumable run folder with an integrity manifest: opening it finds every file as written, or names a damaged one.
 //!
-//! A folder of work holds `work.json`, a manifest: which work it is, the program and the configuration it was begun with, and of
-//! every file how long it is and its SHA-256. Files are written whole, beside their place, and reach the disk before they are
-//! moved there; the manifest says beforehand what will be moved, and whoever opens the folder next makes what is left of it. So
-//! whatever ends the process leaves a folder that is either as before a change or as after it, never a mixture. One process works in a folder at a time.
+//! The manifest `work.json` records the kind of the run, its program, its configuration, and the size and SHA-256 of
+//! every file. Files are written under temporary names and synced to disk. The manifest announces the renames, and the
+//! process that opens the folder next completes them. Every change is therefore atomic, however the process ends. One
+//! process uses a folder at a time.
 //!
-//! Work may lie in a folder of other work ([`RunFolder::include`]). Half-done work whose files are damaged begins anew in another folder: the
-//! same seed ends with the same results.
+//! A run folder may include others ([`RunFolder::include`]). A damaged incomplete run starts again in another folder.
 //!
-//! This is integrity, not secrecy: it finds what was cut, edited, moved or left over, on purpose or by accident, but not the work
-//! of somebody who writes files and manifest anew. Who must not be able to do that must not be able to write there.
+//! The manifest protects integrity, not authenticity. It detects files that were truncated, edited, moved or left over.
+//! It does not detect an author who rewrites both files and manifest.
 
 mod completed_run;
 mod examine;
@@ -34,23 +33,22 @@ use crumple_core::digest::sha256;
 use manifest::{Manifest, sorted_entries};
 use state::FileState;
 
-/// The file that says what the others are.
+/// Name of the manifest.
 pub const MANIFEST_FILE: &str = "work.json";
 
-/// Returns whether a folder is one of work: whether it holds `work.json`.
+/// Returns true if a folder contains `work.json`.
 #[must_use]
 pub fn is_run_folder(folder: &Path) -> bool {
     folder.join(MANIFEST_FILE).exists()
 }
 
-/// Folder in which earlier versions kept older copies of files while the work lasted.
+/// Folder in which earlier versions kept backups of files until the run was complete.
 const PREVIOUS_FOLDER: &str = "previous";
 
-/// The manifest of files that are written all at once, by whoever made them, as those of a report are: `work.json` beside them, and
-/// [`examine`] knows what was cut, edited or moved since.
+/// Returns the manifest `work.json` of files that the caller writes all at once, such as a report, for [`examine`].
 ///
 /// # Errors
-/// [`serde_json::Error`] in principle; it is text and numbers.
+/// [`serde_json::Error`] in principle; the content is text and numbers.
 pub fn manifest_text<'a>(
     kind: &str,
     configuration: &str,
@@ -59,31 +57,30 @@ pub fn manifest_text<'a>(
     Manifest::from_files(kind, &sha256(configuration), files).to_json()
 }
 
-/// What kind of work a folder holds, by its manifest; none if it has none that can be read.
+/// Returns the kind of run in a folder; `None` without a manifest that can be read.
 #[must_use]
 pub fn read_kind(folder: &Path) -> Option<String> {
     Some(Manifest::read(&folder.join(MANIFEST_FILE)).ok()??.kind)
 }
 
-/// Returns the name and SHA-256 of every file of work of a kind, `work.json` included, as its manifest states them; nothing without a
-/// manifest that can be read.
+/// Returns the name and SHA-256 of every file of a run of this kind, and of `work.json`; empty without a manifest.
 #[must_use]
 pub fn read_digests(folder: &Path, kind: &str) -> Vec<(String, String)> {
     let manifest = Manifest::read(&folder.join(MANIFEST_FILE)).ok().flatten().filter(|manifest| manifest.kind == kind);
     manifest.map(|manifest| manifest.digests()).unwrap_or_default()
 }
 
-/// What tells work of a kind with a configuration from all other, as this program does it ([`RunFolder::identity`]).
+/// Returns a hash that is unique to the kind, the configuration and this program ([`RunFolder::identity`]).
 pub fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
     let program = program::identity()?;
     Ok(Manifest::new(kind, program, &sha256(configuration), &[]).identity(program))
 }
 
-/// What is said of a file that is there and should not be.
+/// Message about a file that the manifest does not list.
 const UNLISTED_FILE_MESSAGE: &str =
     "work.json knows no such file: it is left over from other work, or of version 0.1.0, or work.json was lost";
 
-/// A folder of work in use.
+/// An open run folder.
 #[derive(Debug)]
 pub struct RunFolder {
     folder: PathBuf,
@@ -92,70 +89,70 @@ pub struct RunFolder {
     _lock: FolderLock,
 }
 
-/// Why a folder cannot be worked in.
+/// An error of opening or changing a run folder.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunFolderError {
     /// A file or folder cannot be read or written.
     #[error(transparent)]
     Disk(#[from] DiskError),
-    /// Work is there that was not to be gone on with.
+    /// The folder contains a run, and `resume` is false.
     #[error("{} holds a {kind} already: use --resume, or another --out", folder.display())]
     AlreadyExists {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
-        /// What kind of work is there.
+        /// Kind of the existing run.
         kind: String,
     },
-    /// Another process is at work there.
+    /// Another process uses the folder.
     #[error("{}: another process works on the {kind} there", folder.display())]
     InUse {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
-        /// What kind of work is asked for.
+        /// Requested kind.
         kind: String,
     },
-    /// There is work of another kind.
+    /// The folder contains a run of another kind.
     #[error("{}: the work there is a {found}, and no {kind}", path.display())]
     OtherKind {
-        /// The manifest.
+        /// Path of the manifest.
         path: PathBuf,
-        /// What kind of work is there.
+        /// Kind of the existing run.
         found: String,
-        /// What kind of work is asked for.
+        /// Requested kind.
         kind: String,
     },
-    /// It was configured otherwise.
+    /// The run has another configuration.
     #[error("{}: the {kind} there was configured otherwise", path.display())]
     OtherConfiguration {
-        /// The file that says how, or would.
+        /// Path of the configuration file.
         path: PathBuf,
-        /// What kind of work is there.
+        /// Kind of the existing run.
         kind: String,
-        /// What that file holds; empty if it was not written yet.
+        /// Content of that file; empty if it was not written yet.
         found: String,
     },
-    /// The same, where it is known in what: the place and both values.
+    /// The run has another configuration; the text names the first field that differs, and both values.
     #[error("{0}")]
     ConfigurationDiffers(String),
-    /// Another build of crumple left it half done.
+    /// Another build of crumple left the run incomplete.
     #[error("{}: {OTHER_BUILD_MESSAGE}", path.display())]
     OtherBuild {
-        /// The manifest.
+        /// Path of the manifest.
         path: PathBuf,
     },
     /// A file is not as it was written.
     #[error("{}: {problem}", path.display())]
     Damaged {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Problem with the file.
         problem: String,
     },
 }
 
 impl RunFolderError {
-    /// A file that is not there and should be.
+    /// Returns the error about a missing file.
     #[must_use]
     pub fn missing(path: &Path) -> Self {
         Self::damaged(path, "the file is missing")
@@ -167,27 +164,26 @@ impl RunFolderError {
     }
 }
 
-/// What is asked of a folder.
+/// Options of [`RunFolder::open`].
 #[derive(Debug, Clone, Copy)]
 pub struct RunFolderOptions<'a> {
-    /// What kind of work, as a noun for readers.
+    /// Kind of the run, as a noun for readers.
     pub kind: &'a str,
-    /// Everything that decides its results.
+    /// Everything that decides the results.
     pub configuration: &'a str,
-    /// The file that says so to readers.
+    /// Name of the file with the configuration.
     pub configuration_file: &'a str,
-    /// Whether work that is there is gone on with.
+    /// True to resume an existing run.
     pub resume: bool,
-    /// The names of its results, folders with a slash at the end: nothing else may be in these places when it begins or goes on.
+    /// Names of the results, folders with a slash at the end. Nothing else may be at these paths at the start.
     pub outputs: &'a [&'a str],
 }
 
 impl RunFolder {
-    /// Begins work in a folder, which is made if it is not there; or goes on with what is there, once every file has been found
-    /// to be as it was written.
+    /// Creates a run folder, or resumes the run that it contains after a check of every file.
     ///
     /// # Errors
-    /// [`RunFolderError`] if the folder cannot be used, is in use, holds other work, or anything in it is damaged.
+    /// [`RunFolderError`] if the folder cannot be used, is in use, contains another run, or anything in it is damaged.
     pub fn open(folder: &Path, asked: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
         let kind = || asked.kind.to_owned();
@@ -196,7 +192,7 @@ impl RunFolder {
         let (path, configuration_sha256) = (folder.join(MANIFEST_FILE), sha256(asked.configuration));
         let program = program::identity()?;
         let manifest = match Manifest::read(&path)? {
-            // It is written with the first change: what cannot be begun leaves nothing behind.
+            // The first change writes the manifest, so that a run that cannot start leaves no file.
             None => Manifest::new(asked.kind, program, &configuration_sha256, asked.outputs),
             Some(found) if found.kind != asked.kind => {
                 return Err(RunFolderError::OtherKind { path, found: found.kind, kind: kind() });
@@ -218,7 +214,7 @@ impl RunFolder {
                     found: String::from_utf8_lossy(&found).into_owned(),
                 });
             }
-            // What is complete may be read by any build.
+            // Any build may read a complete run.
             Some(found) if found.program.as_deref().is_some_and(|found| found != program) => {
                 return Err(RunFolderError::OtherBuild { path });
             }
@@ -229,29 +225,28 @@ impl RunFolder {
         Ok(work)
     }
 
-    /// Where a file of that name is.
+    /// Returns the path of a file.
     #[must_use]
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    /// Whether the work was finished.
+    /// Returns true if the run is complete.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.lock_manifest().program.is_none()
     }
 
-    /// What tells this work from all other: its kind, its program and its configuration. For records that have checks of their
-    /// own.
+    /// Returns a hash of the kind, the program and the configuration, for records with their own checksums.
     #[must_use]
     pub fn identity(&self) -> String {
         self.lock_manifest().identity(self.program)
     }
 
-    /// The bytes of a file; none if there is no such file.
+    /// Reads a file; returns `None` if there is no such file.
     ///
     /// # Errors
-    /// [`RunFolderError::Damaged`] if they are not what was written.
+    /// [`RunFolderError::Damaged`] if the file is not as it was written.
     pub fn read(&self, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
         let manifest = self.lock_manifest();
         let bytes = manifest.read_contents(&self.folder, name)?;
@@ -260,32 +255,31 @@ impl RunFolder {
         Ok(bytes)
     }
 
-    /// The bytes of a file that the work has written.
+    /// Reads a file that the run has written.
     ///
     /// # Errors
-    /// [`RunFolderError::Damaged`] if they are not what was written, or it is not there.
+    /// [`RunFolderError::Damaged`] if the file is missing, or is not as it was written.
     pub fn read_required(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         self.read(name)?.ok_or_else(|| RunFolderError::missing(&self.path(name)))
     }
 
-    /// Changes that are announced and made together.
+    /// Creates a transaction: changes that are announced and applied together.
     pub fn transaction(&self) -> FolderTransaction<'_> {
         FolderTransaction::new(self)
     }
 
-    /// Writes a file ([`Changes::write`]).
+    /// Writes a file ([`FolderTransaction::write`]).
     ///
     /// # Errors
-    /// [`RunFolderError`] if something unknown is in its place, or it cannot be written.
+    /// [`RunFolderError`] if an unlisted file is at its path, or it cannot be written.
     pub fn write(&self, name: &str, contents: impl Into<Vec<u8>>) -> Result<(), RunFolderError> {
         self.transaction().write(name, contents).commit()
     }
 
-    /// Takes the work that was finished in a folder of this one, such as `rounds/01/search`, to be part of it: from now on its
-    /// files are checked with those of this one.
+    /// Includes the completed run in a subfolder, such as `rounds/01/search`: its files are checked from now on.
     ///
     /// # Errors
-    /// [`RunFolderError`] if there is no work, or its manifest cannot be read or that of this one not be written.
+    /// [`RunFolderError`] if there is no such run, its manifest cannot be read, or the own manifest cannot be written.
     pub fn include(&self, folder: &str) -> Result<(), RunFolderError> {
         let name = format!("{folder}/{MANIFEST_FILE}");
         let path = self.path(&name);
@@ -296,8 +290,8 @@ impl RunFolder {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// Says how a file that grows ([`Changes::grow`]) begins from now on: what has reached the disk. Shorter than that, or begun
-    /// otherwise, it is damaged.
+    /// Records the synced prefix of an append-only file ([`FolderTransaction::append_only`]). Other bytes there are
+    /// damage.
     ///
     /// # Errors
     /// [`RunFolderError::Disk`] if the manifest cannot be written.
@@ -307,7 +301,7 @@ impl RunFolder {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// Says that nothing will be changed any more.
+    /// Marks the run as complete.
     ///
     /// # Errors
     /// [`RunFolderError::Disk`] if the manifest cannot be written.
@@ -317,7 +311,7 @@ impl RunFolder {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// Where nothing is known of, nothing may lie: neither the file itself nor, in a folder that is new to the work, another.
+    /// Refuses to overwrite a file that the manifest does not list, or to write into a folder that contains such files.
     fn check_unoccupied(&self, manifest: &Manifest, name: &str) -> Result<(), RunFolderError> {
         let path = self.path(name);
         if manifest.has_entry(name) {
@@ -336,7 +330,7 @@ impl RunFolder {
         }
     }
 
-    /// Makes what is left of the last change, and finds out whether everything is as it was written.
+    /// Recovers from a crash: completes the last announced change, then verifies every file.
     fn recover(&self) -> Result<(), RunFolderError> {
         let mut manifest = self.lock_manifest();
         manifest.recover_pending(&self.folder)?;
@@ -357,7 +351,7 @@ impl RunFolder {
     }
 
     fn lock_manifest(&self) -> std::sync::MutexGuard<'_, Manifest> {
-        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
+        // A panic under this lock cannot leave a partial change, so poisoning is ignored.
         self.manifest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,4 +1,4 @@
-//! Changes on their way.
+//! Announced changes of a run folder.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,14 +10,13 @@ use serde::{Deserialize, Serialize};
 use super::state::FileState;
 use crate::disk::{self, DiskError};
 
-/// A change that was announced.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum PendingChange {
-    /// The file `unfinished`, beside the manifest, is to be in the place of `name`.
+    /// The file `unfinished`, beside the manifest, will replace `name`.
     #[serde(rename = "place")]
     Move { unfinished: String, name: String },
-    /// It is to go, and was this before.
+    /// The file will be removed; `old_state` was its state.
     #[serde(rename = "was")]
     Remove { name: String, old_state: FileState },
 }
@@ -29,7 +28,6 @@ impl PendingChange {
         }
     }
 
-    /// Whether all that it names lies in its folder.
     pub(super) fn is_inside_folder(&self) -> bool {
         match self {
             Self::Move { unfinished, name } => {
@@ -40,7 +38,7 @@ impl PendingChange {
     }
 }
 
-/// Makes changes, without looking at what they find, and brings them to the disk.
+/// Applies changes, without a check of the existing files, and syncs them to disk.
 pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), DiskError> {
     let (mut parents, mut gone) = (BTreeSet::new(), Vec::new());
     for change in changes {
@@ -48,13 +46,13 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
         match change {
             PendingChange::Move { unfinished, .. } => {
                 parents.extend(path.parent().map(Path::to_owned));
-                // Where both are names of one file, neither is moved.
+                // If both names refer to one file, the rename moves neither.
                 gone.push(folder.join(unfinished));
             }
             PendingChange::Remove { .. } => gone.push(path),
         }
     }
-    // Nothing that is moved may be gone from where it was before it is where it goes: each folder reaches the disk by itself.
+    // Sync the new names before the old names are removed: each folder reaches the disk separately.
     parents.iter().try_for_each(|parent| disk::make_folder(parent))?;
     for change in changes {
         if let PendingChange::Move { unfinished, name } = change {
@@ -68,7 +66,6 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
     disk::sync_folder(folder)
 }
 
-/// Whether a name is that of a file in the folder, or in one of its own.
 pub(super) fn is_inside_folder(name: &str) -> bool {
     Path::new(name).components().all(|part| matches!(part, Component::Normal(_)))
 }

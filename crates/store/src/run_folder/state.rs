@@ -1,4 +1,4 @@
-//! What is known of a file, and whether the one that is there is it.
+//! Recorded state of a file, and the check of the file against it.
 
 use std::fs;
 use std::io::{ErrorKind, Read};
@@ -10,34 +10,33 @@ use super::RunFolderError;
 use crate::disk::{self, DiskError};
 use crumple_core::digest::{Sha256, sha256};
 
-/// What a file is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum FileState {
-    /// It begins with this; what follows has come since, and its records have checks of their own.
+    /// Begins with this prefix. The records after it have their own checksums.
     #[serde(rename = "growing")]
     AppendOnly(Prefix),
-    /// It has these contents.
+    /// Has these contents.
     Whole { bytes: u64, sha256: String },
 }
 
-/// The first bytes of a file that grows.
+/// Prefix of an append-only file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Prefix {
-    /// How many there are.
+    /// Length of the prefix.
     pub bytes: u64,
-    /// Their SHA-256.
+    /// SHA-256 of the prefix.
     pub sha256: String,
 }
 
 impl Prefix {
-    /// That of a file of which nothing has to be there.
+    /// Returns the empty prefix, for which the file may be missing.
     pub(super) fn empty() -> Self {
         Self { bytes: 0, sha256: sha256("") }
     }
 
-    /// Whether a file begins so. Read piece by piece, for it may be larger than memory.
+    /// Checks that a file begins with the prefix. Reads in chunks, because the file may be larger than memory.
     pub(super) fn check_file(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
         let unreadable = DiskError::at(path);
         let mut file = match fs::File::open(path) {
@@ -64,7 +63,6 @@ impl Prefix {
     }
 }
 
-/// What is said of a file that is not there.
 pub(super) const MISSING_FILE_MESSAGE: &str = "the file is missing";
 
 impl FileState {
@@ -72,7 +70,6 @@ impl FileState {
         Self::Whole { bytes: contents.len() as u64, sha256: sha256(contents) }
     }
 
-    /// Bytes of a file in this state, at most.
     pub(super) fn max_bytes(&self) -> u64 {
         match self {
             Self::AppendOnly(_) => u64::MAX,
@@ -80,22 +77,20 @@ impl FileState {
         }
     }
 
-    /// Whether a file of these bytes is in this state.
     pub(super) fn matches_contents(&self, found: &[u8]) -> bool {
         match self {
-            // `Prefix::begins` looks.
+            // `Prefix::check_file` checks these.
             Self::AppendOnly(_) => true,
             Self::Whole { bytes, sha256: expected } => *bytes == found.len() as u64 && sha256(found) == *expected,
         }
     }
 
-    /// Whether the file at a place is in this state.
     pub(super) fn matches_file(&self, path: &Path) -> bool {
         matches!(read_regular_file(path, self.max_bytes()), Ok(Some(found)) if self.matches_contents(&found))
     }
 }
 
-/// How long a file is; none if there is none. A link, a folder or a pipe in its place is not what was written.
+/// Returns the length of a file; `None` if it does not exist. A link, folder or pipe is an error.
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
     match fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => {
@@ -107,7 +102,7 @@ pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderErro
     }
 }
 
-/// The bytes of a plain file of at most so many; none if there is none. What is longer is not read.
+/// Reads a regular file of at most `most` bytes; returns `None` if it does not exist.
 pub(super) fn read_regular_file(path: &Path, most: u64) -> Result<Option<Vec<u8>>, RunFolderError> {
     match regular_file_len(path)? {
         Some(bytes) if bytes > most => Err(RunFolderError::damaged(path, "not as it was written: longer than it was")),

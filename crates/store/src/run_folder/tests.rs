@@ -10,7 +10,7 @@ const OPTIONS: RunFolderOptions<'_> = RunFolderOptions {
     outputs: &[],
 };
 
-/// A folder with three files, one of which was changed and one removed.
+/// Returns a folder with three files, one of which was changed and one removed.
 fn finished_folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
@@ -45,7 +45,7 @@ fn another_folders_work_is_refused() {
     assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
 }
 
-/// A bit of every byte of every file, every length of it, its absence, and the place of each file with that of another: never believed.
+/// Tests changes of a bit in every byte, every shorter length, removal, and swapped files: all are detected.
 #[test]
 fn any_damage_names_its_file() {
     let folder = finished_folder();
@@ -85,8 +85,7 @@ fn any_damage_names_its_file() {
     RunFolder::open(folder.path(), OPTIONS).unwrap();
 }
 
-/// Wherever the process ends once a change was announced, whoever comes next makes what is left of it; and of what belongs to
-/// different moments nothing is taken for a whole.
+/// The next process completes an announced change. A mixture of two states is damage.
 #[test]
 fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
     let announced = || {
@@ -134,7 +133,7 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
         assert!(seen.files.iter().all(|(_, state)| state.is_ok()), "{seen:?}");
         is_new(folder.path());
     }
-    // Once it is made, what was before is damage, as is what was never announced.
+    // Once the change is applied, the previous contents are damage, and so are contents that were never announced.
     for (name, contents) in [("a.json", "second"), ("a.json", "fourth"), ("new/c.json", "")] {
         let (folder, _) = announced();
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
@@ -152,7 +151,7 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
     assert!(said.contains("deep/b.json: not as it was written"), "{said}");
 }
 
-/// A file that grows may be longer than what is known of it, and nothing else; saying again that it grows forgets nothing.
+/// An append-only file may be longer than its recorded prefix. Announcing it again keeps the prefix.
 #[test]
 fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -176,7 +175,7 @@ fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
     assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
 }
 
-/// What is in the place of a result, or in a folder of the work, and is none of the work's own, is named, and nothing goes on beside it.
+/// An unlisted file in a folder of the run, or at the path of an output, is named, and the run cannot resume.
 #[test]
 fn strangers_are_named_and_nothing_goes_on_beside_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -205,7 +204,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         named(&[stranger]);
         fs::remove_file(root.join(stranger)).unwrap();
     }
-    // Work within the work is its own once it is done, and nobody else has anything to do in there.
+    // A completed run in a subfolder belongs to the run, and no other file may lie there.
     let inner = RunFolder::open(&root.join("inner"), OPTIONS).unwrap();
     inner.write("a", "a").unwrap();
     inner.finish().unwrap();
@@ -231,7 +230,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     }
 }
 
-/// A manifest that somebody made names nothing outside its folder.
+/// A forged manifest cannot name a file outside its folder.
 #[test]
 fn nothing_outside_of_the_folder_is_moved_or_removed() {
     let folder = finished_folder();
@@ -281,7 +280,7 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
 }
 
-/// Half done, it is its build's; complete, it is anybody's to read.
+/// An incomplete run belongs to its build; any build may read a complete one.
 #[test]
 fn half_done_work_of_another_build_is_refused() {
     let folder = finished_folder();
@@ -295,7 +294,7 @@ fn half_done_work_of_another_build_is_refused() {
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }
 
-/// Earlier versions kept older copies in `previous/` while the work lasted. Those folders are still examined and resumed.
+/// Folders of earlier versions, with backups in `previous/` until the run was complete, are still supported.
 #[test]
 fn a_folder_with_older_copies_is_examined_and_resumed() {
     let folder = tempfile::tempdir().unwrap();
@@ -313,7 +312,7 @@ fn a_folder_with_older_copies_is_examined_and_resumed() {
     assert!(matches!(read_state(folder.path()).unwrap(), RunState::Complete(_)));
 }
 
-/// Of work that lies in other work, every file and the manifest belong to both.
+/// Files and manifest of an included run belong to both runs.
 #[test]
 fn damage_in_what_is_included_is_damage() {
     for name in ["a.json", "deep/b.json", MANIFEST_FILE] {
@@ -335,7 +334,7 @@ fn damage_in_what_is_included_is_damage() {
     }
 }
 
-/// A process that ends while it writes the first manifest leaves what nobody knows of, and is in nobody's way.
+/// A process that ends while it writes the first manifest leaves a temporary file, which the next one removes.
 #[test]
 fn what_was_not_finished_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
@@ -346,8 +345,7 @@ fn what_was_not_finished_is_cleared_away() {
     assert!(!left.exists());
 }
 
-/// What is longer than it was, a link, a pipe or a folder in the place of a file, and files beside those of a folder: none is read, and an
-/// examination names them all.
+/// Longer files, links, pipes, folders in the place of files, and additional files are named, and never read.
 #[cfg(unix)]
 #[test]
 fn what_cannot_be_what_was_written_is_not_even_read() {

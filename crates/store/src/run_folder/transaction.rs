@@ -1,4 +1,4 @@
-//! Changes to a folder of work: announced together, then made together.
+//! Changes of a run folder that are announced together, then applied together.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -10,7 +10,7 @@ use super::state::{FileState, Prefix};
 use super::{RunFolder, RunFolderError};
 use crate::disk::{self, DiskError};
 
-/// Changes that are not yet made.
+/// A set of changes that are not yet applied.
 #[must_use = "nothing is changed before `commit`"]
 pub struct FolderTransaction<'a> {
     run_folder: &'a RunFolder,
@@ -20,7 +20,7 @@ pub struct FolderTransaction<'a> {
 enum FileChange {
     Write(Vec<u8>),
     Remove,
-    /// It may be there from now on ([`Work::grew`]).
+    /// Allows an append-only file ([`RunFolder::record_prefix`]).
     AppendOnly,
 }
 
@@ -29,34 +29,33 @@ impl<'a> FolderTransaction<'a> {
         Self { run_folder: work, changes: Vec::new() }
     }
 
-    /// A file, whole or not at all. What is there with the same contents is left alone.
+    /// Writes a file atomically. Leaves a file with the same contents alone.
     pub fn write(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
         self.changes.push((name.to_owned(), FileChange::Write(contents.into())));
         self
     }
 
-    /// A file goes, if it is there.
+    /// Removes a file, if it exists.
     pub fn remove(&mut self, name: &str) -> &mut Self {
         self.changes.push((name.to_owned(), FileChange::Remove));
         self
     }
 
-    /// A file may be there from now on that grows, and whose records have checks of their own: the manifest knows of it what
-    /// [`Work::grew`] says.
+    /// Allows an append-only file with its own checksums; [`RunFolder::record_prefix`] records its prefix.
     pub fn append_only(&mut self, name: &str) -> &mut Self {
         self.changes.push((name.to_owned(), FileChange::AppendOnly));
         self
     }
 
-    /// Brings all that the changes need to the disk, announces them together, and makes them. Whatever ends the process before the
-    /// announcement leaves the folder as it was; after it, whoever opens the folder next makes what is left of them.
+    /// Writes all contents to disk, announces the changes together, and applies them. If the process ends before the
+    /// announcement, the folder is unchanged. After it, the next process that opens the folder completes the changes.
     ///
     /// # Errors
-    /// [`WorkError`] if a file is in the way of which nothing is known, or one cannot be written.
+    /// [`RunFolderError`] if an unlisted file is at a path, or a file cannot be written.
     pub fn commit(&mut self) -> Result<(), RunFolderError> {
         let work = self.run_folder;
         let mut manifest = work.lock_manifest();
-        // What an earlier attempt announced and could not make.
+        // Apply the changes that an earlier attempt announced.
         manifest.recover_pending(&work.folder)?;
         self.changes.iter().try_for_each(|(name, _)| work.check_unoccupied(&manifest, name))?;
         let changes = std::mem::take(&mut self.changes);
@@ -69,7 +68,7 @@ impl<'a> FolderTransaction<'a> {
                     next.add_pending_removal(&name);
                     continue;
                 }
-                // What is known of it already stays known.
+                // Keep a prefix that is already recorded.
                 FileChange::AppendOnly => {
                     if !next.is_append_only(&name) {
                         next.set_state(&name, FileState::AppendOnly(Prefix::empty()));
@@ -88,7 +87,7 @@ impl<'a> FolderTransaction<'a> {
         if next == *manifest {
             return Ok(());
         }
-        // All at once, for each waits for the disk. The names before the announcement that speaks of them.
+        // In parallel, because each call waits for the disk. Names are synced before the manifest that lists them.
         staged.into_par_iter().try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
         disk::sync_folder(&work.folder)?;
         next.program = Some(work.program.to_owned());
@@ -98,7 +97,7 @@ impl<'a> FolderTransaction<'a> {
     }
 }
 
-/// Writes the contents of a file beside its place. The file has not yet reached the disk.
+/// Writes the contents of a file under a temporary name, without a sync.
 fn stage(place: PathBuf, contents: &[u8]) -> io::Result<(File, PathBuf)> {
     match fs::remove_file(&place) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),

@@ -1,4 +1,4 @@
-//! Shards of one work, whatever it is.
+//! Merging the shards of any run.
 
 use std::ops::Range;
 use std::path::Path;
@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use super::{MergeError, MissingShards, Parts, ShardId, Sharded, read_shard};
 use crate::run_folder::CompletedRun;
 
-/// Work whose shards are kept in memory until all of them are there.
+/// A run whose shards are kept in memory until all are present.
 pub trait Mergeable: Sharded {
     /// Content of the file of results.
     type File: DeserializeOwned;
@@ -21,13 +21,13 @@ pub trait Mergeable: Sharded {
     /// The reason, as the end of a sentence that names the file.
     fn check(&self, file: Self::File, shard: ShardId, own: &Range<u64>) -> Result<Self::Results, String>;
 
-    /// Returns the result that differs although all shards of this work have the same one.
+    /// Returns the name of a result that differs although all shards of this run have the same one.
     fn contradiction(_one: &Self::Results, _other: &Self::Results) -> Option<String> {
         None
     }
 }
 
-/// Shards of one work, in any order.
+/// Shards of one run, in any order.
 #[derive(Debug)]
 pub struct MergedShards<W: Mergeable> {
     work: W,
@@ -35,7 +35,7 @@ pub struct MergedShards<W: Mergeable> {
 }
 
 impl<W: Mergeable> MergedShards<W> {
-    /// Begins with a shard.
+    /// Creates a merge of one shard.
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
@@ -49,7 +49,7 @@ impl<W: Mergeable> MergedShards<W> {
     /// Adds another shard. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read, or is not a shard of the same work.
+    /// [`MergeError`] if it cannot be read, or is not a shard of the same run.
     pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
         let (shard, work, own) = read_shard::<W>(found)?;
         if let Some(field) = self.work.differing_field(&work) {
@@ -71,7 +71,7 @@ impl<W: Mergeable> MergedShards<W> {
         &self.parts
     }
 
-    /// Returns everything that decides the work.
+    /// Returns the undivided run.
     pub fn work(&self) -> &W {
         &self.work
     }

@@ -1,7 +1,6 @@
-//! A part of work that is divided over machines: shard I of N.
+//! Shard I of N: a part of a run that is divided over several machines.
 //!
-//! A shard is a pure function of what decides the whole work, of I and of N: whoever makes it, wherever and however often, makes the
-//! same. Its folder says all of that, so that parts can be put together again by somebody who knows nothing else.
+//! A shard is a pure function of the configuration of the whole run, of I and of N. Its folder contains all of these.
 
 mod merge;
 mod parts;
@@ -21,10 +20,10 @@ use crate::run_folder::{CompletedRun, RunFolder, RunFolderError, RunFolderOption
 pub use merge::{Mergeable, MergedShards};
 pub use parts::{MergeError, MissingShards, Parts};
 
-/// The file that says all that decides a shard.
+/// Name of the file with everything that decides a shard.
 pub const SHARD_FILE: &str = "shard.json";
 
-/// Everything that decides work that can be divided. `shard.json` holds it beside the version and the number of the shard.
+/// Everything that decides a run that can be divided, as in `shard.json` with the version and the number of the shard.
 pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
     /// Kind of a shard's folder in its `work.json`, as a noun for readers.
     const KIND: &'static str;
@@ -34,13 +33,13 @@ pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
     const RESULTS_FILE: &'static str;
     /// Name of the parts, in the plural.
     const PARTS_NAME: &'static str;
-    /// Writes each field of `shard.json` on a line of its own.
+    /// True to write each field of `shard.json` on its own line.
     const IS_PRETTY: bool = false;
 
-    /// Returns the number of parts of the whole work.
+    /// Returns the number of parts of the whole run.
     fn part_count(&self) -> u64;
 
-    /// Returns the field in which other work differs, if it differs.
+    /// Returns the first field in which another run differs.
     fn differing_field(&self, other: &Self) -> Option<String>;
 
     /// Returns the first field that is invalid, with the reason.
@@ -68,7 +67,7 @@ struct ShardFile<'a, W> {
 /// Opens the folder of a shard and writes `shard.json`.
 ///
 /// # Errors
-/// [`WorkError`] if the folder cannot be used, or holds other work: the error names the field that differs.
+/// [`RunFolderError`] if the folder cannot be used, or contains another run: the error names the field that differs.
 pub fn open_shard<W: Sharded>(
     work: &W,
     shard: ShardId,
@@ -91,10 +90,10 @@ pub fn open_shard<W: Sharded>(
     Ok(opened)
 }
 
-/// Reads `shard.json` of a finished shard: its number, the whole work, and its parts.
+/// Reads `shard.json` of a completed shard: its number, the whole run, and its parts.
 ///
 /// # Errors
-/// [`WorkError`] if the file is not as it was written, of another version, or invalid.
+/// [`RunFolderError`] if the file is not as it was written, of another version, or invalid.
 pub fn read_shard<W: Sharded>(found: &CompletedRun) -> Result<(ShardId, W, Range<u64>), RunFolderError> {
     let text = found.read_configuration(SHARD_FILE)?;
     let unreadable = |error| found.unreadable_error(SHARD_FILE, &error);
@@ -111,7 +110,7 @@ pub fn read_shard<W: Sharded>(found: &CompletedRun) -> Result<(ShardId, W, Range
     Ok((shard, work, own))
 }
 
-/// The most shards that work is divided into.
+/// Maximum number of shards of a run.
 pub const MAX_SHARDS: u32 = 10_000;
 
 /// Shard I of N, counted from 1.
@@ -122,25 +121,25 @@ pub struct ShardId {
     index: u32,
 }
 
-/// What is no shard.
+/// The error of a text or number that does not name a shard.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no shard: write I/N, shard I of N, with 1 <= I <= N <= {MAX_SHARDS}")]
 pub struct InvalidShard(String);
 
-/// Work with fewer parts than shards were asked for: some would be empty.
+/// The error of more shards than parts.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("shard {shard}: there are {parts} {parts_name}, which make {parts} shards at most")]
 pub struct TooManyShards {
-    /// What was asked for.
+    /// Requested shard.
     pub shard: ShardId,
-    /// What there is to divide.
+    /// Number of parts.
     pub parts: u64,
-    /// What that is, in the plural.
+    /// Name of the parts, in the plural.
     pub parts_name: &'static str,
 }
 
 impl ShardId {
-    /// Shard `index` of `of`, counted from 1.
+    /// Creates shard `index` of `of`, counted from 1.
     ///
     /// # Errors
     /// [`InvalidShard`] unless 1 ≤ `index` ≤ `of` ≤ [`MAX_SHARDS`].
@@ -151,28 +150,27 @@ impl ShardId {
         }
     }
 
-    /// Which, from 1.
+    /// Returns the index of the shard, from 1.
     #[must_use]
     pub fn index(self) -> u32 {
         self.index
     }
 
-    /// Of how many.
+    /// Returns the number of shards.
     #[must_use]
     pub fn count(self) -> u32 {
         self.count
     }
 
-    /// Its share of `parts` that come in order, counted from 0: ranges of shards 1 to N follow each other, and their lengths differ
-    /// by one at most.
+    /// Returns the contiguous range of this shard in `parts` parts, counted from 0. Lengths differ by at most one.
     ///
     /// # Errors
-    /// [`TooManyShards`] if some shard would have nothing to do; `what` names the parts.
+    /// [`TooManyShards`] if some shard would be empty; `what` names the parts.
     pub fn range(self, parts: u64, what: &'static str) -> Result<Range<u64>, TooManyShards> {
         if u64::from(self.count) > parts {
             return Err(TooManyShards { shard: self, parts, parts_name: what });
         }
-        // Of at most 2^64 parts, so that the quotient is no larger.
+        // At most 2^64 parts, so the quotient fits.
         let before = |shards: u32| (u128::from(parts) * u128::from(shards) / u128::from(self.count)) as u64;
         Ok(before(self.index - 1)..before(self.index))
     }
@@ -208,7 +206,7 @@ impl FromStr for ShardId {
     }
 }
 
-/// Numbers as the arrays of Slurm and HyperQueue take them: `1,4-6`. They have to be in order.
+/// Formats sorted numbers in the array syntax of Slurm and HyperQueue: `1,4-6`.
 #[must_use]
 pub fn format_ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<Range<u32>> = Vec::new();
@@ -231,7 +229,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Together the shards are everything, in order and once, and none is empty.
+        /// The shards partition the parts in order, and none is empty.
         #[test]
         fn shards_divide_whatever_there_is(parts in 1..=u64::MAX, of in 1..=200_u32) {
             let shards = (1..=of).map(|index| ShardId::new(index, of).unwrap());

@@ -1,4 +1,4 @@
-//! Shards that come back, in any order, some perhaps twice, and where they go.
+//! Finished shards, in any order and perhaps duplicated.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -10,61 +10,61 @@ use serde::Serialize;
 use super::{ShardId, format_ranges};
 use crate::run_folder::RunFolderError;
 
-/// Why shards do not go together.
+/// An error of merging shards.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MergeError {
     /// A folder cannot be read, or something in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// A shard of something else.
+    /// A shard of another run.
     #[error("{}: a shard of other work than {}: {field} differs", folder.display(), first.display())]
     Foreign {
-        /// Its folder.
+        /// Folder of the shard.
         folder: PathBuf,
-        /// The folder that was taken first.
+        /// Folder of the first shard.
         first: PathBuf,
-        /// In what they differ.
+        /// Field that differs.
         field: String,
     },
-    /// Two divisions of the work that do some of it twice.
+    /// Two divisions of the run overlap.
     #[error("{}: shard {shard} has done what shard {other_shard} in {} has done, too", folder.display(), other_folder.display())]
     Overlapping {
-        /// Its folder.
+        /// Folder of the shard.
         folder: PathBuf,
-        /// Which shard it is.
+        /// Number of the shard.
         shard: ShardId,
-        /// The folder of the other.
+        /// Folder of the other shard.
         other_folder: PathBuf,
-        /// Which shard that is.
+        /// Number of the other shard.
         other_shard: ShardId,
     },
-    /// The same shard twice, with different results: one of them is wrong.
+    /// A repeated shard with different results: one of them is wrong.
     #[error(
         "{}: shard {shard} came to something else in {}: one of them was not made by this configuration and build",
         folder.display(), other_folder.display()
     )]
     Contradicting {
-        /// Its folder.
+        /// Folder of the shard.
         folder: PathBuf,
-        /// Which shard it is.
+        /// Number of the shard.
         shard: ShardId,
-        /// The folder of the other.
+        /// Folder of the other copy.
         other_folder: PathBuf,
     },
 }
 
-/// Which shards are missing.
+/// Numbers of the missing shards.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingShards {
-    /// Of how many; none where shards are of several numbers.
+    /// Number of shards; `None` if the shards are of several divisions.
     #[serde(rename = "of_shards")]
     pub shard_count: Option<u32>,
-    /// Those that are missing, where all are of one number.
+    /// Missing shards, if all are of one division.
     pub missing_shards: Vec<u32>,
 }
 
-/// As the end of a sentence about what is missing.
+/// Writes the end of a sentence about missing parts.
 impl fmt::Display for MissingShards {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.shard_count {
@@ -74,11 +74,11 @@ impl fmt::Display for MissingShards {
     }
 }
 
-/// The parts of work that were done, each by a shard; they do not overlap.
+/// The completed parts of a run, each with its shard. They do not overlap.
 #[derive(Debug)]
 pub struct Parts<T> {
     first_folder: PathBuf,
-    /// By where each begins.
+    /// Parts by the start of their ranges.
     parts: BTreeMap<u64, ShardPart<T>>,
     duplicates: u64,
 }
@@ -92,31 +92,31 @@ struct ShardPart<T> {
 }
 
 impl<T: PartialEq> Parts<T> {
-    /// None yet; the folder is the one that others are compared with.
+    /// Creates an empty set. Errors name `first` as the folder for comparison.
     #[must_use]
     pub fn new(first: &Path) -> Self {
         Self { first_folder: first.to_owned(), parts: BTreeMap::new(), duplicates: 0 }
     }
 
-    /// The error about a shard that differs from the first.
+    /// Returns the error about a shard that differs from the first.
     #[must_use]
     pub fn foreign_error(&self, folder: &Path, field: String) -> MergeError {
         MergeError::Foreign { folder: folder.to_owned(), first: self.first_folder.clone(), field }
     }
 
-    /// The error about something that all of them say, found out when all are there.
+    /// Returns the error about content that all shards share, found after the merge.
     #[must_use]
     pub fn damaged_error(&self, name: &str, problem: String) -> MergeError {
         RunFolderError::damaged(&self.first_folder.join(name), problem).into()
     }
 
-    /// Takes in what a shard has come to. After an error all is as it was.
+    /// Adds the results of a shard. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`MergeError`] if some of it was done by another shard, or the same shard came to something else.
+    /// [`MergeError`] if the range overlaps another shard, or the same shard has other results.
     pub fn insert(&mut self, folder: &Path, shard: ShardId, range: Range<u64>, contents: T) -> Result<(), MergeError> {
         let folder = folder.to_owned();
-        // Of those that begin before its end, the last: they do not overlap each other.
+        // The last part that begins before its end. Parts do not overlap, so no other can overlap the range more.
         let before = self.parts.range(..range.end).next_back().map(|(_, part)| part);
         match before.filter(|part| part.range.end > range.start) {
             Some(same) if same.shard == shard && same.contents == contents => self.duplicates += 1,
@@ -134,7 +134,7 @@ impl<T: PartialEq> Parts<T> {
         Ok(())
     }
 
-    /// What no shard has done, of work of that many parts.
+    /// Returns the ranges of `parts` parts that no shard contains.
     #[must_use]
     pub fn missing_ranges(&self, parts: u64) -> Vec<Range<u64>> {
         let (mut missing, mut end) = (Vec::new(), 0);
@@ -147,7 +147,7 @@ impl<T: PartialEq> Parts<T> {
         missing
     }
 
-    /// Which shards are missing.
+    /// Returns the missing shards.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         let mut numbers = self.parts.values().map(|part| part.shard.count());
@@ -157,18 +157,18 @@ impl<T: PartialEq> Parts<T> {
         MissingShards { shard_count: of_shards, missing_shards: of_shards.map_or_else(Vec::new, missing) }
     }
 
-    /// What they came to, in order.
+    /// Returns the results, in order of the parts.
     pub fn contents(&self) -> impl Iterator<Item = &T> {
         self.parts.values().map(|part| &part.contents)
     }
 
-    /// How many shards there are.
+    /// Returns the number of distinct shards.
     #[must_use]
     pub fn shard_count(&self) -> u64 {
         self.parts.len() as u64
     }
 
-    /// How many were given more than once.
+    /// Returns the number of duplicates.
     #[must_use]
     pub fn duplicates(&self) -> u64 {
         self.duplicates

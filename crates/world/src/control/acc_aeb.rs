@@ -1,4 +1,4 @@
-//! Adaptive cruise control with automatic emergency braking, as production systems combine them.
+//! Adaptive cruise control with automatic emergency braking.
 
 use super::baseline::Aeb;
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
@@ -8,27 +8,27 @@ use crate::settings::settings;
 settings! {
     /// Settings of adaptive cruise control with emergency braking.
     AccAebSettings {
-        /// Brake fully while time to collision is below this, in seconds.
+        /// Time to collision below which the controller brakes fully, in seconds.
         ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
-        /// Time gap to follow at, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
+        /// Desired time headway, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
         time_headway_s: 0.8, 0.0..=10.0, 0.0..=3.0;
         /// Gap at standstill, in metres.
         standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
-        /// Acceleration for each metre of spacing error, in 1/s².
+        /// Acceleration per metre of spacing error, in 1/s².
         gap_gain_per_s2: 0.25, 0.0..=10.0, 0.0..=1.0;
-        /// Acceleration for each m/s of speed difference, in 1/s.
+        /// Acceleration per m/s of speed difference, in 1/s.
         speed_gain_per_s: 0.8, 0.0..=10.0, 0.0..=2.0;
-        /// Hardest braking of the cruise control, in m/s², positive (ISO 15622:2018, 6.4: at most 3.5 at motorway speeds).
+        /// Maximum deceleration of the cruise control, in m/s² (ISO 15622:2018, 6.4: at most 3.5 at motorway speeds).
         comfort_brake_mps2: 3.5, 0.0..=30.0, 0.0..=5.0;
-        /// Hardest acceleration of the cruise control, in m/s².
+        /// Maximum acceleration of the cruise control, in m/s².
         comfort_accel_mps2: 2.0, 0.0..=30.0, 0.0..=3.0;
     }
 }
 
-/// Follows at a constant time headway within comfort limits; brakes fully while time to collision is below a threshold.
+/// A controller that follows at a constant time headway within comfort limits and brakes fully at a low TTC.
 ///
-/// The follower law is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T counted bumper to
-/// bumper (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family).
+/// The command is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T from bumper to bumper
+/// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family).
 #[derive(Debug, Clone, PartialEq)]
 pub struct AccAeb {
     settings: AccAebSettings,
@@ -42,7 +42,7 @@ impl BuiltIn for AccAeb {
     type Settings = AccAebSettings;
     type Driver = Self;
 
-    /// Its set speed is the one it first sees itself drive at.
+    /// Starts without a set speed; the first observed own speed becomes the set speed.
     fn start(settings: &AccAebSettings, ego: &Ego, _seed: u64) -> Self {
         Self { settings: settings.clone(), aeb: Aeb::new(settings.ttc_s, ego), set_speed_mps: None }
     }

@@ -7,13 +7,12 @@ use crate::settings::settings;
 settings! {
     /// Settings of the emergency brake of the baseline controllers.
     AebSettings {
-        /// Brake once time to collision falls below this, in seconds (paper, algorithm 2: 1.4).
+        /// Time to collision below which the controller brakes, in seconds (paper, algorithm 2: 1.4).
         ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
     }
 }
 
-/// Hold speed; once time to collision with the vehicle ahead falls below a threshold, brake at the vehicle's own maximum
-/// to standstill.
+/// A controller that holds its speed and brakes fully to standstill once time to collision falls below a threshold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baseline {
     aeb: Aeb,
@@ -39,10 +38,9 @@ impl Controller for Baseline {
     }
 }
 
-/// The baseline without memory: full braking only while time to collision is below the threshold.
+/// The baseline without memory: brakes fully only while time to collision is below the threshold.
 ///
-/// It chatters around the threshold. In the paper's scenario 2 that happens to spare the vehicle behind; in scenarios 1 and
-/// 3 it does not.
+/// The command chatters around the threshold, which spares the follower in the paper's scenario 2 only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaselineUnlatched {
     aeb: Aeb,
@@ -66,7 +64,7 @@ impl Controller for BaselineUnlatched {
     }
 }
 
-/// The trigger and strength of an automatic emergency brake.
+/// Trigger and strength of an automatic emergency brake.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Aeb {
     ttc_s: f64,
@@ -78,10 +76,9 @@ impl Aeb {
         Self { ttc_s, max_brake_mps2: ego.max_brake_mps2 }
     }
 
-    /// Whether time to collision is below the threshold.
+    /// True if time to collision is below the threshold.
     ///
-    /// Written as gap - θ (v - v_ahead) < 0: for a gap that is not negative this is exactly TTC < θ, it is linear in the
-    /// state, and it needs no special case for a vehicle that is not closing in.
+    /// Computed as gap - θ (v - v_ahead) < 0. For gaps >= 0 this equals TTC < θ, also if the gap grows.
     #[inline]
     pub(super) fn demands_braking(&self, seen: &Observation) -> bool {
         seen.ahead

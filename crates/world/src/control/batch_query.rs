@@ -1,30 +1,26 @@
-//! One question for many: controllers from outside that look, ask when a decision is due, and hold the answer in between.
+//! Batched queries of external controllers, which hold an answer between two decisions.
 
 use super::ControllerFailure;
 use crate::observation::Observation;
 
-/// A controller that asks for its answers.
+/// A controller that obtains its commands by queries.
 pub(super) trait BatchQuery: Sized {
-    /// Looks, if a decision is due at this step; counts the step. Whether one is.
+    /// Stores the observation if a decision is due, and counts the step. Returns true if a decision is due.
     fn sample(&mut self, seen: &Observation) -> bool;
 
-    /// Decides on what was seen last, asking for itself alone.
     fn query(&mut self) -> Result<(), ControllerFailure>;
 
-    /// Whether one question can be asked for both.
+    /// True if one query can serve both.
     fn shares_batch_with(&self, other: &Self) -> bool;
 
-    /// The answers to what several such saw last, an entry each; none if each has to ask for itself.
+    /// Returns the answers to the stored observations of several controllers; `None` if each has to query by itself.
     fn query_batch(all: &[&Self]) -> Option<Vec<f64>>;
 
-    /// Takes an answer to what it saw last.
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure>;
 
-    /// Its answer until the next decision.
     fn command_mps2(&self) -> f64;
 }
 
-/// One of them by itself ([`super::Controller::decide`]).
 pub(super) fn decide(one: &mut impl BatchQuery, seen: &Observation) -> Result<f64, ControllerFailure> {
     if one.sample(seen) {
         one.query()?;
@@ -32,9 +28,9 @@ pub(super) fn decide(one: &mut impl BatchQuery, seen: &Observation) -> Result<f6
     Ok(one.command_mps2())
 }
 
-/// Many of them ([`super::Controller::decide_together`]): one question for each row of those that can share it.
+/// Decides for many controllers ([`super::Controller::decide_batch`]) with one query per group that can share it.
 ///
-/// Where there is no answer, whose fault it is shows when each asks for itself: a run ends as it would have alone.
+/// If the shared query fails, each controller queries by itself, so that each run ends as it would have ended alone.
 pub(super) fn decide_batch<C: BatchQuery>(
     all: &mut [C],
     mut see: impl FnMut(usize) -> Observation,

@@ -1,4 +1,4 @@
-//! What is derived from the table of built-in controllers: specifications by name, and drivers of any kind.
+//! Specifications and drivers that are derived from the table of built-in controllers.
 
 use std::sync::Arc;
 
@@ -7,38 +7,38 @@ use crate::observation::Observation;
 use crate::policy::Policy;
 use crumple_core::digest::sha256;
 
-/// What a built-in controller is for. Lists are in this order.
+/// Role of a built-in controller; lists are in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// It drives by a rule, as traffic or under test.
+    /// A rule-based controller, in traffic or under test.
     Rule,
-    /// It drives as somebody would who is compared with: a regulation's driver.
+    /// A reference driver, for example of a regulation.
     Reference,
-    /// It was learned.
+    /// A learned controller.
     Learned,
-    /// It is no way to drive, and shows what a shield is worth.
+    /// A controller that is no way to drive; shows the effect of a shield.
     Probe,
 }
 
-/// A controller that is known by name.
+/// A built-in controller, known by name.
 pub trait BuiltIn {
-    /// The name used in files and on the command line.
+    /// Name in files and on the command line.
     const NAME: &'static str;
-    /// What it does, in one line.
+    /// Summary, one line.
     const SUMMARY: &'static str;
-    /// What it is for.
+    /// Role of the controller.
     const ROLE: Role = Role::Rule;
-    /// The numbers that decide how it drives.
+    /// Numbers that parametrise the controller.
     type Settings: ControllerSettings;
-    /// What drives.
+    /// Controller type that drives the vehicle.
     type Driver: Controller;
 
-    /// Its policy, if it is learned.
+    /// Returns the policy of a learned controller.
     fn policy() -> Option<Arc<Policy>> {
         None
     }
 
-    /// A controller for a vehicle. `seed` is the scenario's.
+    /// Creates a controller for a vehicle. `seed` is the scenario's.
     fn start(settings: &Self::Settings, ego: &Ego, seed: u64) -> Self::Driver;
 }
 
@@ -51,7 +51,7 @@ macro_rules! define {
             $($(#[$policy_doc])* $policy(<$known_by as BuiltIn>::Settings),)*
         }
 
-        /// Evaluates `$of` for the row of a specification: with the type that knows it, and with its settings.
+        /// Evaluates `$of` for the row of a specification, with its type and its settings.
         macro_rules! of_row {
             ($spec:expr, |$row:ident, $settings:ident| $of:expr) => {
                 match $spec {
@@ -62,7 +62,7 @@ macro_rules! define {
         }
 
         impl ControllerSpec {
-            /// Every built-in controller with its default settings, in the order `crumple list controllers` shows them.
+            /// Returns every built-in controller with its default settings, in the order of `crumple list controllers`.
             #[must_use]
             pub fn all() -> Vec<Self> {
                 let mut all = vec![$(Self::$rule(Default::default()),)* $(Self::$policy(Default::default()),)*];
@@ -81,17 +81,11 @@ macro_rules! define {
         /// A controller of any kind, ready to drive one vehicle.
         pub(crate) enum AnyController {
             $($(#[$doc])* $rule($rule),)*
-            /// A learned policy.
             Policy(PolicyDriver),
-            /// A network from outside.
             Network(NetworkDriver),
-            /// A process.
             Process(Box<ProcessDriver>),
-            /// Any controller behind a shield.
             Shielded(ShieldedController),
-            /// A controller from outside.
             Custom(ZeroOrderHold),
-            /// A controller that could not be started.
             NotStarted(ControllerFailure),
         }
 
@@ -111,7 +105,6 @@ macro_rules! define {
         }
 
         impl AnyController {
-            /// Builds a built-in controller for a vehicle. `seed` is the scenario's.
             pub(crate) fn from_spec(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
                 match spec {
                     $(ControllerSpec::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
@@ -123,18 +116,18 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-/// Why words name no built-in controller.
+/// Reason why an argument names no built-in controller.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidSetting {
-    /// No such setting.
+    /// An unknown setting.
     #[error("`{found}` is no setting of {controller}: {}", describe_known_settings(known))]
     Unknown {
-        /// What was found.
+        /// The text found.
         found: String,
         /// The controller.
         controller: &'static str,
-        /// Its settings.
+        /// The settings of the controller.
         known: &'static [SettingField],
     },
     /// A setting that is given twice.
@@ -145,16 +138,16 @@ pub enum InvalidSetting {
         /// The setting.
         name: &'static str,
     },
-    /// A value that is no number of its range.
+    /// A value that is not a number in its range.
     #[error("{controller}: {name} must be a number from {} to {}, found `{found}`", range[0], range[1])]
     Value {
         /// The controller.
         controller: &'static str,
         /// The setting.
         name: &'static str,
-        /// The least and the largest value there may be.
+        /// Allowed minimum and maximum.
         range: [f64; 2],
-        /// What was found.
+        /// The text found.
         found: String,
     },
 }
@@ -175,20 +168,20 @@ fn describe_known_settings(known: &[SettingField]) -> String {
 }
 
 impl ControllerSpec {
-    /// The built-in controller of that name with its default settings.
+    /// Returns the built-in controller of that name with its default settings.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::all().into_iter().find(|controller| controller.name() == name)
     }
 
-    /// The built-in controller that words as on the command line stand for: a name, and settings that differ from the
-    /// default, each after a comma (`acc-aeb,ttc_s=2.0`). None if the name is not built in.
+    /// Parses a built-in controller from the command line: a name, and settings that differ from the default, each
+    /// after a comma (`acc-aeb,ttc_s=2.0`). Returns `None` if the name is not built in.
     ///
     /// ```
     /// use crumple_world::control::ControllerSpec;
     ///
     /// let spec = ControllerSpec::parse("acc-aeb,ttc_s=2.0").unwrap().unwrap();
-    /// assert_eq!(spec.words(), "acc-aeb,ttc_s=2");
+    /// assert_eq!(spec.to_arg(), "acc-aeb,ttc_s=2");
     /// assert!(ControllerSpec::parse("acc-aeb,ttc_s=-1").unwrap().is_err());
     /// ```
     #[must_use]
@@ -209,14 +202,14 @@ impl ControllerSpec {
             }
             given.push(name);
             match found.parse::<f64>() {
-                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // No negative zero: one value, one spelling.
+                Ok(value) if (range[0]..=range[1]).contains(&value) => *place = value + 0.0, // Turns -0 into 0.
                 _ => return Err(InvalidSetting::Value { controller, name, range, found: found.to_owned() }),
             }
             Ok(spec)
         }))
     }
 
-    /// The words that [`Self::parse`] reads as this: two equal specifications have the same.
+    /// Returns the text that [`Self::parse`] parses to this; equal specifications have the same text.
     #[must_use]
     pub fn to_arg(&self) -> String {
         let default = self.with_default_settings();
@@ -224,37 +217,37 @@ impl ControllerSpec {
         set.fold(self.name().to_owned(), |words, ((field, value), _)| format!("{words},{}={value}", field.name))
     }
 
-    /// The name used in files and on the command line, without settings.
+    /// Returns the name in files and on the command line, without settings.
     #[must_use]
     pub fn name(&self) -> &'static str {
         of_row!(self, |Row, _settings| Row::NAME)
     }
 
-    /// What it does, in one line.
+    /// Returns the summary, one line.
     #[must_use]
     pub fn summary(&self) -> &'static str {
         of_row!(self, |Row, _settings| Row::SUMMARY)
     }
 
-    /// What it is for.
+    /// Returns the role.
     #[must_use]
     pub fn role(&self) -> Role {
         of_row!(self, |Row, _settings| Row::ROLE)
     }
 
-    /// Its policy, if it is learned.
+    /// Returns the policy of a learned controller.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         of_row!(self, |Row, _settings| Row::policy())
     }
 
-    /// What its settings are, in the order in which files state them.
+    /// Returns the descriptions of the settings, in the order of the files.
     #[must_use]
     pub fn fields(&self) -> &'static [SettingField] {
         of_row!(self, |Row, _settings| <Row as BuiltIn>::Settings::FIELDS)
     }
 
-    /// Its settings with their values.
+    /// Returns the settings with their values.
     pub fn values(&self) -> impl Iterator<Item = (&'static SettingField, f64)> {
         (0..).zip(self.fields()).filter_map(|(index, field)| Some((field, self.get(index)?)))
     }
@@ -263,7 +256,7 @@ impl ControllerSpec {
         of_row!(self, |_Row, settings| settings.get(index))
     }
 
-    /// The place of the value of the `index`-th of [`Self::fields`].
+    /// Returns a reference to the value of the `index`-th of [`Self::fields`].
     pub fn get_mut(&mut self, index: usize) -> Option<&mut f64> {
         of_row!(self, |_Row, settings| settings.get_mut(index))
     }
@@ -274,7 +267,7 @@ impl ControllerSpec {
         Box::new(AnyController::from_spec(self, ego, seed))
     }
 
-    /// SHA-256, in hexadecimal, of what decides how it drives: of a policy's file, or of a rule's name and settings.
+    /// Returns the SHA-256, in hexadecimal, of a policy's file, or of a rule's name and settings.
     #[must_use]
     pub fn identity(&self) -> String {
         let values: Vec<_> = self.values().map(|(_, value)| (value + 0.0).to_bits().to_string()).collect();

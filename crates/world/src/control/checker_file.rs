@@ -1,6 +1,6 @@
-//! A network from outside as one file, for the checker of certificates: `crumple-verify` says what is in it.
+//! The file of an imported network for the checker of certificates; `crumple-verify` documents its content.
 //!
-//! The bytes follow from the network and its mapping alone: who reads the source again gets the same.
+//! The bytes depend only on the network and its mapping, so that reading the source again gives the same file.
 
 use safetensors::tensor::{Dtype, TensorView};
 use serde::Serialize;
@@ -10,7 +10,6 @@ use super::{InvalidMapping, NetworkController, ObservedQuantity};
 use crate::network::{Elementwise, Linear, NetworkFormat, NetworkStep};
 use crate::policy::ObservationScaling;
 
-/// The one metadata key.
 const METADATA_KEY: &str = "crumple_network";
 const VERSION: u32 = 1;
 
@@ -59,10 +58,10 @@ struct CheckerFileOutput {
 type NamedTensor = (String, Vec<usize>, Vec<u8>);
 
 impl NetworkController {
-    /// The file by which the checker knows it.
+    /// Returns the network as a file for the checker.
     ///
     /// # Errors
-    /// [`InvalidMapping`] for a mapping that makes something else than affine functions of what is observed now.
+    /// [`InvalidMapping`] if an input is not an affine function of the current observation.
     pub fn checker_file(&self) -> Result<Vec<u8>, InvalidMapping> {
         let mapping = self.mapping();
         if mapping.history != 1 {
@@ -89,7 +88,7 @@ impl NetworkController {
         }
         let OutputMapping { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } =
             mapping.output;
-        // The same function of the same single-precision number.
+        // Equals the squashing of the mapping: the same function in single precision.
         steps.extend(squash.map(|Squash::Tanh| CheckerFileStep::Tanh));
         let header = CheckerFileHeader {
             version: VERSION,
@@ -118,7 +117,6 @@ impl NetworkController {
     }
 }
 
-/// What stands against a quantity.
 fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
     match quantity {
         ObservedQuantity::TimeGapAheadS | ObservedQuantity::TimeGapBehindS => {
@@ -129,7 +127,7 @@ fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
     }
 }
 
-/// A step as it is written, its numbers into `tensors`.
+/// Converts a step to its file form and appends its numbers to `tensors`.
 fn serialize_step(step: &NetworkStep, index: usize, width: usize, tensors: &mut Vec<NamedTensor>) -> CheckerFileStep {
     let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
         let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
@@ -162,7 +160,7 @@ fn serialize_step(step: &NetworkStep, index: usize, width: usize, tensors: &mut 
             CheckerFileStep::Divide
         }
         Elementwise::Clip { low, high } => {
-            // A missing limit is infinite, and no number of a network is larger than the largest there is.
+            // A missing limit is infinite in the network; the file holds the largest finite number instead.
             let finite =
                 |limits: &[f32]| limits.iter().map(|limit| limit.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
             add("low", &[width], &finite(low));

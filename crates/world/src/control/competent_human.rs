@@ -1,55 +1,55 @@
 //! The competent and careful human driver of UN Regulation No. 157.
 //!
-//! The driver holds its speed until it perceives a risk. From then on it coasts for 0.75 s, builds braking up at 12.65 m/s³ and holds
-//! 0.774 g to standstill. These equations are those of `CC_react` in the JRC's published implementation (repository ec-jrc/JRC-FSM,
-//! commit 01b05c2, `utility/models.py`; `CC_rt`, `CC_release_deceleration`, `CC_min_jerk`, `CC_max_deceleration` in
-//! `utility/vehicle.py`). Times and braking are those of UN R157, original version and 01 series, performance models, table 1.
+//! The driver holds its speed until it perceives a risk. It then coasts for 0.75 s, builds braking up at 12.65 m/s³ and
+//! holds 0.774 g to standstill. The equations are those of `CC_react` in the JRC's published implementation (repository
+//! ec-jrc/JRC-FSM, commit 01b05c2, `utility/models.py`; `CC_rt`, `CC_release_deceleration`, `CC_min_jerk`,
+//! `CC_max_deceleration` in `utility/vehicle.py`). Times and braking are those of UN R157, original version and 01
+//! series, performance models, table 1.
 //!
 //! The risks:
-//! - **The vehicle ahead brakes.** The JRC's car following reacts from the first instant of braking, however soft.
-//! - **A slower vehicle is ahead** at a time to collision of at most 2 s, for example because it has cut in (`CC_critical_ttc`).
-//! - **The vehicle ahead cuts out**, followed within a time gap of 2 s (`CC_distance`), and reveals a slower one.
+//! - **The leader brakes.** The JRC's car following reacts from the first instant of braking, however soft.
+//! - **The leader is slower**, at a time to collision of at most 2 s, for example after a cut-in (`CC_critical_ttc`).
+//! - **The leader cuts out**, followed within a time gap of 2 s (`CC_distance`), and reveals a slower vehicle.
 //!
-//! The simulator has no lateral motion: a vehicle is beside the lane or in it. The driver's 0.4 s of risk evaluation begins when a
-//! vehicle is 0.375 m off the centre of its lane (table 1). At 1.8 m/s of lateral speed it ends after 0.375 + 0.72 m = 1.1 m, that is when
-//! a vehicle 1.9 m wide from the middle of a lane 3.5 m wide has come 0.3 m into the next lane. There UN R157, 5.2.5.2, begins to count.
-//! The driver therefore reacts as soon as a vehicle is in the lane.
+//! The simulator has no lateral motion: a vehicle is beside the lane or in it. In table 1, the 0.4 s of risk evaluation
+//! begin when a vehicle is 0.375 m off the centre of its lane. At a lateral speed of 1.8 m/s they end after 0.375 +
+//! 0.72 m = 1.1 m. A vehicle 1.9 m wide in the middle of a lane 3.5 m wide is then 0.3 m inside the next lane, where UN
+//! R157, 5.2.5.2, begins to count. The driver therefore reacts as soon as a vehicle is in the lane.
 
 use super::reaction::{BrakeRamp, ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
-/// Difference between the observed and the expected gap from which on another vehicle is ahead, in metres: vehicles are longer, and
-/// estimated gaps jump by less.
+/// Jump of the gap above which the leader is another vehicle, in metres; less than a vehicle's length.
 const NEW_LEADER_GAP_JUMP_M: f64 = 1.0;
 
 settings! {
     /// Settings of the competent and careful human driver of UN R157.
     CompetentHumanSettings {
-        /// Braking of the vehicle ahead that is a risk at once, in m/s², positive (UN R157, deceleration scenario: 5 m/s²).
+        /// Leader's deceleration that is a risk at once, in m/s², positive (UN R157, deceleration scenario: 5 m/s²).
         risk_brake_mps2: 5.0, 0.0..=30.0, 0.0..=9.0;
-        /// Speed that the vehicle ahead loses beyond coasting, or by which a revealed vehicle is slower, until that is a risk, in m/s. The
-        /// JRC's code has none; 0.5 is seven standard deviations of an estimated speed.
+        /// Speed that the leader loses beyond coasting, or by which a revealed vehicle is slower, until that is a risk,
+        /// in m/s. The JRC's code has none; 0.5 is seven standard deviations of an estimated speed.
         risk_speed_mps: 0.5, 0.0..=100.0, 0.1..=2.0;
-        /// Time to perceive that the vehicle ahead brakes, in seconds. UN R157, table 1, says 0.4, the JRC's code 0.
+        /// Time to perceive that the leader brakes, in seconds. UN R157, table 1, has 0.4, the JRC's code 0.
         risk_perception_s: 0.0, 0.0..=10.0, 0.0..=1.0;
-        /// Time to collision up to which a slower vehicle ahead is a risk, in seconds (UN R157, cut-in scenario: 2 s).
+        /// Time to collision up to which a slower leader is a risk, in seconds (UN R157, cut-in scenario: 2 s).
         risk_ttc_s: 2.0, 0.0..=100.0, 0.5..=4.0;
-        /// Time gap up to which it is a risk that the vehicle ahead cuts out, in seconds (UN R157, cut-out scenario: 2 s).
+        /// Time gap up to which a cut-out of the leader is a risk, in seconds (UN R157, cut-out scenario: 2 s).
         risk_time_gap_s: 2.0, 0.0..=100.0, 0.5..=4.0;
         /// Time from perceiving the risk to the beginning of braking, in seconds (UN R157, table 1).
         reaction_s: 0.75, 0.0..=10.0, 0.0..=2.0;
-        /// Deceleration between perceiving the risk and braking, in m/s², positive: the foot is off the pedal (JRC code).
+        /// Deceleration between perceiving the risk and braking, in m/s², positive: pedal released (JRC code).
         coasting_mps2: 0.4, 0.0..=30.0, 0.0..=1.0;
         /// Jerk at which braking builds up, in m/s³ (UN R157, table 1: 0.774 g within 0.6 s).
         jerk_mps3: 12.65, 0.1..=10_000.0, 1.0..=50.0;
-        /// Braking that is held, in m/s², positive (UN R157, table 1: 0.774 g).
+        /// Deceleration that is held, in m/s², positive (UN R157, table 1: 0.774 g).
         brake_mps2: 0.774 * STANDARD_GRAVITY_MPS2, 0.0..=30.0, 0.0..=9.0;
     }
 }
 
-/// A driver that holds its speed until it perceives a risk, then coasts, builds braking up at a limited jerk, and brakes to standstill.
+/// A driver that holds its speed until it perceives a risk, then coasts, and brakes to standstill at a limited jerk.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompetentHuman {
     settings: CompetentHumanSettings,
@@ -57,19 +57,17 @@ pub struct CompetentHuman {
     perception_steps: u32,
     reaction_steps: u32,
     leader: Option<LeaderPrediction>,
-    /// Steps until the foot leaves the pedal; none without a risk.
     steps_to_release: Option<u32>,
     release_timer: ReactionTimer,
     brake_ramp: BrakeRamp,
 }
 
-/// The vehicle ahead at the last step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct LeaderPrediction {
     gap_m: f64,
-    /// Its gap at the next step if no vehicle changes the lane.
+    /// Gap at the next step if no vehicle changes the lane, in metres.
     next_gap_m: f64,
-    /// Its speed if it had coasted at most, in m/s.
+    /// Speed if the leader only coasted, in m/s.
     coasting_mps: f64,
 }
 
@@ -95,7 +93,7 @@ impl BuiltIn for CompetentHuman {
 }
 
 impl CompetentHuman {
-    /// Returns the steps after which the foot leaves the pedal because of what is ahead now; none without a risk.
+    /// Returns the steps until the foot leaves the pedal because of the current leader; `None` without a risk.
     #[inline]
     fn steps_until_release(&mut self, speed_mps: f64, ahead: &Neighbour) -> Option<u32> {
         let CompetentHumanSettings { risk_brake_mps2, risk_speed_mps, risk_ttc_s, risk_time_gap_s, .. } = self.settings;
@@ -149,8 +147,8 @@ mod tests {
         CompetentHuman::start(settings, &EGO, 0)
     }
 
-    /// v τ + v₁ T - c T²/2 with coasting c over T, then a ramp of jerk j from c to b, then v₂²/(2 b). Braking is held over
-    /// each step at its mean: speeds are exact, and each of the n steps of the ramp is j dt³/12 longer than the ramp itself.
+    /// Closed form: v τ + v₁ T - c T²/2 with coasting c over T, then a ramp of jerk j from c to b, then v₂²/(2 b).
+    /// Braking is held at its mean over each step: speeds are exact, and each step of the ramp is j dt³/12 longer.
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
         for risk_perception_s in [0.0, 0.4] {
@@ -192,7 +190,7 @@ mod tests {
         assert!(commands.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401));
     }
 
-    /// A vehicle that cuts in is a risk at a time to collision of 2 s, and one that cuts out within 2 s and reveals a slower one.
+    /// A cut-in is a risk at a time to collision of 2 s. A cut-out within 2 s is one if it reveals a slower vehicle.
     #[test]
     fn a_changed_vehicle_ahead_is_a_risk_where_the_regulation_says() {
         let reacts = |seen: &[Observation]| {
@@ -214,7 +212,7 @@ mod tests {
         assert!(!reacts(&[leader_observation(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
     }
 
-    /// A vehicle ahead that brakes softly is a risk once it has lost 0.5 m/s beyond coasting; one that only coasts is none.
+    /// A leader that brakes softly is a risk once it has lost 0.5 m/s beyond coasting; one that only coasts is none.
     #[test]
     fn soft_braking_is_a_risk_and_coasting_is_none() {
         for (mps2, reacts) in [(-0.39, false), (-0.5, true), (-1.0, true)] {
@@ -228,8 +226,8 @@ mod tests {
         }
     }
 
-    /// On the JRC's grid of car following, 0.05 to 0.95 g at 12 to 128 km/h and a time gap of 2 s, no vehicle collides. The
-    /// JRC's own code says the same (`comparison_car_following.py`, 1121 runs).
+    /// No vehicle collides on the JRC's grid of car following (0.05 to 0.95 g, 12 to 128 km/h, time gap 2 s). The JRC's
+    /// code has the same result (`comparison_car_following.py`, 1121 runs).
     #[test]
     fn collides_nowhere_on_the_published_grid_of_car_following() {
         for (kmph, hundredths_g) in (12..130).step_by(2).flat_map(|v| (5..100).step_by(5).map(move |g| (v, g))) {

@@ -1,4 +1,4 @@
-//! Braking at one rate as soon as the vehicle ahead brakes: the other trivial controller.
+//! A controller that brakes at a constant rate as soon as the leader brakes.
 
 use super::reaction::{ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
@@ -10,14 +10,14 @@ settings! {
     ConstantBrakeSettings {
         /// Deceleration held to standstill, in m/s², positive.
         rate_mps2: 3.25, 0.0..=30.0, 0.0..=9.0;
-        /// The vehicle ahead counts as braking once it is seen to decelerate harder than this, in m/s², positive.
+        /// Observed deceleration of the leader that starts the braking, in m/s², positive.
         trigger_mps2: 1.5, 0.0..=30.0, 0.0..=4.0;
-        /// Time between seeing that and braking, in seconds.
+        /// Time between that observation and braking, in seconds.
         delay_s: 0.05, 0.0..=10.0, 0.0..=1.0;
     }
 }
 
-/// Holds speed; from a set delay after the vehicle ahead is first seen to brake, brakes at a constant rate to standstill.
+/// A controller that, a fixed delay after its leader first brakes, brakes at a constant rate to standstill.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConstantBrake {
     rate_mps2: f64,

@@ -1,6 +1,5 @@
 //! Decisions at an interval, held in between.
 
-/// When a controller that decides only every so often decides.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DecisionTimer {
     steps: u32,
@@ -8,19 +7,18 @@ pub(super) struct DecisionTimer {
 }
 
 impl DecisionTimer {
-    /// The first decision is due at once; without an interval one is due at every step.
+    /// Creates a timer whose first decision is due at once; without an interval, one is due at every step.
     pub(super) fn new(interval_s: Option<f64>, step_s: f64) -> Self {
         let steps = interval_s.map_or(1, |interval_s| (interval_s / step_s).round().max(1.0) as u32);
         Self { steps, until_decision: 0 }
     }
 
-    /// Whether an interval is so many whole steps.
     pub(super) fn is_whole_steps(interval_s: f64, step_s: f64) -> bool {
         let steps = (interval_s / step_s).round();
         (1.0..=1e9).contains(&steps) && (steps * step_s - interval_s).abs() <= 1e-9 * interval_s
     }
 
-    /// Whether a decision is due at this step; counts the step.
+    /// Counts the step. Returns true if a decision is due.
     #[inline]
     pub(super) fn tick(&mut self) -> bool {
         let due = self.until_decision == 0;

@@ -1,7 +1,7 @@
-//! The fuzzy safety model of UN Regulation No. 157: a driver who brakes a little, early.
+//! The fuzzy safety model of UN Regulation No. 157: a driver that brakes early and gently.
 //!
-//! After K. Mattas et al., *Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk*, Accident Analysis
-//! and Prevention 148 (2020) 105794. Formulas and numbers are as the authors' public implementation has them, written anew here.
+//! Source: K. Mattas et al., *Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk*,
+//! Accident Analysis and Prevention 148 (2020) 105794. Formulas and numbers are those of the authors' code.
 
 use super::reaction::{BrakeRamp, ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
@@ -9,31 +9,31 @@ use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
 settings! {
-    /// Settings of the fuzzy safety model (UN R157). `graze_m` is ours: without it the driver who takes the critical metric at its
-    /// word ends with a gap of exactly 0, and rounding decides whether that is a contact.
+    /// Settings of the fuzzy safety model (UN R157). `graze_m` is crumple's addition: without it, braking after the
+    /// critical metric ends with a gap of exactly 0, and rounding decides about a collision.
     FuzzySafetySettings {
         /// Time from noticing a danger to braking, in seconds.
         reaction_s: 0.75, 0.0..=10.0, 0.0..=2.0;
-        /// Braking that is comfortable, in m/s², positive.
+        /// Comfortable deceleration, in m/s², positive.
         comfortable_brake_mps2: 4.0, 0.1..=30.0, 1.0..=6.0;
-        /// The hardest braking that the driver reckons with of his own, in m/s², positive.
+        /// Maximum deceleration that the driver expects of itself, in m/s², positive.
         hardest_brake_mps2: 6.0, 0.1..=30.0, 1.0..=9.0;
-        /// Hardest braking that is reckoned with in the vehicle ahead, in m/s², positive.
+        /// Maximum deceleration that the driver expects of its leader, in m/s², positive.
         ahead_brake_mps2: 7.0, 0.1..=30.0, 1.0..=9.0;
-        /// Gap that is left at standstill, in metres.
+        /// Gap at standstill, in metres.
         standstill_m: 2.0, 0.0..=100.0, 0.0..=5.0;
-        /// Gap that the safe distance has besides, in metres.
+        /// Additional gap of the safe distance, in metres.
         margin_m: 2.0, 0.0..=100.0, 0.0..=5.0;
         /// Gap that braking after the critical metric leaves, in metres.
         graze_m: 0.1, 0.0..=100.0, 0.0..=1.0;
-        /// How fast braking builds up, in m/s³.
+        /// Jerk at which braking builds up, in m/s³.
         jerk_mps3: 12.65, 0.1..=10_000.0, 1.0..=50.0;
-        /// The hardest braking of all, in m/s², positive (0.774 g).
+        /// Upper limit of the deceleration, in m/s², positive (0.774 g).
         limit_mps2: 0.774 * STANDARD_GRAVITY_MPS2, 0.0..=30.0, 0.0..=9.0;
     }
 }
 
-/// How far a gap is from safe, 0, to unsafe, 1: linear between the two distances.
+/// Returns the degree to which a gap is unsafe: 0 (safe) to 1, linear between the two distances.
 fn membership(gap_m: f64, safe_m: f64, unsafe_m: f64) -> f64 {
     if gap_m >= safe_m {
         0.0
@@ -45,8 +45,7 @@ fn membership(gap_m: f64, safe_m: f64, unsafe_m: f64) -> f64 {
 }
 
 impl FuzzySafetySettings {
-    /// The proactive metric, 0 to 1: whether braking at the comfortable and at the hardest rate from the reaction time on ends behind a
-    /// vehicle that brakes as hard as is reckoned with.
+    /// Returns the proactive metric, 0 to 1: the danger from a leader that brakes at `ahead_brake_mps2`.
     #[must_use]
     pub(crate) fn proactive(&self, speed_mps: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, ahead_brake_mps2, .. } = *self;
@@ -58,8 +57,8 @@ impl FuzzySafetySettings {
         membership(ahead.gap_m - self.standstill_m, safe_m, needed_m(hardest_brake_mps2))
     }
 
-    /// The critical metric, 0 to 1: whether braking at the two rates from the reaction time on avoids a vehicle that holds its speed.
-    /// Until then, the own acceleration lasts, as far as it is comfortable.
+    /// Returns the critical metric, 0 to 1: the danger from a leader that holds its speed. Until the driver reacts, its
+    /// current acceleration lasts, limited to the comfortable deceleration.
     #[must_use]
     pub(crate) fn critical(&self, speed_mps: f64, acceleration_mps2: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, .. } = *self;
@@ -71,7 +70,7 @@ impl FuzzySafetySettings {
         let until_mps2 = acceleration_mps2.max(-comfortable_brake_mps2);
         let then_mps = closing_mps + until_mps2 * reaction_s;
         if then_mps < 0.0 {
-            // Braking as now ends the closing before the reaction time does.
+            // The current braking ends the closing before the reaction time ends.
             let needed_m = closing_mps * closing_mps / (-2.0 * until_mps2);
             return membership(gap_m, needed_m, needed_m);
         }
@@ -80,7 +79,7 @@ impl FuzzySafetySettings {
         membership(gap_m, needed_m(comfortable_brake_mps2), needed_m(hardest_brake_mps2))
     }
 
-    /// The braking that the two metrics ask for, in m/s², positive: 0 where both are 0.
+    /// Returns the deceleration that the metrics demand, in m/s², positive; 0 if both are 0.
     fn demanded_brake_mps2(&self, seen: &Observation) -> f64 {
         let Some(ahead) = seen.ahead else { return 0.0 };
         let critical = self.critical(seen.speed_mps, seen.acceleration_mps2, &ahead);
@@ -93,8 +92,8 @@ impl FuzzySafetySettings {
     }
 }
 
-/// Holds its speed until a reaction time after it first notices a danger; from then on brakes as hard as the danger is, within a
-/// limit of jerk, and holds its speed whenever there is none.
+/// A driver that holds its speed until a reaction time after it first notices a danger. It then brakes in proportion to
+/// the danger at a limited jerk, and holds its speed while there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FuzzySafety {
     settings: FuzzySafetySettings,
@@ -126,7 +125,7 @@ impl Controller for FuzzySafety {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let asked_mps2 = self.settings.demanded_brake_mps2(seen);
         let reacts = self.reaction_timer.tick(asked_mps2 > 0.0) >= Some(self.reaction_steps);
-        // Zero minus: a driver who does nothing commands 0, not -0.
+        // `0.0 -` avoids a command of -0.
         Ok(if reacts { 0.0 - self.brake_ramp.step_towards(asked_mps2) } else { 0.0 })
     }
 }
@@ -140,8 +139,7 @@ mod tests {
         Neighbour { gap_m, speed_mps, acceleration_mps2: 0.0 }
     }
 
-    /// v τ, a ramp of jerk j to the hardest braking b, then v₂²/(2 b); each of the ramp's steps is j dt³/12 longer than the ramp
-    /// itself, for braking is held over it at its mean.
+    /// Closed form: v τ, a ramp of jerk j to b, then v₂²/(2 b). Each step of the ramp is j dt³/12 longer.
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
         let settings = FuzzySafetySettings { hardest_brake_mps2: 12.65 * 0.48, ..Default::default() };
@@ -158,7 +156,6 @@ mod tests {
         }
     }
 
-    /// The two distances of each metric are where it is 0 and 1; halfway between it is a half.
     #[test]
     fn each_metric_is_linear_between_its_two_distances() {
         let settings = FuzzySafetySettings::default();
@@ -169,7 +166,6 @@ mod tests {
             let found = settings.proactive(v, &ahead(safe_m + share * (unsafe_m - safe_m), front));
             assert!((found - metric).abs() < 1e-12, "{found} at {share}");
         }
-        // Braking at 1 m/s² until the reaction: 8 m/s of closing become 7.25.
         let closing_m = |b: f64| 0.5 * (8.0 + 7.25) * 0.75 + 7.25 * 7.25 / (2.0 * b);
         for (share, metric) in [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0)] {
             let gap_m = settings.graze_m + closing_m(4.0) + share * (closing_m(6.0) - closing_m(4.0));
@@ -178,8 +174,7 @@ mod tests {
         }
     }
 
-    /// Where braking as now ends the closing before the reaction time, only the way until then counts; harder braking than is
-    /// comfortable does not.
+    /// If braking ends the closing before the reaction time, only the distance until then counts.
     #[test]
     fn whoever_brakes_enough_is_in_no_critical_danger() {
         let settings = FuzzySafetySettings::default();
@@ -190,8 +185,8 @@ mod tests {
         assert_eq!(settings.critical(10.0, 3.0, &ahead(0.1, 10.0)), 0.0, "nobody closes in");
     }
 
-    /// Behind vehicles that brake at 0.05 to 0.95 g from 12 to 128 km/h, from the distance at which it sees no danger, it touches
-    /// none of 1121, as in the authors' implementation at its steps of 0.1 s; behind gentle braking it brakes gently.
+    /// Behind leaders that brake at 0.05 to 0.95 g from 12 to 128 km/h, no run of 1121 collides, as in the authors'
+    /// implementation at steps of 0.1 s. Behind gentle braking the driver brakes gently.
     #[test]
     fn touches_nobody_on_the_grid_of_its_authors() {
         let settings = FuzzySafetySettings::default();

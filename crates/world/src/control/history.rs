@@ -1,13 +1,13 @@
-//! What a controller saw at its last decisions.
+//! Inputs of a controller at its last decisions.
 
 use super::{HistoryPadding, Mapping};
 
-/// What was seen at the last decisions, as many as the mapping looks back on; empty before the first, or if it does not look back.
+/// Inputs at the last `history` decisions; empty before the first decision, or without a history.
 #[derive(Default)]
 pub(super) struct InputHistory<T>(Vec<T>);
 
 impl<T: Copy + Default> InputHistory<T> {
-    /// Appends to `into` what a controller sees at a decision, in the order that the mapping says.
+    /// Appends the inputs of a decision to `into`, in the order of the mapping.
     pub(super) fn push(&mut self, mapping: &Mapping, now: impl Iterator<Item = T>, into: &mut Vec<T>) {
         if mapping.history == 1 {
             return into.extend(now);

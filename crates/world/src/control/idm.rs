@@ -1,4 +1,4 @@
-//! The Intelligent Driver Model at the wheel.
+//! The Intelligent Driver Model as a controller.
 
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::idm::{Idm, IdmSettings};
@@ -31,7 +31,7 @@ mod tests {
     fn is_in_equilibrium_at_its_equilibrium_gap() {
         let settings = IdmSettings::default();
         let v = 25.0_f64;
-        // s_e(v) = (s₀ + v T) / sqrt(1 - (v/v₀)⁴): equation 5 of the paper.
+        // s_e(v) = (s₀ + v T) / sqrt(1 - (v/v₀)⁴), equation 5 of the paper.
         let share = 1.0 - (v / settings.desired_speed_mps).powi(4);
         let gap_m = (settings.standstill_gap_m + v * settings.time_headway_s) / share.sqrt();
         let command = Idm::start(&settings, &EGO, 0).decide(&leader_observation(v, gap_m, v, 0.0)).unwrap();

@@ -27,18 +27,18 @@ pub enum ControllerKind {
     BuiltIn(ControllerSpec),
     /// A learned policy.
     Policy(Arc<Policy>),
-    /// A network from outside.
+    /// An imported network.
     Network(Arc<NetworkController>),
-    /// A process.
+    /// A controller process.
     Process(Arc<ProcessController>),
-    /// Any of these behind a shield.
+    /// A controller behind a shield.
     Shielded(Arc<ShieldedSource>),
-    /// A controller from outside.
+    /// An external controller.
     Custom(Arc<dyn ControllerSource>),
 }
 
 impl ControllerKind {
-    /// SHA-256, in hexadecimal, of everything that decides how it drives; none for a controller from outside that has none.
+    /// Returns the SHA-256, in hexadecimal, of everything that determines the commands; `None` if that is unknown.
     #[must_use]
     pub fn identity(&self) -> Option<String> {
         match self {
@@ -62,7 +62,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the controller file, network or FMU that states the mapping or the command; none without such a file.
+    /// Returns the controller file, network or FMU that defines the mapping or the command, if there is one.
     #[must_use]
     pub fn file(&self) -> Option<&Path> {
         match self.unshielded() {
@@ -72,7 +72,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns what may be wrong with the controller, a line each: mismatches of a network's mapping and the spaces of its training.
+    /// Returns warnings, one line each: differences between a network's mapping and the spaces of its training.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         match self.unshielded() {
@@ -81,8 +81,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the time between decisions, in seconds; none for a decision at every step, and for a process that states it only
-    /// once it runs. Starts nothing.
+    /// Returns the time between decisions, in seconds. `None` for every step, or if only the process knows it.
     #[must_use]
     pub fn interval_s(&self) -> Option<f64> {
         match self.unshielded() {
@@ -93,7 +92,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the policy of one of crumple's own, behind a shield or not.
+    /// Returns the policy of a policy controller, behind a shield or not.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         match self.unshielded() {
@@ -103,19 +102,19 @@ impl ControllerKind {
         }
     }
 
-    /// Returns true for a network, crumple's own or one from outside, behind a shield or not.
+    /// Returns true for a policy or an imported network, behind a shield or not.
     #[must_use]
     pub fn is_learned(&self) -> bool {
         matches!(self.unshielded(), Self::Network(_)) || self.policy().is_some()
     }
 
-    /// Returns true for a controller from outside that can fail, behind a shield or not. A network cannot.
+    /// Returns true for an external controller that can fail, behind a shield or not. A network cannot.
     #[must_use]
     pub fn is_external(&self) -> bool {
         matches!(self.unshielded(), Self::Process(_) | Self::Custom(_))
     }
 
-    /// Returns false for a process that its file, or its own answer, calls nondeterministic.
+    /// Returns false for a process that its file or its handshake declares nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
         match self.unshielded() {
@@ -124,10 +123,10 @@ impl ControllerKind {
         }
     }
 
-    /// Starts the program of a process, for no run, and ends it.
+    /// Starts the program of a process without a run, and ends it.
     ///
     /// # Errors
-    /// [`ControllerFailure`] of a process that cannot be started or does not introduce itself.
+    /// [`ControllerFailure`] of a process that cannot be started or does not complete the handshake.
     pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
         match self.unshielded() {
             Self::Process(process) => process.try_start(),
@@ -135,8 +134,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the reason for which a process is refused by now: it contradicted its own claim to be deterministic, or cannot be
-    /// started any more. Its runs then say nothing of their scenarios.
+    /// Returns the reason to reject all runs of a process: it proved nondeterministic, or does not start any more.
     #[must_use]
     pub fn refusal(&self) -> Option<ControllerFailure> {
         match self.unshielded() {
@@ -145,7 +143,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns true if its runs can be made in lockstep: a process that does not answer in batches is needed once for each run.
+    /// Returns true if the controller can run in lockstep; false for a process without batches.
     pub(crate) fn supports_lockstep(&self, ego: impl FnOnce() -> Ego) -> bool {
         match self.unshielded() {
             Self::Process(process) => process.supports_batches(&ego()),

@@ -1,4 +1,4 @@
-//! What a controller from outside sees of an observation, and what its answer means.
+//! Mapping from observations to the inputs of an external controller, and from its answer to a command.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,47 +6,45 @@ use super::ObservedQuantity;
 use crate::observation::Observation;
 use crate::policy::{ActionBounds, ObservationScaling};
 
-/// Beyond plus and minus this a number that a network sees is cut, unless its input says otherwise.
+/// Default clipping limit of network inputs.
 const INPUT_CLIP: f64 = 1e6;
 
-/// Most inputs of a mapping, and most decisions that it looks back on.
 const MAX_INPUTS: usize = 4096;
 const MAX_HISTORY: usize = 1000;
 
-/// Largest answer of a process without a controller file either way, in m/s²: no vehicle of a scenario may do more.
+/// Largest absolute answer of a process without a controller file, in m/s²; no vehicle of a scenario may exceed it.
 const MAX_ANSWER_MPS2: f64 = 30.0;
 
 /// Time between the decisions of crumple's own policies, in seconds.
 const NATIVE_INTERVAL_S: f64 = 0.1;
 
-/// One number that a controller sees: (quantity - offset) / scale, cut to lie between low and high; or a constant.
+/// One input of a controller: (quantity - offset) / scale, clipped to low and high; or a constant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InputMapping {
-    /// What is seen; either this or a constant.
+    /// Observed quantity; either this or a constant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantity: Option<ObservedQuantity>,
-    /// The input of an FMU that it is set to; the one called like the quantity unless it is said.
+    /// Input variable of an FMU; default: the name of the quantity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variable: Option<String>,
-    /// A number that is always the same, such as a set speed.
+    /// Constant input, such as a set speed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub constant: Option<f64>,
-    /// Subtracted, in the unit of the quantity.
+    /// Offset that is subtracted, in the unit of the quantity.
     #[serde(default)]
     pub offset: f64,
-    /// Divided by, in the unit of the quantity; not 0.
+    /// Divisor, in the unit of the quantity; not 0.
     #[serde(default = "one")]
     pub scale: f64,
-    /// The least that the controller sees.
+    /// Lower clipping limit.
     #[serde(default = "default_low")]
     pub low: f64,
-    /// The most that the controller sees.
+    /// Upper clipping limit.
     #[serde(default = "default_high")]
     pub high: f64,
-    /// The quantity where there is no such vehicle, before offset and scale. Without it, a vehicle 80 m away that drives as
-    /// fast as the own one stands in.
+    /// Unscaled value without such a vehicle. Default: that of a vehicle 80 m away at the own speed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub absent: Option<f64>,
 }
@@ -63,50 +61,50 @@ fn default_high() -> f64 {
     INPUT_CLIP
 }
 
-/// What is done to an answer before it is scaled.
+/// Function that is applied to an answer before scaling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Squash {
-    /// Its tanh is taken.
+    /// Hyperbolic tangent.
     Tanh,
 }
 
-/// What an answer means: offset + scale x answer, cut to lie between low and high.
+/// Command that an answer stands for: offset + scale x answer, clipped to low and high.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct OutputMapping {
-    /// The output of an FMU that is the answer; the only one, or `acceleration_mps2`, unless it is said.
+    /// Output variable of an FMU; default: the only one, or `acceleration_mps2`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variable: Option<String>,
-    /// Which of the answers it is, from 0. A controller with several needs it.
+    /// Index of the answer, from 0; required if the controller has several.
     #[serde(default)]
     pub answer: Option<usize>,
-    /// What is done to the answer before it is scaled.
+    /// Function that is applied to the answer before scaling.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub squash: Option<Squash>,
-    /// Multiplied with, in m/s².
+    /// Factor, in m/s².
     #[serde(default = "one")]
     pub scale_mps2: f64,
-    /// Added, in m/s².
+    /// Offset that is added, in m/s².
     #[serde(default)]
     pub offset_mps2: f64,
-    /// The least acceleration, in m/s².
+    /// Minimum acceleration, in m/s².
     pub low_mps2: f64,
-    /// The highest acceleration, in m/s².
+    /// Maximum acceleration, in m/s².
     pub high_mps2: f64,
 }
 
-/// What stands for the decisions before the first.
+/// Inputs that stand for the decisions before the first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum HistoryPadding {
-    /// What was seen first.
+    /// The inputs of the first decision.
     #[default]
     First,
-    /// Zeros in place of each number that the controller sees.
+    /// Zeros.
     Zeros,
 }
 
@@ -117,31 +115,31 @@ impl HistoryPadding {
     }
 }
 
-/// What a controller from outside sees, when it is asked, and what its answer means.
+/// Mapping of an external controller: its inputs, its decision interval and the meaning of its answer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Mapping {
-    /// Time between decisions, in seconds; none to decide at every step, or as a process says itself.
+    /// Time between decisions, in seconds. `None` for a decision at every step, or as the process states.
     pub decision_interval_s: Option<f64>,
-    /// Decisions of which it sees the inputs: 1 for the present ones alone.
+    /// Number of decisions whose inputs the controller receives; 1 for the current one only.
     pub history: usize,
-    /// What stands in before there are as many. Not written where it is the usual, so that identities stay what they were.
+    /// Padding before the first decision. Skipped when default, so that hashes of version-1 mappings do not change.
     #[serde(skip_serializing_if = "HistoryPadding::is_default")]
     pub history_padding: HistoryPadding,
-    /// Whether the present inputs come first; otherwise they come last.
+    /// True if the current inputs come first; otherwise they come last.
     pub newest_first: bool,
-    /// What it sees, in order.
+    /// Inputs, in order.
     pub inputs: Vec<InputMapping>,
-    /// What it answers.
+    /// Meaning of the answer.
     pub output: OutputMapping,
 }
 
-/// What is wrong with a mapping.
+/// Error of a mapping.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {problem}")]
 pub struct InvalidMapping {
     /// The field, as a path: `inputs[2].scale`.
     pub field: String,
-    /// What is wrong with it.
+    /// Description of the error.
     pub problem: String,
 }
 
@@ -152,7 +150,7 @@ impl InvalidMapping {
 }
 
 impl Mapping {
-    /// That of crumple's own policies: the paper's eight numbers, and an answer from -1 to 1.
+    /// Returns the mapping of crumple's own policies: the paper's eight numbers, and an answer from -1 to 1.
     #[must_use]
     pub fn native() -> Self {
         use ObservedQuantity as Q;
@@ -197,8 +195,8 @@ impl Mapping {
         }
     }
 
-    /// That of processes without a controller file: everything there is to see in its own unit, and an acceleration as the answer,
-    /// which may be more than any vehicle can do.
+    /// Returns the mapping of processes without a controller file. Inputs are all quantities in their own units; the
+    /// answer is an acceleration, which may exceed the limits of any vehicle.
     #[must_use]
     pub fn unscaled() -> Self {
         use ObservedQuantity as Q;
@@ -232,13 +230,12 @@ impl Mapping {
         }
     }
 
-    /// Numbers that a controller sees at each decision.
     #[must_use]
     pub(crate) fn width(&self) -> usize {
         self.inputs.len() * self.history
     }
 
-    /// Whether it can be driven with.
+    /// Checks the mapping.
     ///
     /// # Errors
     /// [`InvalidMapping`] names the first field that is wrong.
@@ -264,13 +261,12 @@ impl Mapping {
         self.output.check().map_err(|(field, problem)| InvalidMapping::new(format!("output.{field}"), problem))
     }
 
-    /// What the controller sees of an observation.
+    /// Returns the inputs that follow from an observation.
     #[inline]
     pub fn input_values(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
         self.inputs.iter().map(move |input| input.value(seen, last_answer_mps2))
     }
 
-    /// Where each number that the controller sees lies.
     pub(super) fn limits(&self) -> Vec<[f64; 2]> {
         let has_zeros = self.history > 1 && self.history_padding == HistoryPadding::Zeros;
         let with_zero = |[low, high]: [f64; 2]| if has_zeros { [low.min(0.0), high.max(0.0)] } else { [low, high] };
@@ -278,7 +274,7 @@ impl Mapping {
         limits.repeat(self.history)
     }
 
-    /// The acceleration that a network's answer means, in m/s², cut to its range; the least for what is no number.
+    /// Returns the acceleration of a network's answer, in m/s², clipped to its range; the minimum for NaN.
     #[must_use]
     #[inline]
     pub fn acceleration_mps2(&self, answer: f32) -> f64 {
@@ -297,7 +293,7 @@ impl Mapping {
         }
     }
 
-    /// The acceleration that an answer means, and the range that it should not leave, in m/s².
+    /// Returns the unclipped acceleration of an answer, and its allowed range, in m/s².
     #[must_use]
     pub(crate) fn acceleration_and_range_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
         let OutputMapping { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
@@ -310,7 +306,7 @@ impl Mapping {
 }
 
 impl InputMapping {
-    /// A quantity in its own unit.
+    /// Returns the mapping of a quantity in its own unit.
     #[must_use]
     pub fn unscaled(quantity: ObservedQuantity) -> Self {
         Self {
@@ -325,7 +321,7 @@ impl InputMapping {
         }
     }
 
-    /// What it is called: its quantity, or `constant`.
+    /// Returns the name of the quantity, or `constant`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.quantity.map_or("constant", ObservedQuantity::name)
@@ -360,7 +356,6 @@ impl InputMapping {
         Ok(())
     }
 
-    /// The least and the most that the controller sees of it.
     #[must_use]
     pub(crate) fn limits(&self) -> [f64; 2] {
         match self.constant {

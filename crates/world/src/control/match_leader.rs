@@ -1,9 +1,9 @@
-//! Copying the vehicle ahead: a trivial controller that any learned one must be compared with.
+//! A trivial controller that copies the acceleration of its leader; a reference for learned ones.
 
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings};
 use crate::observation::Observation;
 
-/// Commands the acceleration that the vehicle ahead is seen to have; holds speed on an empty road.
+/// A controller that commands the observed acceleration of its leader, and holds its speed on an empty road.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MatchLeader;
 

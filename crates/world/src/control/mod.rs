@@ -1,26 +1,23 @@
-//! Who decides: one trait, one table of what is built in, one file for each controller.
+//! Controllers: one trait, one table of built-in controllers, one file each.
 //!
-//! A controller sees an [`Observation`], nothing else of the world, and answers with the acceleration it wants. What the
-//! vehicle then does (limits, lag, friction) is the simulation's business.
+//! A controller maps an [`Observation`] to a commanded acceleration. The simulation applies limits, lag and friction.
 //!
-//! A built-in controller is a file of its own with an implementation of [`BuiltIn`], named in this file among the modules and
-//! in a row of the table. The command line, the format of scenario files, its schema, spaces, lists, the lockstep engine and
-//! the fuzzing strategies follow.
+//! To add a built-in controller, implement [`BuiltIn`] in a new file, and add a module and a row of the table here. The
+//! command line, scenario files, their schema, spaces, lists, the lockstep engine and the fuzzing strategies follow.
 
-/// Hands the table to a macro. First the controllers that are rules: a row's name is that of the type that drives. Then
-/// those that are policies: a row's name, and the type that knows the policy. The documentation of a row is that of its
-/// name in scenario files.
+/// Passes the table to a macro. Rows of rules have the name of the controller type. Rows of policies have a name and
+/// the type that provides the policy. The documentation of a row describes its name in scenario files.
 macro_rules! with_controllers {
     ($then:ident) => {
         $then! {
             rules {
                 /// The paper's baseline ADAS.
                 Baseline,
-                /// The baseline ADAS with a brake that is released when TTC recovers.
+                /// The baseline ADAS, which releases the brake when TTC recovers.
                 BaselineUnlatched,
-                /// Command the acceleration that the vehicle ahead is seen to have.
+                /// Commands the observed acceleration of the leader.
                 MatchLeader,
-                /// Brake at a constant rate once the vehicle ahead is seen to brake.
+                /// Brakes at a constant rate once the leader is observed to brake.
                 ConstantBrake,
                 /// Intelligent Driver Model.
                 Idm,
@@ -36,7 +33,7 @@ macro_rules! with_controllers {
                 Rss,
                 /// Full acceleration at all times.
                 FullThrottle,
-                /// A random action each step, from the scenario's seed.
+                /// A random action at each step, from the scenario's seed.
                 RandomActions,
             }
             policies {
@@ -112,25 +109,25 @@ pub use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
 pub use crate::settings::{ControllerSettings, NoSettings, SettingField};
 
-/// What a controller knows about its own vehicle.
+/// Properties of the ego vehicle that its controller knows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ego {
     /// Index of the vehicle, counted from the front.
     pub vehicle: usize,
-    /// Largest deceleration on a dry road, in m/s², positive. Friction is not known to controllers.
+    /// Maximum deceleration on a dry road, in m/s², positive. Controllers do not know the friction.
     pub max_brake_mps2: f64,
-    /// Largest acceleration, in m/s².
+    /// Maximum acceleration, in m/s².
     pub max_accel_mps2: f64,
-    /// Bumper to bumper, in metres.
+    /// Length from bumper to bumper, in metres.
     pub length_m: f64,
-    /// The scenario's step, in seconds.
+    /// Time step of the scenario, in seconds.
     pub step_s: f64,
 }
 
 /// Standard gravity, in m/s²: regulations state braking in shares of it.
 pub const STANDARD_GRAVITY_MPS2: f64 = 9.806_65;
 
-/// Decides a vehicle's acceleration from what may be seen.
+/// A controller: maps observations to commanded accelerations.
 ///
 /// ```
 /// use crumple_world::control::{Controller, ControllerFailure};
@@ -146,14 +143,14 @@ pub const STANDARD_GRAVITY_MPS2: f64 = 9.806_65;
 /// }
 /// ```
 pub trait Controller: Send {
-    /// The acceleration wanted until the next decision, in m/s². Values beyond the vehicle's limits are cut to them.
+    /// Returns the commanded acceleration until the next decision, in m/s². The simulation clips it to limits.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if there is no answer: the run ends there.
+    /// [`ControllerFailure`] if there is no answer; the run ends there.
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure>;
 
-    /// Decides for many vehicles at once: `see` is called once for each controller, in order, and each controller does what
-    /// it would have done by itself. The answers go to `commands_mps2`, failures with their place to `failed`.
+    /// Decides for many vehicles. Calls `see` once per controller, in order; each controller decides as it would alone.
+    /// Writes answers to `commands_mps2`, and failures with their index to `failed`.
     #[inline]
     fn decide_batch(
         all: &mut [Self],
@@ -178,9 +175,9 @@ impl Controller for Box<dyn Controller> {
     }
 }
 
-/// A command cut to what the vehicle can do; NaN counts as 0.
+/// Clips a command to the limits of the vehicle; NaN counts as 0.
 ///
-/// By hand, since of 0 and -0 `f64::max` and `f64::min` may give either, and then engines that are compiled apart differ.
+/// Plain comparisons: of 0 and -0, `f64::max` may return either, so that separately compiled engines could differ.
 #[inline]
 pub(crate) fn clamp_command(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
     let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
@@ -196,13 +193,13 @@ pub(crate) mod tests {
     pub(crate) const EGO: Ego =
         Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
 
-    /// An ego at `speed_mps` behind a vehicle `gap_m` ahead at `ahead_mps` that accelerates at `ahead_mps2`.
+    /// Returns an observation at `speed_mps`, with a leader at `gap_m`, `ahead_mps` and `ahead_mps2`.
     pub(crate) fn leader_observation(speed_mps: f64, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> Observation {
         let ahead = Neighbour { gap_m, speed_mps: ahead_mps, acceleration_mps2: ahead_mps2 };
         Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
     }
 
-    /// The way from `speed_mps` to standstill of who sees, at each speed, what `seen` says.
+    /// Returns the distance from `speed_mps` to standstill of a driver that observes `seen` at each speed.
     pub(crate) fn stopping_distance_m(
         mut driver: impl Controller,
         speed_mps: f64,
@@ -234,7 +231,6 @@ pub(crate) mod tests {
         }
     }
 
-    /// What the table says of a controller is read back from its words and from a file, whatever its settings.
     #[test]
     fn words_and_files_stand_for_one_specification() {
         for mut spec in ControllerSpec::all() {

@@ -1,4 +1,4 @@
-//! A network from outside at the wheel.
+//! Imported networks as controllers.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,26 +12,24 @@ use crate::observation::Observation;
 use crate::policy::Workspace;
 use crumple_core::digest::sha256;
 
-/// A network, what it sees, and what its answer means.
+/// An imported network and its mapping.
 ///
-/// Like a policy of crumple's own it cannot fail to answer: what it sees is cut to the limits of its inputs, and a network
-/// that could overflow within them is refused.
+/// A network always answers: its inputs are clipped, and a network that could overflow within their limits is rejected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkController {
     file: NetworkFile,
     mapping: Mapping,
     identity: String,
-    /// Whether its inputs are said to hold the normalisation of its training: a statement, which changes nothing of how it drives.
+    /// True if the controller file states that the inputs include the normalisation; no effect on commands.
     normalised: Option<bool>,
-    /// File that states the mapping, for messages.
     file_path: Option<PathBuf>,
 }
 
 impl NetworkController {
-    /// A network with a mapping.
+    /// Creates a controller from a network and a mapping.
     ///
     /// # Errors
-    /// [`InvalidMapping`] if the mapping is wrong, or does not fit the network.
+    /// [`InvalidMapping`] if the mapping is wrong or does not fit the network.
     pub fn new(file: NetworkFile, mut mapping: Mapping) -> Result<Self, InvalidMapping> {
         mapping.check()?;
         let network = &file.network;
@@ -52,7 +50,7 @@ impl NetworkController {
             }
             (answer, _) => answer.unwrap_or_default(),
         };
-        // Said or not, it is the same controller.
+        // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         mapping.output.answer = Some(answer);
         let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
         network.answer_ranges(&mapping.limits()).map_err(refused)?;
@@ -64,10 +62,10 @@ impl NetworkController {
         Ok(Self { file, mapping, identity, normalised: None, file_path: None })
     }
 
-    /// A network that sees and answers what crumple's own policies do.
+    /// Creates a controller with the mapping of crumple's own policies.
     ///
     /// # Errors
-    /// [`InvalidMapping`] if it sees other numbers, or does not answer with one from -1 to 1.
+    /// [`InvalidMapping`] if the network has other inputs, or not one answer from -1 to 1.
     pub(crate) fn with_native_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
         const ASK: &str =
             "write a controller file that says what it sees and what its answer means (docs/controllers.md)";
@@ -94,62 +92,57 @@ impl NetworkController {
         }
     }
 
-    /// Records the file that states the mapping.
     #[must_use]
     pub(crate) fn with_file_path(self, path: &Path) -> Self {
         Self { file_path: Some(path.to_owned()), ..self }
     }
 
-    /// Returns the file that states the mapping, if it came from one.
     #[must_use]
     pub(crate) fn file_path(&self) -> Option<&Path> {
         self.file_path.as_deref()
     }
 
-    /// Says whether the inputs hold the normalisation behind which it was trained (`normalised` of a controller file).
     #[must_use]
     pub(crate) fn with_normalised(self, normalised: Option<bool>) -> Self {
         Self { normalised, ..self }
     }
 
-    /// Whether the inputs are said to hold the normalisation behind which it was trained.
     #[must_use]
     pub(crate) fn normalised(&self) -> Option<bool> {
         self.normalised
     }
 
-    /// What may be wrong with its mapping, by the spaces in which it was trained: nothing for a network that does not state them.
+    /// Returns warnings about the mapping, from the spaces of the training if the network file contains them.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let doubts = |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
         self.file.saved_model().map(doubts).unwrap_or_default()
     }
 
-    /// The network.
+    /// Returns the network.
     #[must_use]
     pub fn network(&self) -> &FeedForward {
         &self.file.network
     }
 
-    /// The network's file.
+    /// Returns the network's file.
     #[must_use]
     pub fn file(&self) -> &NetworkFile {
         &self.file
     }
 
-    /// What it sees, and what its answer means.
+    /// Returns the mapping.
     #[must_use]
     pub fn mapping(&self) -> &Mapping {
         &self.mapping
     }
 
-    /// SHA-256, in hexadecimal, of its file and its mapping.
+    /// Returns the SHA-256, in hexadecimal, of file and mapping.
     #[must_use]
     pub fn identity(&self) -> &str {
         &self.identity
     }
 
-    /// The accelerations for `batch` rows of what is seen.
     fn accelerations_mps2(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
         let width = self.file.network.outputs();
         let answer = self.mapping.output.answer.unwrap_or_default();
@@ -158,7 +151,7 @@ impl NetworkController {
     }
 }
 
-/// Asks a network once every decision interval and holds its answer in between.
+/// A driver that evaluates a network once per decision interval and holds its answer in between.
 pub(crate) struct NetworkDriver {
     controller: Arc<NetworkController>,
     decision_timer: DecisionTimer,
@@ -169,7 +162,6 @@ pub(crate) struct NetworkDriver {
 }
 
 impl NetworkDriver {
-    /// A network that drives a vehicle.
     #[must_use]
     pub(crate) fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(controller.mapping.decision_interval_s, ego.step_s);
@@ -183,7 +175,6 @@ impl NetworkDriver {
         }
     }
 
-    /// Appends what the network sees now.
     fn push_inputs(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
         let Self { controller, history, command_mps2: held_mps2, .. } = self;
         let now = controller.mapping.input_values(seen, *held_mps2).map(|value| value as f32);
@@ -205,7 +196,7 @@ impl Controller for NetworkDriver {
         Ok(self.command_mps2)
     }
 
-    /// Those whose decision is due decide in one matrix product for each run of equal networks.
+    /// Decides for all drivers that are due, with one matrix product per group of equal networks.
     fn decide_batch(
         all: &mut [Self],
         mut see: impl FnMut(usize) -> Observation,

@@ -1,4 +1,4 @@
-//! The learned policy at the wheel.
+//! Policies as controllers.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
 use crate::policy::{FrameStack, HeldAction, Policy, Workspace};
 
-/// Asks a policy once every decision interval and holds its action in between.
+/// A driver that evaluates a policy once per decision interval and holds its action in between.
 pub struct PolicyDriver {
     policy: Arc<Policy>,
     decision_timer: DecisionTimer,
@@ -18,7 +18,7 @@ pub struct PolicyDriver {
 }
 
 impl PolicyDriver {
-    /// A policy that drives a vehicle.
+    /// Creates a driver for a vehicle.
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
@@ -43,7 +43,7 @@ impl Controller for PolicyDriver {
         Ok(self.held_action.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
     }
 
-    /// Those whose decision is due decide in one matrix product for each run of equal policies.
+    /// Decides for all drivers that are due, with one matrix product per group of equal policies.
     fn decide_batch(
         all: &mut [Self],
         mut see: impl FnMut(usize) -> Observation,

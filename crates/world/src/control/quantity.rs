@@ -1,11 +1,11 @@
-//! What a controller from outside can be shown of an observation.
+//! Quantities of an observation that an external controller can receive.
 
 use serde::{Deserialize, Serialize};
 
 use crate::observation::{Neighbour, Observation};
 use crate::policy::ObservationScaling;
 
-/// Something that can be seen, in the unit that its name ends with.
+/// A quantity of an observation, in the unit that its name ends with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -15,31 +15,31 @@ pub enum ObservedQuantity {
     SpeedMps,
     /// Own acceleration over the last step.
     AccelerationMps2,
-    /// Bumper gap to the vehicle ahead.
+    /// Gap to the leader.
     GapAheadM,
-    /// Speed of the vehicle ahead.
+    /// Speed of the leader.
     SpeedAheadMps,
-    /// Speed of the vehicle ahead less the own one: negative where the gap closes.
+    /// Speed of the leader minus own speed; negative if the gap closes.
     RelativeSpeedAheadMps,
-    /// Acceleration of the vehicle ahead.
+    /// Acceleration of the leader.
     AccelerationAheadMps2,
-    /// Bumper gap to the vehicle ahead, by the own speed; at standstill by 0.01 m/s.
+    /// Gap to the leader divided by the own speed, or by 0.01 m/s at standstill.
     TimeGapAheadS,
-    /// 1 if there is a vehicle ahead, else 0.
+    /// 1 if there is a leader, else 0.
     IsAhead,
-    /// Bumper gap to the vehicle behind.
+    /// Gap to the follower.
     GapBehindM,
-    /// Speed of the vehicle behind.
+    /// Speed of the follower.
     SpeedBehindMps,
-    /// Speed of the vehicle behind less the own one: positive where the gap closes.
+    /// Speed of the follower minus own speed; positive if the gap closes.
     RelativeSpeedBehindMps,
-    /// Acceleration of the vehicle behind.
+    /// Acceleration of the follower.
     AccelerationBehindMps2,
-    /// Bumper gap to the vehicle behind, by its speed; at standstill by 0.01 m/s.
+    /// Gap to the follower divided by its speed, or by 0.01 m/s at standstill.
     TimeGapBehindS,
-    /// 1 if there is a vehicle behind, else 0.
+    /// 1 if there is a follower, else 0.
     IsBehind,
-    /// What the controller answered last; 0 before its first answer.
+    /// Last answer of the controller; 0 before its first answer.
     LastAnswerMps2,
 }
 
@@ -62,19 +62,18 @@ impl ObservedQuantity {
         Self::LastAnswerMps2,
     ];
 
-    /// The names of all of them.
     #[cfg(feature = "process")]
     pub(in crate::control) fn names() -> impl Iterator<Item = &'static str> {
         Self::ALL.into_iter().map(Self::name)
     }
 
-    /// The one of a name.
+    /// Returns the quantity of a name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|quantity| quantity.name() == name)
     }
 
-    /// Where it lies most of the time where vehicles follow each other.
+    /// Returns the usual range in car following.
     pub(super) fn typical_range(self) -> [f64; 2] {
         use ObservedQuantity as Q;
         match self {
@@ -89,7 +88,7 @@ impl ObservedQuantity {
         }
     }
 
-    /// The name used in files and by processes.
+    /// Returns the name in files and in the protocol of processes.
     #[must_use]
     pub fn name(self) -> &'static str {
         use ObservedQuantity as Q;
@@ -112,7 +111,7 @@ impl ObservedQuantity {
         }
     }
 
-    /// Whether it is seen of a vehicle that may not be there.
+    /// True if the quantity belongs to a neighbour, which may be absent.
     pub(super) fn is_of_neighbour(self) -> bool {
         use ObservedQuantity as Q;
         !matches!(self, Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind)
@@ -121,7 +120,6 @@ impl ObservedQuantity {
     #[inline]
     pub(super) fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
         use ObservedQuantity as Q;
-        /// Gap over speed; standing vehicles count as creeping ones.
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }
         }

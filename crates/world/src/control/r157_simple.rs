@@ -1,4 +1,4 @@
-//! The simple driver model of UN Regulation No. 157: a delay, and braking at one rate.
+//! The simple driver model of UN Regulation No. 157: a delay, then braking at a constant rate.
 
 use super::reaction::{ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
@@ -6,21 +6,21 @@ use crate::observation::Observation;
 use crate::settings::settings;
 
 settings! {
-    /// Settings of the simple driver model (UN R157: 0.35 s and 6 m/s²). What starts its reaction is ours: the regulation
-    /// starts it where another vehicle cuts in.
+    /// Settings of the simple driver model (UN R157: 0.35 s and 6 m/s² after a cut-in; other triggers are crumple's
+    /// own).
     R157SimpleSettings {
         /// Time from noticing a danger to braking, in seconds.
         reaction_s: 0.35, 0.0..=10.0, 0.0..=1.0;
-        /// Braking that is held to standstill, in m/s², positive.
+        /// Deceleration that is held to standstill, in m/s², positive.
         brake_mps2: 6.0, 0.1..=30.0, 1.0..=9.0;
-        /// A danger is noticed once the vehicle ahead brakes harder than this, in m/s², positive.
+        /// Deceleration of the leader above which it is a danger, in m/s², positive.
         seen_brake_mps2: 1.5, 0.0..=30.0, 0.0..=4.0;
-        /// A danger is noticed, too, once delayed braking would end nearer than this to a vehicle that holds its speed, in metres.
+        /// Gap that delayed braking must leave to a leader that holds its speed, in metres; otherwise it is a danger.
         margin_m: 1.0, 0.0..=100.0, 0.0..=5.0;
     }
 }
 
-/// Holds its speed; from a set delay after it notices a danger it brakes at a constant rate to standstill.
+/// A driver that holds its speed and, a fixed delay after it notices a danger, brakes at a constant rate to standstill.
 #[derive(Debug, Clone, PartialEq)]
 pub struct R157Simple {
     settings: R157SimpleSettings,
@@ -43,7 +43,7 @@ impl BuiltIn for R157Simple {
 }
 
 impl R157Simple {
-    /// Whether the vehicle ahead brakes, or is too near for braking after the delay: gap - margin < Δv τ + Δv²/(2 b).
+    /// True if the leader brakes, or is too near for delayed braking: gap - margin < Δv τ + Δv²/(2 b).
     #[inline]
     fn is_in_danger(&self, seen: &Observation) -> bool {
         let R157SimpleSettings { reaction_s, brake_mps2, seen_brake_mps2, margin_m } = self.settings;
@@ -79,7 +79,7 @@ mod tests {
         }
     }
 
-    /// Before a standing vehicle it stops less than a step's way nearer than its margin.
+    /// Behind a standing vehicle it stops at its margin, less at most the distance of a step.
     #[test]
     fn stops_at_its_margin_before_a_vehicle_that_stands() {
         let settings = R157SimpleSettings::default();

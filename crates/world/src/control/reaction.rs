@@ -1,11 +1,11 @@
-//! How long ago something was first noticed: drivers react late.
+//! Reaction times of drivers, and braking with limited jerk.
 
-/// Whole steps since something was first noticed.
+/// Number of whole steps since an event was first noticed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct ReactionTimer(Option<u32>);
 
 impl ReactionTimer {
-    /// Counts a step, the one in which it is first noticed as 0; none before that. What was noticed once stays so.
+    /// Counts a step; 0 in the step of the event, `None` before. Once noticed, an event stays noticed.
     #[inline]
     pub(super) fn tick(&mut self, is_there: bool) -> Option<u32> {
         self.0 = match self.0 {
@@ -16,14 +16,13 @@ impl ReactionTimer {
     }
 }
 
-/// The steps that a delay takes, to the nearest whole one.
 pub(super) fn whole_steps(delay_s: f64, step_s: f64) -> u32 {
     (delay_s / step_s).round() as u32
 }
 
-/// Braking that builds up no faster than a limit of jerk, and ends at once.
+/// Braking that builds up at a limited jerk and ends at once.
 ///
-/// A command holds over a step: its mean is commanded, so that speeds at steps are those of the ramp.
+/// A command holds for a step, so the mean over the step is commanded: speeds at steps are those of the ramp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BrakeRamp {
     now_mps2: f64,
@@ -36,7 +35,7 @@ impl BrakeRamp {
         Self { now_mps2: from_mps2, jerk_mps3, step_s }
     }
 
-    /// Braking over the next step where so much is asked for, its mean, in m/s², positive.
+    /// Returns the mean braking over the next step towards the demanded one, in m/s², positive.
     #[inline]
     pub(super) fn step_towards(&mut self, asked_mps2: f64) -> f64 {
         let Self { now_mps2, jerk_mps3, step_s } = *self;

@@ -1,4 +1,4 @@
-//! Responsibility-Sensitive Safety along one lane (Shalev-Shwartz, Shammah and Shashua, *On a Formal Model of Safe and
+//! Responsibility-Sensitive Safety in one lane (Shalev-Shwartz, Shammah and Shashua, *On a Formal Model of Safe and
 //! Scalable Self-driving Cars*, arXiv:1708.06374, 2017).
 
 use super::reaction::whole_steps;
@@ -7,22 +7,22 @@ use crate::observation::Observation;
 use crate::settings::settings;
 
 settings! {
-    /// Settings of Responsibility-Sensitive Safety. The paper leaves the numbers to those who regulate: these are ours.
+    /// Settings of Responsibility-Sensitive Safety. The paper leaves the values to regulators; these are crumple's own.
     RssSettings {
-        /// Time within which it responds, ρ, in seconds.
+        /// Response time ρ, in seconds.
         response_s: 0.75, 0.0..=10.0, 0.0..=2.0;
-        /// Hardest acceleration that is reckoned with before the response, in m/s².
+        /// Maximum acceleration during the response time, in m/s².
         accel_mps2: 2.0, 0.0..=30.0, 0.0..=3.0;
-        /// Braking of the response, in m/s², positive.
+        /// Deceleration of the response, in m/s², positive.
         brake_mps2: 6.0, 0.1..=30.0, 1.0..=9.0;
-        /// Hardest braking that is reckoned with in the vehicle ahead, in m/s², positive.
+        /// Maximum deceleration that is expected of the leader, in m/s², positive.
         ahead_brake_mps2: 7.5, 0.1..=30.0, 1.0..=9.0;
     }
 }
 
 impl RssSettings {
-    /// The safe distance behind a vehicle at `ahead_mps`, in metres (the paper's definition of the safe longitudinal distance,
-    /// one direction): [v ρ + a ρ²/2 + (v + a ρ)²/(2 b) - v_f²/(2 b_f)]₊.
+    /// Returns the safe distance behind a leader at `ahead_mps`, in metres (the paper's safe longitudinal distance, one
+    /// direction): [v ρ + a ρ²/2 + (v + a ρ)²/(2 b) - v_f²/(2 b_f)]₊.
     #[must_use]
     pub(crate) fn safe_distance_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
         let Self { response_s, accel_mps2, brake_mps2, ahead_brake_mps2 } = *self;
@@ -33,12 +33,11 @@ impl RssSettings {
     }
 }
 
-/// Holds its speed while its distance is safe; from the response time after it no longer is, brakes until it is again.
+/// A driver that brakes from a response time after the distance becomes unsafe until it is safe again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rss {
     settings: RssSettings,
     response_steps: u32,
-    /// Steps for which the distance has not been safe.
     unsafe_for_steps: u32,
 }
 
@@ -87,13 +86,13 @@ mod tests {
         }
     }
 
-    /// The safe distance is what both need to stop, and none where the one ahead needs more.
+    /// The safe distance is the difference of the two stopping distances, or 0 if the leader needs more.
     #[test]
     fn the_safe_distance_is_the_difference_of_two_stopping_distances() {
         let settings = RssSettings::default();
         for (v, ahead) in [(14.0_f64, 14.0_f64), (36.1, 20.0), (5.0, 0.0), (10.0, 40.0)] {
             let fastest = v + 2.0 * 0.75;
-            // The way at a mean of both speeds, then v²/2b.
+            // Distance at the mean of both speeds, then v²/2b.
             let own_m = 0.5 * (v + fastest) * 0.75 + fastest * fastest / 12.0;
             let expected_m = (own_m - ahead * ahead / 15.0).max(0.0);
             assert!((settings.safe_distance_m(v, ahead) - expected_m).abs() < 1e-9);
@@ -101,7 +100,7 @@ mod tests {
         assert_eq!(settings.safe_distance_m(10.0, 40.0), 0.0);
     }
 
-    /// From the safe distance it touches nobody who brakes no harder than reckoned with.
+    /// From the safe distance it does not collide with a leader that brakes within the assumed limit.
     #[test]
     fn keeps_off_from_its_safe_distance() {
         let settings = RssSettings::default();

@@ -1,4 +1,4 @@
-//! Controllers from outside: what a run must know of one before it drives, and how one fails.
+//! External controllers: their properties, their batches and their failures.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use super::{Controller, Ego};
 use crate::observation::Observation;
 use crate::process::ProcessFailure;
 
-/// Why a controller gave no usable answer. The run ends there: a vehicle without a driver does not coast.
+/// Reason why a controller gave no usable answer. The run ends there: a vehicle without a controller does not coast.
 ///
 /// ```
 /// use crumple_world::control::ControllerFailure;
@@ -23,23 +23,23 @@ use crate::process::ProcessFailure;
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ControllerFailure {
-    /// The answer was not a number, or infinite.
+    /// The answer is NaN or infinite.
     #[error("it answered with a number that is not finite")]
     NotFinite,
-    /// The answer left the range that the controller itself declares.
+    /// The answer is outside the range that the controller declares.
     #[error("it answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²")]
     OutOfRange {
         /// The answer, in m/s².
         answer_mps2: f64,
-        /// The least answer declared, in m/s².
+        /// Minimum declared answer, in m/s².
         low_mps2: f64,
-        /// The largest answer declared, in m/s².
+        /// Maximum declared answer, in m/s².
         high_mps2: f64,
     },
-    /// No answer came in time.
+    /// The answer was late.
     #[error("it gave no answer within {limit_s} s")]
     Late {
-        /// The time it had, in seconds.
+        /// Time limit, in seconds.
         limit_s: f64,
     },
     /// A process failed.
@@ -48,27 +48,27 @@ pub enum ControllerFailure {
     /// The controller cannot drive, or ended.
     #[error("{message}")]
     Died {
-        /// What is known of it.
+        /// Description of the failure.
         message: String,
     },
 }
 
-/// A neighbour that a controller cannot drive without.
+/// Neighbours without which a controller cannot drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RequiredNeighbours {
-    /// The controller can drive on an empty road.
+    /// No neighbour; the controller can drive on an empty road.
     #[default]
     Nothing,
-    /// There must be a vehicle ahead.
+    /// The leader.
     Ahead,
-    /// There must be a vehicle ahead and one behind.
+    /// Leader and follower.
     AheadAndBehind,
 }
 
-/// Where controllers of one kind come from.
+/// Source of controllers of one kind.
 ///
-/// Asking for anything but [`start`](Self::start) starts nothing.
+/// Only [`start`](Self::start) starts a controller.
 ///
 /// ```
 /// use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
@@ -96,65 +96,61 @@ pub enum RequiredNeighbours {
 /// assert_eq!(Gain(1.0).interval_s(), None);
 /// ```
 pub trait ControllerSource: Send + Sync {
-    /// SHA-256, in hexadecimal, of everything that decides how its controllers drive: resuming, caching and claims go by
-    /// it. None if that cannot be known; such a controller can be simulated, but nothing of it is kept or certified.
+    /// Returns the SHA-256, in hexadecimal, of everything that determines the commands: the key of resuming, caching
+    /// and claims. `None` if it is unknown; results are then neither stored nor certified.
     fn identity(&self) -> Option<String>;
 
-    /// Time between decisions in seconds, a multiple of the scenario's step; none to decide at every step.
+    /// Returns the time between decisions in seconds, a multiple of the scenario's step; `None` for every step.
     fn interval_s(&self) -> Option<f64> {
         None
     }
 
-    /// Neighbours that its controllers cannot drive without: a run that lacks one is refused.
+    /// Returns the neighbours without which its controllers cannot drive; a run that lacks one is rejected.
     fn required_neighbours(&self) -> RequiredNeighbours {
         RequiredNeighbours::Nothing
     }
 
-    /// What answers for many vehicles by one question: runs in lockstep then ask it instead of each controller. None if each
-    /// has to be asked by itself.
+    /// Returns the batch controller for lockstep runs; `None` if each controller is queried by itself.
     fn batch_controller(&self) -> Option<&dyn BatchController> {
         None
     }
 
-    /// A controller for a vehicle, with no memory of any run before. `seed` is the scenario's.
+    /// Creates a controller for a vehicle, without memory of earlier runs. `seed` is the scenario's.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if it cannot drive: the run then ends before its first step.
+    /// [`ControllerFailure`] if it cannot drive; the run then ends before its first step.
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure>;
 }
 
-/// Controllers whose answers depend on what they see alone, so that many can be asked at once.
+/// Controllers whose answers depend only on the observation, so that many can be queried at once.
 ///
-/// It answers as the controllers of its source would, each by itself: whether runs share a question is up to the engine.
+/// Answers equal those of the source's controllers. The engine chooses which runs share a query.
 pub trait BatchController: Send + Sync {
-    /// The accelerations wanted, in m/s², one for each observation, into `answers_mps2`, which is as long.
+    /// Computes the accelerations, in m/s², one per observation, into `answers_mps2` of the same length.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if there are no answers: each controller is then asked by itself, and fails or not.
+    /// [`ControllerFailure`] if there are no answers; each controller is then queried by itself.
     fn decide_batch(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure>;
 }
 
-/// A controller from outside, held between its decisions. Answers that are no numbers are failures.
+/// Zero-order hold around an external controller; a non-finite answer is a failure.
 pub(crate) struct ZeroOrderHold {
     controller: Box<dyn Controller>,
-    /// Where it comes from, if that answers for many.
     batch_source: Option<Arc<dyn ControllerSource>>,
     decision_timer: DecisionTimer,
-    /// What it saw when a decision was due.
     observation: Option<Observation>,
     command_mps2: f64,
 }
 
 impl ZeroOrderHold {
-    /// Holds a controller that decides every `interval_s` seconds, or at every step; the first decision is due at the first
-    /// step.
+    /// Creates a hold with decisions every `interval_s` seconds from the first step on, or at every step.
     #[must_use]
     pub(crate) fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
         let interval = DecisionTimer::new(interval_s, step_s);
         Self { controller, batch_source: None, decision_timer: interval, observation: None, command_mps2: 0.0 }
     }
 
-    /// The same, asked together with others from `source` if that [answers for many](ControllerSource::batch).
+    /// Batches queries with others of `source` if it [supports batches](ControllerSource::batch_controller).
     #[must_use]
     pub(crate) fn with_batching(mut self, source: &Arc<dyn ControllerSource>) -> Self {
         self.batch_source = source.batch_controller().is_some().then(|| Arc::clone(source));
@@ -242,7 +238,6 @@ mod tests {
         assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
     }
 
-    /// Brakes in proportion to the closing speed, and does not answer where it is closer than `least_gap_m`.
     #[derive(Clone)]
     struct MinGapController {
         min_gap_m: f64,

@@ -1,15 +1,14 @@
-//! Whether what a controller file says fits the spaces in which a model was trained.
+//! Consistency of a controller file with the spaces in which a model was trained.
 
 use super::{InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 use crate::network::SavedModel;
 
-/// What is that close to a bound has reached it: bounds are of single precision.
+/// Tolerance of comparisons with bounds, which are in single precision.
 const BOUND_TOLERANCE: f64 = 1e-3;
 
-/// Most inputs that one doubt names.
 const MAX_NAMED_INPUTS: usize = 3;
 
-/// The model's actions, and what they mean in m/s²; none for actions without bounds.
+/// Returns the range of the model's actions and the corresponding accelerations in m/s²; `None` for unbounded actions.
 fn action_range_mps2(output: &OutputMapping, saved: &SavedModel) -> Option<((f64, f64), [f64; 2])> {
     let actions = saved.action_space.bounds(output.answer.unwrap_or_default())?;
     if !(actions.0.is_finite() && actions.1.is_finite()) {
@@ -22,7 +21,7 @@ fn action_range_mps2(output: &OutputMapping, saved: &SavedModel) -> Option<((f64
     Some((actions, [meant_mps2[0].min(meant_mps2[1]), meant_mps2[0].max(meant_mps2[1])]))
 }
 
-/// Refuses what cannot be right: a model of which every action means the same.
+/// Rejects a mapping in which every action of the model gives the same command.
 pub(super) fn check(mapping: &Mapping, saved: &SavedModel) -> Result<(), InvalidMapping> {
     let OutputMapping { low_mps2, high_mps2, .. } = mapping.output;
     match action_range_mps2(&mapping.output, saved) {
@@ -39,13 +38,12 @@ pub(super) fn check(mapping: &Mapping, saved: &SavedModel) -> Result<(), Invalid
     }
 }
 
-/// What may be wrong, a line each. What was seen behind `VecNormalize` is not what the space of observations bounds.
+/// Returns warnings, one line each. The observation space does not bound inputs behind `VecNormalize`.
 pub(super) fn warnings(mapping: &Mapping, saved: &SavedModel, is_normalised: bool) -> Vec<String> {
     let seen = if is_normalised { None } else { input_warning(mapping, saved) };
     seen.into_iter().chain(output_warning(&mapping.output, saved)).collect()
 }
 
-/// Inputs that leave what the model was trained to see.
 fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
     let outside = |(index, input): (usize, &InputMapping)| {
         let ends = match (input.constant, input.quantity) {
@@ -74,7 +72,6 @@ fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
     })
 }
 
-/// Actions that reach less or more than the answer may be.
 fn output_warning(output: &OutputMapping, saved: &SavedModel) -> Option<String> {
     let ((low, high), [least_mps2, most_mps2]) = action_range_mps2(output, saved)?;
     let OutputMapping { low_mps2, high_mps2, .. } = *output;
@@ -90,6 +87,6 @@ fn output_warning(output: &OutputMapping, saved: &SavedModel) -> Option<String> 
 }
 
 fn format_rounded(value: f64) -> String {
-    // Without the sign of minus zero.
+    // Adding 0 removes the sign of -0.
     ((value * 1e3).round() / 1e3 + 0.0).to_string()
 }

@@ -1,4 +1,4 @@
-//! Controllers nobody would drive with: they show what a shield is worth.
+//! Controllers that drive badly on purpose; they show the effect of a shield.
 
 use rand::RngExt;
 
@@ -6,7 +6,7 @@ use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
 use crate::random::{self, Purpose, Stream};
 
-/// Accelerates as hard as it can, whatever it sees.
+/// A controller that always accelerates at its maximum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FullThrottle {
     accel_mps2: f64,
@@ -30,7 +30,7 @@ impl Controller for FullThrottle {
     }
 }
 
-/// A new action each step, uniform between full braking and full acceleration.
+/// A controller with a random command at each step, uniform between full braking and full acceleration.
 #[derive(Debug, Clone)]
 pub struct RandomActions {
     ego: Ego,

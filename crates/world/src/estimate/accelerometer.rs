@@ -1,11 +1,10 @@
-//! What a vehicle feels of its own motion.
+//! An ideal accelerometer.
 
 use super::KnownChange;
 
-/// An ideal accelerometer: it tells changes of the own motion, and neither speed nor position.
+/// An ideal accelerometer. It measures changes of the vehicle's own motion, but neither speed nor position.
 ///
-/// A vehicle that comes to rest inside a step, or is hit, changes its speed by another amount than the acceleration it began
-/// the step with would have; that is felt too.
+/// A vehicle that stops within a step or is hit does not keep its acceleration over the step; the sensor measures that.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accelerometer {
     speed_mps: f64,
@@ -13,15 +12,16 @@ pub struct Accelerometer {
 }
 
 impl Accelerometer {
-    /// Of a vehicle that has held this speed so far.
+    /// Creates the accelerometer of a vehicle that has moved at constant speed so far.
     #[must_use]
     pub fn new(speed_mps: f64) -> Self {
         Self { speed_mps, acceleration_mps2: 0.0 }
     }
 
-    /// What was felt since the last call, one step ago: against going on with the acceleration of the step before that.
+    /// Returns the deviation over the last step from a motion that kept the acceleration of the step before.
     ///
-    /// `acceleration_mps2` is the one held over the step that ends now, as in [`Observation`](crate::observation::Observation).
+    /// `acceleration_mps2` was held over the step that ends now, as in
+    /// [`Observation`](crate::observation::Observation).
     #[inline]
     pub fn measure_change(&mut self, step_s: f64, speed_mps: f64, acceleration_mps2: f64) -> KnownChange {
         let change = KnownChange {

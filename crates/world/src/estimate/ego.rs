@@ -1,4 +1,4 @@
-//! The ego's three filters and the observation they make up.
+//! The three filters of the ego vehicle and the observation that they yield.
 
 use std::sync::Arc;
 
@@ -11,12 +11,13 @@ use crate::scenario::Sensors;
 
 /// Bandwidth of all three filters, in rad/s.
 ///
-/// At the default noise this gives closing speeds to 0.06 m/s and a neighbour's speed and acceleration to 0.07 m/s and
-/// 0.29 m/s² (one sigma), and follows the onset of braking within about 0.3 s. Half of it would miss the start of an emergency brake; twice would be too noisy for a
-/// controller that looks at accelerations.
+/// At the default noise, the standard deviations are 0.06 m/s for closing speeds, and 0.07 m/s and 0.29 m/s² for the
+/// speed and acceleration of a neighbour; the filters follow the onset of braking within about 0.3 s. Half the
+/// bandwidth would miss the start of an emergency brake; twice would be too noisy for controllers that read
+/// accelerations.
 pub const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
-/// Filter constants of an ego: one set for its own position, one for both gaps.
+/// Filter constants of an ego vehicle: one set for its position, one for both gaps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EgoTuning {
     position: Tuning,
@@ -24,7 +25,7 @@ pub struct EgoTuning {
 }
 
 impl EgoTuning {
-    /// The tuning for a step and sensor noise.
+    /// Computes the tuning for a step and sensor noise.
     #[must_use]
     pub fn new(step_s: f64, sensors: &Sensors) -> Self {
         Self {
@@ -33,12 +34,12 @@ impl EgoTuning {
         }
     }
 
-    /// Bounds of the errors of gap ahead (m), own speed and speed ahead (m/s), when no measurement is lost.
+    /// Returns error bounds of gap ahead (m), own speed and leader speed (m/s) if no measurement is lost.
     ///
-    /// `spans_mps2` are the widths of the ranges in which the own acceleration and the one ahead may change as they please;
-    /// noise counts up to `deviations` standard deviations, each in steady state. The own acceleration is felt and fed
-    /// forward, so only the one ahead can mislead a filter. A vehicle that stops inside a step counts with its mean
-    /// acceleration over the step; what that leaves out in position is less than a h²/8.
+    /// `spans_mps2` are the widths of the ranges in which the own and the leader's acceleration vary. Noise is bounded
+    /// by `deviations` steady-state standard deviations. Only the leader misleads a filter: the own acceleration is fed
+    /// forward. A vehicle that stops within a step counts with its mean acceleration; the omitted position error is
+    /// below a h²/8.
     #[must_use]
     pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
@@ -53,40 +54,40 @@ impl EgoTuning {
         [gap_m + stop_mps * self.gap.step_s(), speed_mps + stop_mps, speed_mps + rate_mps + 2.0 * stop_mps]
     }
 
-    /// The constants of the filter of the own position.
+    /// Returns the constants of the filter of the own position.
     #[must_use]
     pub fn position(&self) -> &Tuning {
         &self.position
     }
 
-    /// The constants of the filters of both gaps.
+    /// Returns the constants of the filters of both gaps.
     #[must_use]
     pub fn gap(&self) -> &Tuning {
         &self.gap
     }
 }
 
-/// What is true of a vehicle and its neighbours at one instant.
+/// True state of a vehicle and its neighbours at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrueState {
-    /// Front bumper, in metres.
+    /// Position of the front bumper, in metres.
     pub position_m: f64,
-    /// The eight numbers, true.
+    /// True values of the eight quantities of an observation.
     pub observation: Observation,
 }
 
-/// One vehicle's sensors and filters.
+/// Sensors and filters of one vehicle.
 ///
-/// Three independent filters: own position, gap ahead, gap behind. With g the gap, its rate is the difference of two
-/// speeds, so a neighbour's speed is the own estimated speed plus (ahead) or minus (behind) the estimated rate of its gap;
-/// accelerations likewise. What TTC needs, gap and closing speed, thus comes from one filter and does not carry the
-/// error of the own speed, as long as neither estimated speed is cut off at standstill.
+/// Three independent filters estimate own position, gap ahead and gap behind. The rate of a gap is a difference of two
+/// speeds. A neighbour's speed is therefore the own speed plus (ahead) or minus (behind) the rate of its gap;
+/// accelerations likewise. TTC needs only gap and closing speed, which come from one filter without the error of the
+/// own speed, unless an estimated speed is clipped at 0.
 ///
-/// What the ego feels of its own motion is fed forward into all three, so that only the neighbours can surprise them.
+/// Measured changes of the own motion are fed forward into all three filters.
 #[derive(Debug, Clone)]
 pub struct EgoEstimator {
     tuning: Arc<EgoTuning>,
-    /// First errors of filters.
+    /// Random numbers of initial filter errors.
     initial_error_stream: Stream,
     accelerometer: Accelerometer,
     position: (Sensor, Filter),
@@ -95,8 +96,8 @@ pub struct EgoEstimator {
 }
 
 impl EgoEstimator {
-    /// Sensors and filters of vehicle `vehicle` that have been running before the scenario starts in state `truth`, at constant
-    /// speed until then.
+    /// Creates the sensors and filters of vehicle `vehicle`, in steady state at constant speed when the scenario starts
+    /// in `truth`.
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
         let own = &truth.observation;
@@ -115,8 +116,8 @@ impl EgoEstimator {
         estimator
     }
 
-    /// Follows other vehicles from here on, ahead and behind where they have `changed`: as if those had been followed before, as
-    /// sensors follow vehicles beside the lane too.
+    /// Restarts the filters of the neighbours that `changed` ([ahead, behind]) in steady state: sensors also follow
+    /// vehicles beside the lane.
     pub(crate) fn switch_neighbours(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
@@ -132,7 +133,7 @@ impl EgoEstimator {
         }
     }
 
-    /// Measures the true state of this step and returns what the ego makes of it.
+    /// Measures the true state of this step and returns the estimated observation.
     #[inline]
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
         let tuning = &*self.tuning;
@@ -159,7 +160,7 @@ impl EgoEstimator {
     }
 }
 
-/// A filter that has been running: its error is the next draw.
+/// Creates a filter in steady state with a random initial error.
 fn steady_filter(first: &mut Stream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
     let normals = [0; 3].map(|_| StandardNormal.sample(first));
     Filter::new_steady(tuning, distance_m, rate_mps, normals)

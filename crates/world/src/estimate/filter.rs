@@ -8,34 +8,35 @@
 //! ω = (q / (σ² h))^(1/6), and the standard deviations are sqrt(3 ω³ σ² h) for the rate and sqrt(2 ω⁵ σ² h) for the
 //! acceleration. A larger ω follows a braking vehicle sooner and is noisier.
 //!
-//! Jumps of the acceleration are not white jerk. Where one is known, as a vehicle knows of its own, it is fed
-//! forward ([`Filter::feed_forward`]) and leaves the covariance as it is: a known input adds no uncertainty.
+//! Jumps of the acceleration are not white jerk. A known jump, such as one of the own motion, is fed forward
+//! ([`Filter::feed_forward`]) without a change of the covariance: a known input adds no uncertainty.
 
 use nalgebra::{Matrix3, Vector3};
 
 /// Doublings of the horizon after which the covariance is steady: 2²⁴ steps.
 const DOUBLINGS: usize = 24;
 
-/// Steps after which the response to a manoeuvre has faded, whatever the tuning: a hundred thousand.
+/// Number of steps after which the response to a manoeuvre has faded for any tuning.
 const MAX_STEPS_TO_FADE: f64 = 1e5;
 
-/// A filter's constants: computed once, shared by all filters of one kind.
+/// Constants of a filter, computed once and shared by all filters of one kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuning {
     step_s: f64,
     transition: Matrix3<f64>,
     process_noise: Matrix3<f64>,
     measurement_variance: f64,
-    /// Covariance before a measurement, when none is ever lost and the filter has run for long.
+    /// Covariance before a measurement in steady state, with no measurement lost.
     steady_covariance: Matrix3<f64>,
     steady_gain: Vector3<f64>,
     steady_cholesky: Matrix3<f64>,
 }
 
 impl Tuning {
-    /// The filter for measurements every `step_s` seconds with standard deviation `noise_m`, at a bandwidth in rad/s.
+    /// Computes the filter for measurements every `step_s` seconds with standard deviation `noise_m`, at a bandwidth in
+    /// rad/s.
     ///
-    /// A noise-free sensor is treated as one with 0.1 mm of noise, which keeps the covariance positive definite.
+    /// Noise is at least 0.1 mm, which keeps the covariance positive definite.
     #[must_use]
     pub fn new(step_s: f64, noise_m: f64, bandwidth_rad_per_s: f64) -> Self {
         let h = step_s;
@@ -65,24 +66,23 @@ impl Tuning {
         }
     }
 
-    /// Time between measurements, in seconds.
+    /// Returns the time between measurements, in seconds.
     #[must_use]
     pub fn step_s(&self) -> f64 {
         self.step_s
     }
 
-    /// Standard deviations in steady state before a measurement: distance (m), rate (m/s), acceleration (m/s²).
+    /// Returns steady-state standard deviations before a measurement: distance (m), rate (m/s), acceleration (m/s²).
     #[must_use]
     pub fn steady_deviations(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.steady_covariance[(i, i)].sqrt())
     }
 
-    /// Largest errors of distance and rate that an acceleration between -1 and 1 m/s² can cause, changing as it pleases from
-    /// step to step: in s² and s.
+    /// Returns the largest errors of distance (s²) and rate (s) for an acceleration in [-1, 1] m/s² that varies from
+    /// step to step.
     ///
-    /// The error is linear in the acceleration, and what it keeps of one step's is the response to a single step of unit
-    /// acceleration; the largest error is the sum of its absolute values. A constant acceleration leaves no error, so only
-    /// half the width of a range of accelerations counts, not where it lies.
+    /// The error is linear in the acceleration, so its maximum is the sum of the absolute responses to a unit step. A
+    /// constant acceleration leaves no error: only half the width of a range of accelerations counts, not its position.
     #[must_use]
     pub(crate) fn manoeuvre_errors(&self) -> [f64; 2] {
         let h = self.step_s;
@@ -105,7 +105,7 @@ impl Tuning {
         covariance.column(0) / (covariance[(0, 0)] + self.measurement_variance)
     }
 
-    /// Covariance after a measurement, in Joseph's form, which stays symmetric and positive.
+    /// Returns the covariance after a measurement, in Joseph's form, which stays symmetric and positive.
     fn correct_covariance(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
         let gain = self.gain(covariance);
         let mut rest = Matrix3::identity();
@@ -119,9 +119,8 @@ impl Tuning {
     }
 }
 
-/// Covariance before a measurement after infinitely many steps: the solution of the discrete Riccati equation by the
-/// structure-preserving doubling algorithm (Chu, Fan, Lin and Wang, Int. J. Control 77(8), 2004), each of whose
-/// iterations doubles the horizon.
+/// Solves the discrete Riccati equation for the steady covariance before a measurement. Each iteration of the
+/// structure-preserving doubling algorithm (Chu, Fan, Lin and Wang, Int. J. Control 77(8), 2004) doubles the horizon.
 fn steady_covariance(transition: &Matrix3<f64>, process: &Matrix3<f64>, measurement_variance: f64) -> Matrix3<f64> {
     let mut a = transition.transpose();
     let mut g = Matrix3::zeros();
@@ -140,27 +139,27 @@ fn steady_covariance(transition: &Matrix3<f64>, process: &Matrix3<f64>, measurem
     h
 }
 
-/// A measurement against its prediction.
+/// Difference between a measurement and its prediction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
     /// Measured minus predicted distance, in metres.
     pub residual_m: f64,
-    /// Variance the filter expects of it, in m².
+    /// Expected variance, in m².
     pub variance_m2: f64,
 }
 
-/// An estimate of one distance and how it changes.
+/// Estimate of a distance and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DistanceEstimate {
     /// Distance in metres.
     pub distance_m: f64,
-    /// Its rate in m/s.
+    /// Rate of the distance, in m/s.
     pub rate_mps: f64,
-    /// Its second derivative in m/s².
+    /// Second derivative, in m/s².
     pub acceleration_mps2: f64,
 }
 
-/// What is known to have changed the motion over the step that ends now, beyond the acceleration that the step began with.
+/// Known change of the motion over the step that ends now, relative to constant acceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownChange {
     /// Change of the rate, in m/s.
@@ -169,16 +168,16 @@ pub struct KnownChange {
     pub acceleration_mps2: f64,
 }
 
-/// The running filter of one distance.
+/// Kalman filter of one distance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter {
     prediction: DistanceEstimate,
-    /// Covariance of the prediction once a measurement was lost; none while it is the steady one.
+    /// Covariance of the prediction after a lost measurement; `None` in steady state.
     covariance: Option<Matrix3<f64>>,
 }
 
 impl Filter {
-    /// A filter that has been running before the scenario starts: its error is one draw from the steady covariance.
+    /// Creates a filter in steady state, with an error drawn from the steady covariance.
     ///
     /// `normals` are three independent standard normal numbers.
     #[must_use]
@@ -192,7 +191,7 @@ impl Filter {
         Self { prediction: predicted, covariance: None }
     }
 
-    /// How a measurement compares with what the filter expects.
+    /// Compares a measurement with its prediction.
     #[must_use]
     pub fn innovation(&self, tuning: &Tuning, measured_m: f64) -> Innovation {
         let covariance = self.covariance.as_ref().unwrap_or(&tuning.steady_covariance);
@@ -202,7 +201,7 @@ impl Filter {
         }
     }
 
-    /// Takes a known change of motion into the prediction of this instant, `sign` times: the filter's control input.
+    /// Adds a known change of motion, times `sign`, to the prediction: the control input of the filter.
     ///
     /// The change is spread evenly over the step, so half of its rate counts for the distance.
     #[inline]
@@ -212,7 +211,7 @@ impl Filter {
         self.prediction.acceleration_mps2 += sign * change.acceleration_mps2;
     }
 
-    /// Takes in this step's measurement, or goes without if it was lost, and moves on to the next step.
+    /// Applies this step's measurement, unless it was lost, and predicts the next step.
     ///
     /// Returns the estimate at the instant of the measurement.
     #[inline]
@@ -259,7 +258,7 @@ mod tests {
         let density = noise * noise * h;
         let expected_rate = (3.0 * bandwidth.powi(3) * density).sqrt();
         let expected_acceleration = (2.0 * bandwidth.powi(5) * density).sqrt();
-        // The discrete filter is a little worse: it measures every step, not all the time.
+        // The discrete filter is slightly worse, because it does not measure continuously.
         assert!((rate / expected_rate - 1.0).abs() < 0.06, "{rate} {expected_rate}");
         assert!((acceleration / expected_acceleration - 1.0).abs() < 0.06, "{acceleration} {expected_acceleration}");
     }

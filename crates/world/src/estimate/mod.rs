@@ -1,8 +1,9 @@
-//! What the ego knows: noisy sensors and the Kalman filter behind the eight numbers a controller may see.
+//! Observations from noisy sensors and Kalman filters.
 //!
-//! The ego measures its own position and the bumper gaps ahead and behind, once a step, and knows what its own brakes and
-//! engine do to it. Speeds and accelerations are estimated (paper, section "Markov decision process", paragraph S). The alternative, [`EstimatorKind::Truth`](crate::observation::EstimatorKind::Truth), hands the true
-//! numbers over; every result says which of the two it used.
+//! The ego vehicle measures its position and the bumper gaps ahead and behind once a step, and knows its own
+//! acceleration. Speeds and accelerations are estimated (paper, section "Markov decision process", paragraph S). The
+//! alternative, [`EstimatorKind::Truth`](crate::observation::EstimatorKind::Truth), returns the true state. Every
+//! result names its estimator.
 
 mod accelerometer;
 mod ego;

@@ -6,7 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::random::{self, Purpose, Stream};
 use crate::scenario::Sensors;
 
-/// A sensor that measures a distance with normal noise and now and then loses a measurement.
+/// A distance sensor with normal noise and random dropouts.
 #[derive(Debug, Clone)]
 pub struct Sensor {
     stream: Stream,
@@ -15,16 +15,16 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// The sensor of vehicle `vehicle` for `purpose`, with noise of standard deviation `noise_m`.
+    /// Creates the sensor of vehicle `vehicle` for `purpose`, with noise of standard deviation `noise_m`.
     #[must_use]
     pub fn new(seed: u64, purpose: Purpose, vehicle: usize, noise_m: f64, sensors: &Sensors) -> Self {
         Self { stream: random::stream(seed, purpose, vehicle as u64), noise_m, dropout: sensors.dropout }
     }
 
-    /// Measures a distance; none if the measurement was lost.
+    /// Measures a distance; `None` if the measurement was lost.
     #[inline]
     pub fn measure(&mut self, distance_m: f64) -> Option<f64> {
-        // The noise is drawn even when the measurement is lost, so that a dropout does not shift all later noise.
+        // Lost measurements draw noise too, so that a dropout does not shift all later noise.
         let normal: f64 = StandardNormal.sample(&mut self.stream);
         let lost = self.dropout > 0.0 && self.stream.random::<f64>() < self.dropout;
         if lost { None } else { Some(distance_m + self.noise_m * normal) }

@@ -1,26 +1,26 @@
-//! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
+//! The approach of a vehicle to its leader, from which measures of a pair are computed.
 
 use crate::sim::{Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m};
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PairState {
-    /// When, in seconds.
+    /// Time, in seconds.
     pub time_s: f64,
     /// Bumper gap in metres, never negative.
     pub gap_m: f64,
-    /// Speed of the vehicle ahead, in m/s.
+    /// Speed of the leader, in m/s.
     pub front_speed_mps: f64,
-    /// Speed of the vehicle behind, in m/s.
+    /// Speed of the follower, in m/s.
     pub rear_speed_mps: f64,
-    /// Acceleration of the vehicle ahead from here to the next state, in m/s².
+    /// Acceleration of the leader until the next state, in m/s².
     pub front_acceleration_mps2: f64,
-    /// Acceleration of the vehicle behind from here to the next state, in m/s².
+    /// Acceleration of the follower until the next state, in m/s².
     pub rear_acceleration_mps2: f64,
 }
 
 impl PairState {
-    /// Speed at which the gap closes, in m/s: positive when closing.
+    /// Returns the closing speed, in m/s: positive when the gap closes.
     #[must_use]
     pub fn closing_mps(&self) -> f64 {
         self.rear_speed_mps - self.front_speed_mps
@@ -37,15 +37,15 @@ impl PairState {
         }
     }
 
-    /// Front and rear at a sample of a trace.
+    /// Creates the state of a leader and its follower at a sample of a trace.
     pub(super) fn from_sample(times_s: &[f64], [front, rear]: [&Track; 2], sample: usize) -> Option<Self> {
         let motion = [front.motion(sample)?, rear.motion(sample)?];
         Some(Self::from_motions(*times_s.get(sample)?, motion, front.length_m))
     }
 
-    /// Smallest gap at any instant of the next `step_s` seconds, in metres, both accelerations held.
+    /// Returns the smallest gap within the next `step_s` seconds, in metres, at constant accelerations.
     fn min_gap_within_m(&self, step_s: f64) -> f64 {
-        // Where on the road they are does not matter: seen from the rear vehicle, the one ahead ends at the gap.
+        // Positions relative to the follower.
         let motion = |position_m, speed_mps, acceleration_mps2| Motion { position_m, speed_mps, acceleration_mps2 };
         let front = motion(self.gap_m, self.front_speed_mps, self.front_acceleration_mps2);
         let rear = motion(0.0, self.rear_speed_mps, self.rear_acceleration_mps2);
@@ -53,39 +53,38 @@ impl PairState {
     }
 }
 
-/// A vehicle's approach to the one ahead, from the start of a trace until the two touch or the trace ends. Where vehicles enter
-/// or leave the lane, it is to whoever is ahead.
+/// The approach of a vehicle to its leader, from the start of a trace to their collision or to the end of the trace.
+/// After lane changes the leader may be another vehicle.
 ///
-/// It ends at the first contact because afterwards there is nothing left to avoid: the gap stays zero and time to
-/// collision would be a quotient of rounding errors. The instant of contact is its last state, whether or not the run
-/// went on and whether or not the trace has a sample there, so that all measures agree between the two.
+/// The approach ends at the first contact: afterwards the gap is zero, and time to collision would be a quotient of
+/// rounding errors. The instant of contact is the last state, independent of samples and of whether the run continues,
+/// so that all measures agree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
     segments: Vec<ApproachSegment>,
     has_contact: bool,
 }
 
-/// The approach to one vehicle ahead.
 #[derive(Debug, Clone, PartialEq)]
 struct ApproachSegment {
     front_length_m: f64,
     states: Vec<PairState>,
-    /// Whether one of the two left, or somebody entered between them.
+    /// True if a lane change ended the segment.
     interrupted: bool,
 }
 
 impl Approach {
-    /// The approach of vehicle `rear` to the one ahead; none for a vehicle that never has one ahead or does not exist.
+    /// Creates the approach of vehicle `rear` to its leader; `None` without a leader or without such a vehicle.
     ///
-    /// Contacts are taken from `impacts`; where those say nothing, from the first sample without a gap. Tracks of
-    /// unequal length count up to the shortest.
+    /// Contacts come from `impacts`, or else from the first sample without a gap. Tracks of unequal length count up to
+    /// the shortest.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
         Self::from_pairs(&trace.pairs(rear), contact)
     }
 
-    /// The approach to vehicle `front` of whoever is right behind it; none if nobody ever is.
+    /// Creates the approach of the follower of vehicle `front` to it; `None` without a follower.
     #[must_use]
     pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
@@ -125,28 +124,28 @@ impl Approach {
         (!legs.is_empty()).then_some(Self { segments: legs, has_contact: touched })
     }
 
-    /// The states in order of time; none if the trace is empty.
+    /// Returns the states in order of time; none for an empty trace.
     pub fn states(&self) -> impl Iterator<Item = &PairState> {
         self.segments.iter().flat_map(|leg| &leg.states)
     }
 
-    /// The states, each with the bumper to bumper length of the vehicle ahead in metres.
+    /// Returns the states, each with the length of the leader in metres.
     pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&PairState, f64)> {
         self.segments.iter().flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
     }
 
-    /// Each state with the next one that is of the same two vehicles.
+    /// Returns each state with the next one of the same two vehicles.
     pub(super) fn steps(&self) -> impl Iterator<Item = (&PairState, &PairState)> {
         self.segments.iter().flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
     }
 
-    /// Whether the approach ends in a contact.
+    /// Returns true if the approach ends in a contact.
     #[must_use]
     pub fn has_contact(&self) -> bool {
         self.has_contact
     }
 
-    /// Smallest bumper gap at any instant, in metres, between samples too; 0 at contact, none for an empty trace.
+    /// Returns the smallest bumper gap, between samples too, in metres; 0 at contact, `None` for an empty trace.
     #[must_use]
     pub fn min_gap_m(&self) -> Option<f64> {
         let at_samples = self.states().map(|state| state.gap_m);
@@ -154,7 +153,8 @@ impl Approach {
         at_samples.chain(between).reduce(f64::min)
     }
 
-    /// Bumper gap at which the two came to stand, in metres; none if they touched, parted, or one of them still moves.
+    /// Returns the bumper gap at standstill, in metres; `None` after a contact or lane change, or if a vehicle still
+    /// moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
         let leg = self.segments.last().filter(|leg| !leg.interrupted && !self.has_contact)?;
@@ -163,7 +163,7 @@ impl Approach {
     }
 }
 
-/// Both at the start of their time together, at every sample, and at its end: gaps may be negative.
+/// Returns the states of a pair at its start, every sample and its end; gaps may be negative.
 fn pair_states<'a>(pair: &VehiclePair<'a>) -> impl Iterator<Item = PairState> + use<'a> {
     let VehiclePair { time_s, front, rear, span_s, .. } = *pair;
     let is_sampled = |at_s: f64| time_s.iter().any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the two do, and wherever in a step they stop, a hundred times finer sampling finds the same gap.
+        /// For any motion and any stop within a step, a hundred times finer sampling finds the same gap.
         #[test]
         fn the_smallest_gap_does_not_depend_on_the_sampling(
             gap_m in 30.0..60.0f64,

@@ -1,36 +1,35 @@
-//! How rough: peak braking and jerk.
+//! Comfort: peak braking and jerk.
 
 use std::collections::VecDeque;
 
 use crate::sim::Track;
 
-/// The window in which [`peak_jerk_mps3`] looks for changes of acceleration, in seconds: 0.1.
+/// Time window of [`peak_jerk_mps3`], in seconds.
 ///
-/// Ours: longer than the steps of a simulation, so that noise of one step does not count in full, and shorter than the
-/// few tenths of a second in which brakes build up, so that a gradual build-up tells from an abrupt one.
+/// Project-specific: longer than the steps of a simulation, so that noise of one step does not count in full, and
+/// shorter than the few tenths of a second of a gradual brake build-up.
 pub const JERK_WINDOW_S: f64 = 0.1;
 
-/// Hardest deceleration in m/s², positive; 0 if the vehicle never braked, none without any acceleration held.
+/// Returns the hardest deceleration in m/s², positive; 0 without braking, `None` for less than two samples.
 ///
-/// Expects one acceleration a sample, of which the last is held for no time and does not count.
+/// Expects one acceleration for each sample; the last is held for no time and does not count.
 #[must_use]
 pub fn peak_brake_mps2(acceleration_mps2: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let held = acceleration_mps2.len().checked_sub(1)?;
     acceleration_mps2.take(held).map(|a| -a).reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0))
 }
 
-/// Peak jerk in m/s³: the largest change of acceleration within any `window_s` seconds, divided by `window_s`; 0 for
-/// constant acceleration. None without any acceleration held, or if the window is not positive.
+/// Returns the peak jerk in m/s³: the largest change of acceleration within `window_s` seconds, divided by `window_s`.
+/// `None` for less than two samples, or if the window is not positive.
 ///
-/// Jerk is the rate of change of acceleration, here of one that is held over each step and then jumps: its derivative
-/// does not exist, and the jump divided by the step grows as the step shrinks. The change within a fixed window does
-/// not: it depends on the motion alone, however finely it is sampled. A jump of `Δa` reads as `Δa / window_s`, a ramp
-/// longer than the window as its slope. Coming to rest counts, as passengers can tell; impacts do not.
+/// Accelerations are constant over steps, so their derivative does not exist, and the jump divided by the step grows as
+/// the step shrinks. The change within a fixed window depends on the motion alone. A jump of `Δa` yields `Δa /
+/// window_s`, a ramp longer than the window its slope. Stops count, since passengers feel them; impacts do not.
 ///
-/// `time_s` has one entry a sample, as has `track.acceleration_mps2`, of which the last is held for no time.
+/// `time_s` and `track.acceleration_mps2` have one entry for each sample; the last acceleration is held for no time.
 #[must_use]
 pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f64> {
-    // Times are sums of steps: a jump exactly one window after another must not count or not by their rounding.
+    // Times are sums of steps: jumps exactly one window apart must not depend on rounding.
     let within_s = window_s * (1.0 - 1e-6);
     let mut lowest = SlidingExtreme::new(|new, old| new <= old);
     let mut highest = SlidingExtreme::new(|new, old| new >= old);
@@ -44,12 +43,12 @@ pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f6
     (window_s > 0.0).then(|| peak_mps2 / window_s)
 }
 
-/// The smallest or largest of the values held within a window that slides forward, in constant time a step.
+/// The minimum or maximum of a sliding time window, in amortised constant time.
 ///
-/// Keeps only values that may still become the extreme: each new one removes those it beats.
+/// Keeps only values that may still become the extremum.
 pub(super) struct SlidingExtreme {
     beats: fn(f64, f64) -> bool,
-    /// Values and until when each was held.
+    /// Values, and the time until which each was held.
     candidates: VecDeque<(f64, f64)>,
 }
 
@@ -58,7 +57,7 @@ impl SlidingExtreme {
         Self { beats, candidates: VecDeque::new() }
     }
 
-    /// The extreme of a new value, held until `until_s`, and of those before it that were held after `since_s`.
+    /// Adds a value that is held until `until_s`. Returns the extremum of the values held after `since_s`.
     pub(super) fn push(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
         while self.candidates.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
             self.candidates.pop_front();
@@ -95,7 +94,7 @@ mod tests {
     fn jerk_by_hand() {
         // A jump from 0 to -6 m/s² in a window of 0.1 s: 60 m/s³.
         assert!((jerk_of(&[(1.0, 0.0), (1.0, -6.0)], 0.01, 0.1) - 60.0).abs() < 1e-9);
-        // Two jumps of 2 m/s², 0.05 s apart, share a window: 4 / 0.1. A whole window apart they do not: 2 / 0.1.
+        // Two jumps of 2 m/s², 0.05 s apart, share a window: 4 / 0.1; a window apart they do not: 2 / 0.1.
         let two_jumps = |apart_s| [(1.0, 0.0), (apart_s, -2.0), (1.0, -4.0)];
         assert!((jerk_of(&two_jumps(0.05), 0.01, 0.1) - 40.0).abs() < 1e-9);
         assert!((jerk_of(&two_jumps(0.1), 0.01, 0.1) - 20.0).abs() < 1e-9);
@@ -115,7 +114,7 @@ mod tests {
     }
 
     proptest! {
-        /// Ten times finer sampling of the same motion shows the same jerk, and a search of all pairs finds it too.
+        /// Ten times finer sampling of a motion yields equal jerk, as does a search of all pairs.
         #[test]
         fn jerk_does_not_depend_on_the_sampling(accelerations in prop::collection::vec(-8.0..3.0f64, 2..30)) {
             let pieces: Vec<_> = accelerations.iter().map(|&a| (0.02, a)).collect();

@@ -1,21 +1,21 @@
-//! Whose contact it is: the one decision of what a contact says of the controller under test.
+//! Roles of the vehicles under test in a contact.
 
 use crate::scenario::Scenario;
 use crate::sim::Contact;
 
-/// The part that the vehicles under test have in a contact.
+/// Role of the vehicles under test in a contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ContactRole {
-    /// A vehicle under test hits the one ahead.
+    /// A vehicle under test hits its leader.
     Hits,
-    /// A vehicle under test is hit from behind, by a vehicle that is not under test.
+    /// A vehicle under test is hit from behind by a vehicle that is not under test.
     IsHit,
-    /// Neither of the two is under test: the contact says nothing of the controller.
+    /// Neither vehicle is under test.
     Bystander,
 }
 
 impl ContactRole {
-    /// The part of the vehicles under test in a contact of a scenario.
+    /// Determines the role of the vehicles under test in a contact of a scenario.
     #[must_use]
     pub fn new(contact: &Contact, scenario: &Scenario) -> Self {
         let under_test = |index| scenario.is_under_test(index);

@@ -1,14 +1,14 @@
-//! How hard one has to brake: the deceleration a situation demands of the vehicle behind.
+//! Braking demand: the deceleration that a situation requires of the follower.
 
 use serde::{Deserialize, Serialize};
 
 use super::approach::Approach;
 use crate::sim::{Impact, Trace};
 
-/// Deceleration rate to avoid a crash in m/s²: the constant deceleration of the vehicle behind that just avoids contact
-/// with one ahead that keeps its speed, `DRAC = (closing speed)² / (2 gap)`.
+/// Returns the deceleration rate to avoid a crash in m/s²: the constant deceleration of the follower that just avoids
+/// contact with a leader of constant speed, `DRAC = (closing speed)² / (2 gap)`.
 ///
-/// None when the gap does not close, and when there is no gap: then no deceleration helps.
+/// `None` if the gap does not close or there is no gap.
 ///
 /// Source: Cooper and Ferguson 1976, "Traffic studies at T-junctions: 2. A conflict simulation record", Traffic
 /// Engineering and Control 17, 306-309; Archer 2005, "Indicators for traffic safety assessment and prediction and their
@@ -19,21 +19,19 @@ pub fn drac_mps2(gap_m: f64, closing_mps: f64) -> Option<f64> {
     closes.then(|| 0.5 * closing_mps * closing_mps / gap_m).filter(|drac_mps2| drac_mps2.is_finite())
 }
 
-/// Required deceleration in m/s²: the smallest constant deceleration of the vehicle behind that avoids contact with one
-/// ahead that brakes at `front_brake_mps2` to standstill. 0 if no braking is needed; none when there is no gap.
+/// Returns the required deceleration in m/s²: the smallest constant deceleration of the follower that avoids contact
+/// with a leader that brakes at `front_brake_mps2` to standstill. 0 if no braking is needed; `None` without a gap.
 ///
-/// DRAC sees no danger behind a vehicle that has just begun to brake hard, because speeds are still equal; this does.
-/// With gap `d`, speeds `v_f` and `v_r`, and deceleration `b` of the vehicle ahead,
-/// - speeds become equal after `2 d / (v_r - v_f)` if the vehicle ahead still moves then:
-///   `b + (v_r - v_f)² / (2 d)`;
-/// - otherwise the vehicle behind must stop before the place where the one ahead comes to stand:
-///   `v_r² / (2 (d + v_f² / (2 b)))`.
+/// DRAC misses a leader that has just begun to brake hard, because speeds are still equal. With gap `d`, speeds `v_f`
+/// and `v_r`, and deceleration `b` of the leader,
+/// - speeds become equal after `2 d / (v_r - v_f)` if the leader still moves then: `b + (v_r - v_f)² / (2 d)`;
+/// - otherwise the follower must stop behind the final position of the leader: `v_r² / (2 (d + v_f² / (2 b)))`.
 ///
-/// A vehicle ahead that speeds up (`b < 0`) is taken to keep its speed, which leaves DRAC.
+/// A leader that speeds up (`b < 0`) is taken to keep its speed, which yields DRAC.
 ///
 /// Source: the first case is the required longitudinal acceleration under constant accelerations of Jansson 2005 in
 /// Westhofen et al. 2023, "Criticality metrics for automated driving", Archives of Computational Methods in Engineering
-/// 30, 1-35; it does not ask whether the vehicle ahead has stopped. The second case follows from the stopping distances.
+/// 30, 1-35, which ignores the stop of the leader. The second case follows from the stopping distances.
 #[must_use]
 pub fn required_brake_mps2(
     gap_m: f64,
@@ -56,16 +54,16 @@ pub fn required_brake_mps2(
 }
 
 impl Approach {
-    /// Largest DRAC at any sample, in m/s²; none if the gap never closed, and none if the two touched: just before
-    /// contact DRAC grows without bound, so that its largest sample would measure the step.
+    /// Returns the largest DRAC of all samples, in m/s²; `None` if the gap never closed, and after a contact: there
+    /// DRAC is unbounded, and its largest sample would measure the step.
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
         let dracs = self.states().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
         dracs.reduce(f64::max).filter(|_| !self.has_contact())
     }
 
-    /// Largest required deceleration at any sample, in m/s², if the vehicle ahead held its acceleration to standstill;
-    /// none if the two touched, for the reason given with [`Approach::max_drac_mps2`].
+    /// Returns the largest required deceleration of all samples, in m/s², if the leader held its acceleration to
+    /// standstill; `None` after a contact, as for [`Approach::max_drac_mps2`].
     #[must_use]
     pub fn max_required_brake_mps2(&self) -> Option<f64> {
         let required = self.states().filter_map(|state| {
@@ -80,25 +78,25 @@ impl Approach {
     }
 }
 
-/// Braking a vehicle imposes on the one behind it.
+/// Braking that a vehicle induces in its follower.
 ///
-/// A controller that saves itself by braking late and hard can do so at its follower's expense. What the follower did
-/// and what it would have had to do differ where it was slow or could brake no harder, so both are given.
+/// A controller that brakes late and hard may protect itself at its follower's expense. Actual and required braking of
+/// the follower differ if it was slow or could brake no harder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InducedBraking {
-    /// Hardest deceleration of the follower before the two touched, in m/s², positive; none for less than two samples.
+    /// Hardest deceleration of the follower before contact, in m/s², positive; `None` for less than two samples.
     pub peak_brake_mps2: Option<f64>,
-    /// Largest DRAC of the follower, in m/s²; none if it never closed in or the two touched.
+    /// Largest DRAC of the follower, in m/s²; `None` if the gap never closed, and after a contact.
     pub max_drac_mps2: Option<f64>,
-    /// Largest deceleration required of the follower if this vehicle held its braking to standstill, in m/s²; none if
-    /// the two touched.
+    /// Largest required deceleration of the follower if this vehicle held its braking to standstill, in m/s²; `None`
+    /// after a contact.
     pub max_required_brake_mps2: Option<f64>,
 }
 
 impl InducedBraking {
-    /// What vehicle `index` imposed on the one behind it; none for the last vehicle.
+    /// Measures the braking that vehicle `index` induces in its follower; `None` for the last vehicle.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let approach = Approach::from_trace_behind(trace, impacts, index)?;
@@ -126,10 +124,11 @@ mod tests {
 
     #[test]
     fn required_deceleration_by_hand() {
-        // Meet while moving: 20 m/s behind 15 m/s braking at 1 m/s², gap 10 m: 1 + 5² / 20; equal speeds after 4 s,
-        // when the vehicle ahead still does 11 m/s.
+        // Equal speeds while moving: 20 m/s behind 15 m/s braking at 1 m/s², gap 10 m: 1 + 5² / 20; equal speeds after
+        // 4 s, when the leader still drives 11 m/s.
         assert_eq!(required_brake_mps2(10.0, 15.0, 1.0, 20.0), Some(2.25));
-        // Meet at rest: both at 20 m/s, gap 10 m, the one ahead brakes at 5 m/s² and stops after 40 m: 20² / (2 * 50).
+        // Equal speeds at rest: both at 20 m/s, gap 10 m, the leader brakes at 5 m/s² and stops after 40 m: 20² / (2 *
+        // 50).
         assert_eq!(required_brake_mps2(10.0, 20.0, 5.0, 20.0), Some(4.0));
         assert_eq!(required_brake_mps2(10.0, 0.0, 0.0, 20.0), Some(20.0), "standing vehicle: 20² / (2 * 10)");
         assert_eq!(required_brake_mps2(10.0, 20.0, -1.0, 20.0), Some(0.0), "nobody need brake");
@@ -138,12 +137,12 @@ mod tests {
 
     #[test]
     fn the_braking_a_vehicle_imposes_by_hand() {
-        // Gap 10 m, both at 20 m/s; the one ahead brakes at 8 m/s² and stops after 25 m. The follower reacts 0.5 s late
-        // with 10 m/s²: 10 m and 20 m, so it comes to stand 5 m short.
-        // Required at t = 0: 20² / (2 * (10 + 25)) = 40 / 7. At t = 0.5: speeds 16 and 20, gap 10 - 1 = 9:
-        // 20² / (2 * (9 + 16)) = 8. DRAC then: 4² / (2 * 9) = 8 / 9.
-        // From then on the follower brakes harder than required, and required deceleration falls. DRAC: speeds
-        // 16 - 8 s and 20 - 10 s, closing 4 - 2 s, gap 9 - 4 s + s², at s = 1.5: 1² / (2 * 5.25); at s = 0 largest.
+        // Gap 10 m, both at 20 m/s; the leader brakes at 8 m/s² and stops after 25 m. The follower brakes 0.5 s later
+        // at 10 m/s²: 10 m and 20 m, so it stops 5 m short.
+        // Required at t = 0: 20² / (2 * (10 + 25)) = 40 / 7. At t = 0.5: speeds 16 and 20, gap 10 - 1 = 9: 20² / (2 *
+        // (9 + 16)) = 8. DRAC then: 4² / (2 * 9) = 8 / 9.
+        // From then on the follower brakes harder than required, and required deceleration falls. DRAC: speeds 16 - 8 s
+        // and 20 - 10 s, closing 4 - 2 s, gap 9 - 4 s + s², at s = 1.5: 1² / (2 * 5.25); at s = 0 largest.
         let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
         let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
         let mut trace = trace(vec![front, rear], 0.5);
@@ -153,7 +152,7 @@ mod tests {
         assert!((imposed.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
         assert_eq!(InducedBraking::from_trace(&trace, &[], 1), None, "nobody behind the last");
 
-        // Had they touched at 0.4 s, braking after that would not count, and no deceleration would have been enough.
+        // After a collision at 0.4 s, later braking does not count, and no deceleration would have sufficed.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
         let touched = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
         assert_eq!(
@@ -163,7 +162,6 @@ mod tests {
     }
 
     proptest! {
-        /// Braking at the required deceleration just avoids contact; a little less does not.
         #[test]
         fn the_required_deceleration_just_avoids_contact(
             gap_m in 5.0..50.0f64,
@@ -183,7 +181,6 @@ mod tests {
             prop_assert_eq!(min_gap_m(0.999 * required_mps2), 0.0, "any softer and they touch");
         }
 
-        /// Behind a vehicle that keeps its speed the required deceleration is DRAC.
         #[test]
         fn required_deceleration_extends_drac(gap_m in 0.1..99.0f64, front in 0.1..30.0f64, closing in 0.1..30.0f64) {
             let required_mps2 = required_brake_mps2(gap_m, front, 0.0, front + closing).unwrap();

@@ -1,4 +1,4 @@
-//! What a vehicle under test must not do to others and to its passengers, whether or not anybody touches.
+//! Rules of conduct of vehicles under test towards followers and passengers, independent of collisions.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,35 +8,37 @@ use super::usefulness::{SpeedAmplification, UnnecessaryBraking};
 use crate::scenario::Scenario;
 use crate::sim::SimulationResult;
 
-/// A rule that every vehicle under test has to keep until its first impact, by the measures of an assessment.
+/// A rule that every vehicle under test must obey until its first impact, based on the measures of an assessment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DrivingRule {
-    /// It does not brake without cause ([`UnnecessaryBraking`]). Robustness is how much harder it could have braked, in m/s².
+    /// No unnecessary braking ([`UnnecessaryBraking`]). Robustness is the margin of deceleration, in m/s².
     NoUnnecessaryBraking,
-    /// The vehicle behind brakes at most so hard ([`InducedBraking::peak_brake_mps2`]), in m/s², positive. Robustness is what is left.
+    /// A limit on the braking of the follower ([`InducedBraking::peak_brake_mps2`]), in m/s², positive. Robustness is
+    /// the margin to it.
     InducedBraking {
-        /// The limit, in m/s².
+        /// Limit, in m/s², positive.
         max_mps2: f64,
     },
-    /// It passes on no disturbance enlarged, where the line drives at one speed at the start ([`SpeedAmplification`]). Robustness is 1
-    /// less the ratio of the largest deviations of speed, its own to that of the vehicle ahead.
+    /// No amplification of a disturbance ([`SpeedAmplification`]), if all vehicles start at one speed. Robustness is 1
+    /// minus the ratio of the largest speed deviations of the vehicle and its leader.
     NoAmplification,
 }
 
-/// What is said where nobody is ahead, behind, or disturbed: more than any rule can leave.
+/// Robustness without a leader, a follower, or a disturbance: above that of any rule.
 const NOT_APPLICABLE: f64 = f64::INFINITY;
 
 const NO_UNNECESSARY_BRAKING: &str = "no braking without cause";
 const NO_AMPLIFICATION: &str = "no amplification";
 const INDUCED_BRAKING: &str = "imposed braking at most";
-/// The unit as it is printed, and other ways in which a user may write it.
+/// Printed unit, and its alternative spellings.
 const UNITS: [&str; 3] = ["m/s2", "m/s²", "m/s^2"];
 
 impl DrivingRule {
-    /// How all of them are written, for a reader.
+    /// Examples of all rules, for readers.
     pub const EXAMPLES: [&str; 3] = [NO_UNNECESSARY_BRAKING, "imposed braking at most 4 m/s2", NO_AMPLIFICATION];
 
-    /// How far the vehicles under test are from breaking the rule, the nearest of them; negative if one breaks it. None without a trace.
+    /// Returns the smallest robustness of the vehicles under test; negative if one violates the rule. `None` without a
+    /// trace.
     pub(super) fn robustness(&self, scenario: &Scenario, result: &SimulationResult) -> Option<f64> {
         let trace = result.trace.as_ref()?;
         let under_test = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index));
@@ -69,11 +71,11 @@ impl fmt::Display for DrivingRule {
     }
 }
 
-/// A text is no rule of conduct.
+/// An error for a text that is not a driving rule.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` is no rule of conduct: there are {}", DrivingRule::EXAMPLES.join(", "))]
 pub struct UnknownDrivingRule {
-    /// What was found.
+    /// Text of the rule.
     text: String,
 }
 
@@ -125,7 +127,7 @@ mod tests {
         }
     }
 
-    /// Behind a leader that keeps its speed whoever brakes fully brakes without cause, and a reference driver does not.
+    /// Behind a leader of constant speed, full braking is unnecessary, and a reference driver does not brake so.
     #[test]
     fn full_brakes_without_cause_are_found_and_causes_are_known() {
         let scenario = built_in_scenario("paper-1").unwrap();
@@ -141,7 +143,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(crumple_cases::with_cases(40))]
-        /// The sign is that of the measures which assessments count.
+        /// The sign agrees with the measures of an assessment.
         #[test]
         fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();

@@ -1,14 +1,14 @@
-//! How long and how deep below a threshold: time exposed and time integrated time to collision.
+//! Duration and depth below a threshold: time exposed and time integrated time to collision.
 
 use serde::{Deserialize, Serialize};
 
 use super::approach::{Approach, PairState};
 
-/// Time to collision below which a situation counts as critical, in seconds: 3.
+/// Critical time to collision, in seconds.
 ///
-/// The middle of the 2 to 4 s in use with these indicators. Minderhoud and Bovy leave the threshold to the study and
-/// warn that it has to be adapted where a driver support system, not a human, controls the gap; so it is a parameter of
-/// [`Approach::exposure`], and results at different thresholds do not compare.
+/// The middle of the usual 2 to 4 s. Minderhoud and Bovy leave the threshold to the study and warn that driver support
+/// systems require another one; so it is a parameter of [`Approach::ttc_exposure`], and results with different
+/// thresholds are not comparable.
 pub const TTC_THRESHOLD_S: f64 = 3.0;
 
 /// Exposure to short times to collision.
@@ -16,22 +16,21 @@ pub const TTC_THRESHOLD_S: f64 = 3.0;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TtcExposure {
-    /// TET: how long time to collision was below the threshold, in seconds.
+    /// TET: duration of a time to collision below the threshold, in seconds.
     pub tet_s: f64,
-    /// TIT: by how much, integrated over that time, in s².
+    /// TIT: integral of the shortfall over that time, in s².
     pub tit_s2: f64,
 }
 
 impl Approach {
-    /// Time exposed and time integrated time to collision below `threshold_s`:
-    /// `TET = ∫ 1[TTC < TTC*] dt`, `TIT = ∫ max(0, TTC* - TTC) dt`, both 0 if the gap never closed.
+    /// Computes time exposed and time integrated time to collision below `threshold_s`: `TET = ∫ 1[TTC < TTC*] dt`,
+    /// `TIT = ∫ max(0, TTC* - TTC) dt`, both 0 if the gap never closed.
     ///
-    /// The integrals run to the contact or to the end of the trace. The authors sum over samples of equal spacing; here
-    /// steps may differ, as the last one before a contact does, so each step is weighted with its own length. Within a
-    /// step, the instant at which the threshold is crossed is that of a linear `TTC* closing - gap`, which unlike time
-    /// to collision has no pole where the gap stops closing, and the shortfall `TTC* - TTC` is linear on the exposed
-    /// part (trapezoid). The error falls with the square of the step as long as time to collision does not recover from
-    /// near zero within one. `TIT <= TTC* TET` always.
+    /// The integrals end at the contact or at the end of the trace. The authors sum over equidistant samples; here each
+    /// step has its own weight, since the last one before a contact may be shorter. The threshold is crossed where the
+    /// linear `TTC* closing - gap` is zero, which unlike time to collision has no pole. The shortfall `TTC* - TTC` is
+    /// linear on the exposed part (trapezoid). The error falls with the square of the step if time to collision does
+    /// not recover from near zero within one. `TIT <= TTC* TET` always.
     ///
     /// Source: Minderhoud and Bovy 2001, "Extended time-to-collision measures for road traffic safety assessment",
     /// Accident Analysis and Prevention 33, 89-97; as integrals in Westhofen et al. 2023, "Criticality metrics for
@@ -46,18 +45,16 @@ impl Approach {
     }
 }
 
-/// Above 0 exactly when the gap closes and time to collision is below the threshold.
+/// Returns a value above 0 exactly when the gap closes and time to collision is below the threshold.
 fn excess_m(state: &PairState, threshold_s: f64) -> f64 {
     threshold_s * state.closing_mps() - state.gap_m
 }
 
-/// By how much time to collision is below the threshold, in seconds; 0 if it is not.
 fn shortfall_s(state: &PairState, threshold_s: f64) -> f64 {
     let excess_m = excess_m(state, threshold_s);
     if excess_m > 0.0 { excess_m / state.closing_mps() } else { 0.0 }
 }
 
-/// The share of a step spent below the threshold.
 fn exposed_share(from: &PairState, to: &PairState, threshold_s: f64) -> f64 {
     let (from_m, to_m) = (excess_m(from, threshold_s), excess_m(to, threshold_s));
     match (from_m > 0.0, to_m > 0.0) {
@@ -93,7 +90,7 @@ mod tests {
     #[test]
     fn a_recovery_inside_a_step_by_hand() {
         // Threshold 2 s. Gap 17 m closes at 10 m/s: TTC 1.7, shortfall 0.3, excess 2 * 10 - 17 = 3 m. The rear vehicle
-        // brakes at 8 m/s² for 0.5 s: gap 13 m closes at 6 m/s, excess 2 * 6 - 13 = -1 m. Exposed for 3 / 4 of the step:
+        // brakes at 8 m/s² for 0.5 s: gap 13 m closes at 6 m/s, excess 2 * 6 - 13 = -1 m. Exposed for 3/4 of the step:
         // TET = 0.375 s, TIT = 0.375 * 0.3 / 2 s².
         let front = driven_track(2.0, 19.0, 10.0, &[(0.5, 0.0)], 0.5);
         let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, -8.0)], 0.5);
@@ -110,7 +107,7 @@ mod tests {
         assert_eq!(approach.ttc_exposure(TTC_THRESHOLD_S), TtcExposure::default());
     }
 
-    /// Both brake in turn, so that time to collision falls below the threshold and recovers.
+    /// Creates a trace in which both brake in turn: time to collision falls below the threshold and recovers.
     fn near_miss_trace(gap_m: f64, speed_mps: f64, brakes_mps2: [f64; 2], step_s: f64) -> Trace {
         let front = driven_track(4.0, gap_m + 4.0, speed_mps, &[(1.0, -brakes_mps2[0]), (5.0, 0.0)], step_s);
         let rear = driven_track(4.0, 0.0, speed_mps, &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)], step_s);
@@ -129,8 +126,7 @@ mod tests {
                 let trace = near_miss_trace(gap_m, speed_mps, brakes_mps2, step_s);
                 Approach::from_trace(&trace, &[], 1).unwrap().ttc_exposure(threshold_s)
             };
-            // A contact cuts the approach at its next sample, and just short of one time to collision recovers within a
-            // single coarse step.
+            // Excludes contacts, which cut the approach, and near contacts, which recover within a coarse step.
             let fine = Approach::from_trace(&near_miss_trace(gap_m, speed_mps, brakes_mps2, 0.001), &[], 1).unwrap();
             prop_assume!(fine.min_gap_m() > Some(0.5));
             let (coarse, fine) = (exposure(0.02), exposure(0.001));
@@ -142,7 +138,6 @@ mod tests {
             prop_assert!((coarse.tit_s2 - fine.tit_s2).abs() < 0.01, "{coarse:?} {fine:?}");
         }
 
-        /// The integral against its definition, summed over ten thousand samples.
         #[test]
         fn exposure_is_what_a_sum_over_fine_samples_finds(
             gap_m in 5.0..20.0f64,

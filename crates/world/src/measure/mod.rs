@@ -1,11 +1,11 @@
-//! How it was: surrogate safety measures of a run, and formulas of signal temporal logic ([`stl`]).
+//! Surrogate safety measures of a run, and signal temporal logic ([`stl`]).
 //!
-//! A collision is a rare event; these measures say how near a run without one came to it, and how bad a run with one
-//! was. Each pointwise formula is a function of its own, with its source; [`Approach`] applies those of a pair to a
-//! trace, from its start to the contact of the pair, and [`Measures`] holds the results for one vehicle. That nothing
-//! happens is not enough: [`Usefulness`] says whether a vehicle got on with traffic, and what it did to others for it.
+//! Collisions are rare; these measures state how close a run without one came to it, and how severe a run with one was.
+//! Each pointwise formula is a function with its source. [`Approach`] applies those of a pair to a trace up to its
+//! contact; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states whether a vehicle makes
+//! progress, and at what cost to others.
 //!
-//! All figures describe what happened, not what a controller believed: they are computed from the true motion.
+//! All measures use the true motion, not the observations of a controller.
 
 mod approach;
 mod comfort;
@@ -40,60 +40,61 @@ pub use usefulness::{
 
 use crate::sim::{Impact, Trace};
 
-/// How a run was for one vehicle.
+/// Measures of a run for one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Measures {
-    /// Index of the vehicle, counted from the front.
+    /// Index of the vehicle, from the front.
     pub vehicle: usize,
-    /// Towards the vehicle ahead; none for the leader.
+    /// Measures towards the leader; `None` for the first vehicle.
     pub ahead: Option<LeadMeasures>,
-    /// Braking imposed on the vehicle behind; none for the last.
+    /// Braking induced in the follower; `None` for the last vehicle.
     #[serde(rename = "imposed")]
     pub induced: Option<InducedBraking>,
-    /// Hardest deceleration over the whole run, in m/s², positive; none for less than two samples.
+    /// Hardest deceleration of the run, in m/s², positive; `None` for less than two samples.
     pub peak_brake_mps2: Option<f64>,
-    /// Largest change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; none for less than two samples.
+    /// Largest change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; `None` for less than two
+    /// samples.
     pub peak_jerk_mps3: Option<f64>,
-    /// In how many impacts the vehicle was involved, hitting, hit, or stuck to one that was.
+    /// Number of impacts of the vehicle: hitting, hit, or stuck to a vehicle that was.
     pub impacts: usize,
-    /// Largest change of speed in one impact, in m/s; none if it was in none.
+    /// Largest change of speed in one impact, in m/s; `None` without impacts.
     pub max_delta_v_mps: Option<f64>,
 }
 
-/// How a vehicle did towards the one ahead, until they touched or the run ended.
+/// Measures of a vehicle towards its leader, until their contact or the end of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LeadMeasures {
-    /// Smallest bumper gap at any instant, in metres, 0 at contact; none for an empty trace.
+    /// Smallest bumper gap, in metres, 0 at contact; `None` for an empty trace.
     pub min_gap_m: Option<f64>,
-    /// Bumper gap when both had come to stand, in metres; none if they touched or one still moved at the end.
+    /// Bumper gap at standstill of both, in metres; `None` after a contact or if one still moved at the end.
     pub standstill_gap_m: Option<f64>,
-    /// Smallest time to collision, in seconds, 0 at contact; none if the gap never closed.
+    /// Smallest time to collision, in seconds, 0 at contact; `None` if the gap never closed.
     pub min_ttc_s: Option<f64>,
-    /// Smallest time from the front bumper ahead to the own one, in seconds; none if the vehicle never moved.
+    /// Smallest time from front bumper to front bumper, in seconds; `None` if the vehicle never moved.
     pub min_time_headway_s: Option<f64>,
-    /// Smallest time from the rear bumper ahead to the own front one, in seconds; none if the vehicle never moved.
+    /// Smallest time from the leader's rear bumper to the own front bumper, in seconds; `None` if the vehicle never
+    /// moved.
     pub min_time_gap_s: Option<f64>,
-    /// Largest deceleration rate to avoid a crash, in m/s²; none if the gap never closed or the two touched.
+    /// Largest deceleration rate to avoid a crash, in m/s²; `None` if the gap never closed, and after a contact.
     pub max_drac_mps2: Option<f64>,
-    /// Largest deceleration required if the vehicle ahead held its braking to standstill, in m/s²; none if the two
-    /// touched.
+    /// Largest required deceleration if the leader held its braking to standstill, in m/s²; `None` after a contact.
     pub max_required_brake_mps2: Option<f64>,
-    /// How long time to collision was below [`TTC_THRESHOLD_S`], in seconds.
+    /// Duration of a time to collision below [`TTC_THRESHOLD_S`], in seconds.
     pub tet_s: f64,
-    /// By how much, integrated over that time, in s².
+    /// Integral of the shortfall of time to collision over that time, in s².
     pub tit_s2: f64,
-    /// Speed at which the vehicle hit the one ahead, relative to it, in m/s; none if it did not.
+    /// Impact speed with the leader, in m/s; `None` without a contact.
     pub impact_speed_mps: Option<f64>,
 }
 
 impl Measures {
-    /// The measures of vehicle `index` in a run; none if the trace has no such vehicle.
+    /// Computes the measures of vehicle `index` in a run; `None` if the trace has no such vehicle.
     ///
-    /// `impacts` are those of the same run. Tracks of unequal length count up to the shortest.
+    /// `impacts` are those of the run. Tracks of unequal length count up to the shortest.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let track = trace.vehicles.get(index)?;
@@ -111,7 +112,8 @@ impl Measures {
 }
 
 impl LeadMeasures {
-    /// How vehicle `index` did towards the one ahead; none for the leader and for a vehicle that does not exist.
+    /// Computes the measures of vehicle `index` towards its leader; `None` for the first vehicle and for one that does
+    /// not exist.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let approach = Approach::from_trace(trace, impacts, index)?;
@@ -139,7 +141,6 @@ mod tests {
     use super::*;
     use crate::sim::Track;
 
-    /// The measures of every vehicle, front to rear.
     fn measure_all(trace: &Trace, impacts: &[Impact]) -> Vec<Measures> {
         (0..trace.vehicles.len()).filter_map(|index| Measures::from_trace(trace, impacts, index)).collect()
     }
@@ -176,7 +177,7 @@ mod tests {
     }
 
     proptest! {
-        /// Tracks that break every promise of a trace are measured without a panic.
+        /// Tracks that violate every invariant of a trace are measured without a panic.
         #[test]
         fn nothing_panics(
             time_s in prop::collection::vec(any::<f64>(), 0..6),
@@ -197,7 +198,7 @@ mod tests {
             prop_assert_eq!(measure_all(&trace, &[impact]).len(), 3);
         }
 
-        /// Measures belong to the motion, not to the place: in steps of a power of two not a bit changes.
+        /// Measures do not depend on the position: with steps of a power of two, no bit changes.
         #[test]
         fn a_shift_along_the_road_changes_nothing(
             halves in prop::array::uniform3(-16..4i32),

@@ -1,24 +1,24 @@
-//! How near: time to collision, time headway and time gap.
+//! Proximity: time to collision, time headway and time gap.
 
 use super::approach::{Approach, PairState};
 use crate::sim;
 
-/// Time to collision in seconds: how long until contact if both keep their speeds, `TTC = gap / closing speed`.
+/// Returns the time to collision in seconds at constant speeds, `TTC = gap / closing speed`.
 ///
-/// None when the gap does not close. 0 when it closes and there is none left.
+/// `None` if the gap does not close; 0 if it closes and is 0.
 ///
-/// Source: Hayward 1972, "Near-miss determination through use of a scale of danger", Highway Research Record 384, 24-34.
+/// Source: Hayward 1972, "Near-miss determination through use of a scale of danger", Highway Research Record 384,
+/// 24-34.
 #[must_use]
 pub fn ttc_s(gap_m: f64, closing_mps: f64) -> Option<f64> {
     Some(sim::ttc_s(gap_m, closing_mps)).filter(|ttc_s| ttc_s.is_finite())
 }
 
-/// Time headway in seconds: from the front bumper ahead to one's own front bumper, at one's own speed,
-/// `h = (gap + length of the vehicle ahead) / v`.
+/// Returns the time headway in seconds, from front bumper to front bumper at the own speed, `h = (gap + length of the
+/// leader) / v`; `None` at standstill.
 ///
-/// This is the headway of traffic engineering: the time between two front bumpers passing a point. [`time_gap_s`]
-/// leaves the vehicle's length out, and much of the literature calls that headway too; SAE J2944 was written to keep
-/// the two apart. None at standstill.
+/// Traffic engineering defines headway as the time between two front bumpers at a point. Much of the literature also
+/// calls [`time_gap_s`], without the length, a headway; SAE J2944 separates the two.
 ///
 /// Source: Vogel 2003, "A comparison of headway and time to collision as safety indicators", Accident Analysis and
 /// Prevention 35, 427-433 (front to front); SAE J2944 (2015), "Operational definitions of driving performance measures
@@ -28,22 +28,23 @@ pub fn time_headway_s(gap_m: f64, front_length_m: f64, rear_speed_mps: f64) -> O
     time_gap_s(gap_m + front_length_m, rear_speed_mps)
 }
 
-/// Time gap in seconds: from the rear bumper ahead to one's own front bumper, at one's own speed, `gap / v`.
+/// Returns the time gap in seconds, from the leader's rear bumper to the own front bumper at the own speed, `gap / v`;
+/// `None` at standstill.
 ///
-/// This is what adaptive cruise control is set to. None at standstill. Source: as for [`time_headway_s`].
+/// Adaptive cruise control is set to this value. Source: as for [`time_headway_s`].
 #[must_use]
 pub fn time_gap_s(gap_m: f64, rear_speed_mps: f64) -> Option<f64> {
     (rear_speed_mps > 0.0).then(|| gap_m.max(0.0) / rear_speed_mps).filter(|gap_s| gap_s.is_finite())
 }
 
 impl Approach {
-    /// Smallest time to collision at any sample, in seconds, 0 at contact; none if the gap never closed.
+    /// Returns the smallest time to collision of all samples, in seconds, 0 at contact; `None` if the gap never closed.
     #[must_use]
     pub fn min_ttc_s(&self) -> Option<f64> {
         self.states().filter_map(|state| ttc_s(state.gap_m, state.closing_mps())).reduce(f64::min)
     }
 
-    /// Smallest time headway at any sample, in seconds; none if the vehicle never moved.
+    /// Returns the smallest time headway of all samples, in seconds; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_headway_s(&self) -> Option<f64> {
         let headway =
@@ -51,7 +52,7 @@ impl Approach {
         self.states_with_length_m().filter_map(headway).reduce(f64::min)
     }
 
-    /// Smallest time gap at any sample, in seconds, 0 at contact; none if the vehicle never moved.
+    /// Returns the smallest time gap of all samples, in seconds, 0 at contact; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_gap_s(&self) -> Option<f64> {
         self.states().filter_map(|state| time_gap_s(state.gap_m, state.rear_speed_mps)).reduce(f64::min)

@@ -1,27 +1,26 @@
-//! How bad: impact speeds, changes of speed, and who was involved.
+//! Severity: impact speeds, changes of speed, and involved vehicles.
 
 use crate::sim::Impact;
 
-/// The impacts in which vehicle `index` is one of those that stick together afterwards.
+/// Returns the impacts that involve vehicle `index`: those in which it is among the vehicles that stick together.
 pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Impact> {
     impacts.iter().filter(move |impact| impact.involves(index))
 }
 
-/// Speed at which vehicle `index` hit the one ahead, in m/s, relative to it; none if it did not. The largest, should
-/// the two touch more than once.
+/// Returns the largest impact speed of vehicle `index` with its leader, in m/s; `None` without a contact.
 #[must_use]
 pub fn impact_speed_mps(impacts: &[Impact], index: usize) -> Option<f64> {
     let hits = impacts.iter().filter(|impact| impact.contact.rear_vehicle == index);
     hits.map(|impact| impact.contact.impact_speed_mps).reduce(f64::max)
 }
 
-/// Largest change of speed of vehicle `index` in any one impact, in m/s; none if it was in none.
+/// Returns the largest change of speed of vehicle `index` in one impact, in m/s; `None` without impacts.
 ///
-/// Not the sum over impacts: injury follows from what happens within one impact. Within one momentum is shared in inverse
-/// proportion to mass, so that the lighter vehicle takes the larger part; see [`Impact::delta_v_mps`].
+/// Impacts are not summed, because injury follows from a single one. An impact shares momentum in inverse proportion to
+/// mass, so that the lighter vehicle changes its speed more; see [`Impact::delta_v_mps`].
 ///
-/// Source: delta-v as the measure of severity, and its ratio inverse to that of the masses: Evans 1994, "Driver injury and
-/// fatality risk in two-car crashes versus mass ratio inferred using Newtonian mechanics", Accident Analysis and
+/// Source: delta-v as the measure of severity, and its ratio inverse to that of the masses: Evans 1994, "Driver injury
+/// and fatality risk in two-car crashes versus mass ratio inferred using Newtonian mechanics", Accident Analysis and
 /// Prevention 26, 609-616.
 #[must_use]
 pub fn max_delta_v_mps(impacts: &[Impact], index: usize) -> Option<f64> {
@@ -47,7 +46,7 @@ mod tests {
 
     #[test]
     fn a_pile_up_by_hand() {
-        // Equal masses. Vehicle 2 hits 1: 4 against 10 m/s, both leave at 7. Vehicle 1, with 2 stuck to it, then hits 0:
+        // Equal masses. Vehicle 2 hits 1: 4 against 10 m/s, both leave at 7. Vehicle 1, with 2 stuck to it, hits 0:
         // 1 against 7 m/s, all leave at (1 + 7 + 7) / 3 = 5.
         let second = Impact {
             contact: Contact { time_s: 2.0, front_vehicle: 0, rear_vehicle: 1, ..impact(2.0, 0, 1.0, 7.0).contact },
@@ -64,7 +63,7 @@ mod tests {
     }
 
     proptest! {
-        /// The closed form for two that stick together: `Δv = impact speed * m_other / (m_own + m_other)`.
+        /// Closed form for two vehicles that stick together: `Δv = impact speed * m_other / (m_own + m_other)`.
         #[test]
         fn an_impact_shares_its_speed_by_mass(
             front in 0.0..30.0f64,

@@ -1,4 +1,4 @@
-//! What a controller must not do, and how near a run came to it.
+//! Specifications of a controller, and the robustness of a run.
 
 use std::fmt;
 
@@ -10,107 +10,106 @@ use super::{ContactRole, DrivingRule};
 use crate::scenario::{Scenario, VehicleClass};
 use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
 
-/// What must hold in every run.
+/// A requirement of every run.
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
 /// use crumple_world::measure::Specification;
-/// use crumple_world::scenario::built_in;
+/// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::RunOptions;
 ///
-/// let scenario = built_in("paper-1").unwrap();
+/// let scenario = built_in_scenario("paper-1").unwrap();
 /// let headway = Specification::parse("always v1.time_gap_s > 0.3", &scenario).unwrap();
-/// let options = RunOptions::new(ControllerSpec::named("idm").unwrap());
+/// let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
 /// assert!(!headway.judge_scenario(&scenario, options).unwrap().is_violation());
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Specification {
-    /// No vehicles touch. Robustness is the smallest gap between any two successive vehicles, in metres, and after a
-    /// contact the negative impact speed of the first one, in m/s: a slope towards contact on one side, and towards
-    /// severity on the other.
+    /// No collision. Robustness is the smallest gap between successive vehicles, in metres, or the negative impact
+    /// speed of the first contact, in m/s, so that searches have a slope on both sides.
     NoContact,
-    /// A formula over the signals of the run, which goes on after contacts: those that touch stick together.
+    /// A formula over the signals of a run, which continues after contacts: colliding vehicles stick together.
     Formula(Formula),
-    /// A rule for the vehicles under test, whoever touches.
+    /// A rule for the vehicles under test, independent of collisions.
     DrivingRule(DrivingRule),
 }
 
-/// Why a formula is no specification.
+/// An error of a specification.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SpecificationError {
-    /// It does not parse.
+    /// A text that does not parse.
     #[error(transparent)]
     Parse(#[from] FormulaParseError),
-    /// It compares nothing, as a rule misspelt does, and it is no rule.
+    /// A text without a comparison that is not a rule either, such as a misspelt rule.
     #[error("{formula}; nor is this `{}`, or a rule as {} are", Specification::NO_CONTACT, DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", "))]
     UnknownRule {
-        /// Why it is no formula.
+        /// Error of the text as a formula.
         formula: FormulaParseError,
     },
-    /// It cannot be evaluated.
+    /// A formula that cannot be evaluated.
     #[error(transparent)]
     Monitor(#[from] MonitorError),
-    /// Its signals cannot be collected.
+    /// Signals that cannot be collected.
     #[error(transparent)]
     Signals(#[from] SignalsError),
-    /// It names a signal that a run does not have.
+    /// A signal that a run does not have.
     #[error("column {column}: there is no signal `{name}`; there are: {}", known.join(", "))]
     UnknownSignal {
-        /// Where it is first named, counted in characters from 1.
+        /// Column of its first use, in characters from 1.
         column: usize,
-        /// The name.
+        /// Name in the formula.
         name: String,
-        /// The names there are.
+        /// Existing names.
         known: Vec<String>,
     },
-    /// It speaks of a time after the end of the runs.
+    /// A formula that refers to times after the end of the run.
     #[error("the formula looks {horizon_s} s ahead, and runs last {duration_s} s")]
     HorizonTooLong {
-        /// How far it looks, in seconds.
+        /// Horizon of the formula, in seconds.
         horizon_s: f64,
-        /// How long runs last, in seconds.
+        /// Duration of runs, in seconds.
         duration_s: f64,
     },
-    /// The scenario cannot be run.
+    /// A scenario that cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The trace was not kept.
+    /// A run without a trace.
     #[error("the run has no trace")]
     NoTrace,
 }
 
-/// What a run was worth.
+/// Verdict of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RunVerdict {
-    /// Below 0 if and only if the specification is violated.
+    /// Robustness; below 0 if and only if the specification is violated.
     pub robustness: f64,
-    /// The first contact, if there was one.
+    /// First contact, if there was one.
     pub contact: Option<FirstContact>,
-    /// When a controller failed, in seconds, and the index of its vehicle; none if none did. A run with such a failure
-    /// violates every specification, with a robustness of negative infinity. Beside a robustness that is not negative it is the controller
-    /// of a run that this one was set against.
+    /// Time of a controller failure, in seconds, and index of its vehicle. The run then violates every specification,
+    /// with a robustness of negative infinity. With a non-negative robustness, the failed controller is that of the
+    /// partner run in a comparison.
     pub failure: Option<(f64, u32)>,
 }
 
 impl RunVerdict {
-    /// The verdict on a run without contact and without failure.
+    /// Creates the verdict of a run without contact and without failure.
     #[must_use]
     pub fn new(robustness: f64) -> Self {
         Self { robustness, contact: None, failure: None }
     }
 
-    /// Whether the specification is violated.
+    /// Returns true if the specification is violated.
     #[must_use]
     pub fn is_violation(&self) -> bool {
         self.robustness < 0.0
     }
 }
 
-/// The first contact of a run, as far as failures are told apart by it.
+/// First contact of a run, with the data that distinguishes failures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FirstContact {
-    /// When, in seconds.
+    /// Time, in seconds.
     pub time_s: f64,
     /// Index of the vehicle that is hit.
     pub front_vehicle: u32,
@@ -118,29 +117,29 @@ pub struct FirstContact {
     pub rear_vehicle: u32,
     /// Difference of their speeds, in m/s.
     pub impact_speed_mps: f64,
-    /// How hard the vehicle under test among the two had braked until then.
+    /// Hardest braking before the contact, of the vehicle under test among the two.
     pub ego_braking: BrakingLevel,
     /// Class of the vehicle that hits.
     pub rear_class: VehicleClass,
 }
 
-/// How hard a vehicle braked at the hardest, relative to what it can do on the road.
+/// Hardest braking of a vehicle, relative to its limit on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum BrakingLevel {
-    /// Not notably: less than a tenth.
+    /// Below a tenth of the limit.
     None = 0,
-    /// In between.
+    /// From a tenth to 95 % of the limit.
     Partial = 1,
-    /// Fully: at least 95 %. An emergency brake has fired.
+    /// At least 95 % of the limit: an emergency brake has fired.
     Full = 2,
 }
 
 impl BrakingLevel {
-    /// All of them, by number.
+    /// All levels, by number.
     pub const ALL: [Self; 3] = [Self::None, Self::Partial, Self::Full];
 
-    /// The name in logs.
+    /// Returns the name in logs.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -159,18 +158,18 @@ impl BrakingLevel {
     }
 }
 
-/// A contact must have negative robustness even at an impact speed of zero.
+/// Smallest violation: a contact at impact speed 0 must have negative robustness.
 const MIN_VIOLATION: f64 = 1e-9;
 
 impl Specification {
-    /// The name of the default specification.
+    /// Name of the default specification.
     pub const NO_CONTACT: &str = "no contact";
 
-    /// The specification in words: `no contact`, one of [`Conduct::EXAMPLES`], or a formula.
+    /// Parses `no contact`, a rule as in [`DrivingRule::EXAMPLES`], or a formula.
     ///
     /// # Errors
-    /// [`SpecificationError`] for text that does not parse, names a signal that runs like `nominal` do not have, or looks beyond
-    /// their end.
+    /// [`SpecificationError`] for text that does not parse, names a signal that runs of `nominal` do not have, or
+    /// refers to times after their end.
     pub fn parse(text: &str, nominal: &Scenario) -> Result<Self, SpecificationError> {
         if text == Self::NO_CONTACT {
             return Ok(Self::NoContact);
@@ -187,7 +186,7 @@ impl Specification {
             let column = signal_column(text, name).unwrap_or(1);
             return Err(SpecificationError::UnknownSignal { column, name: name.to_owned(), known });
         }
-        // A window without an end is cut at the end of the run; one that states an end means it.
+        // Windows without an end are clipped to the run; a stated end must exist.
         let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
         if horizon_s.is_finite() && horizon_s > duration_s {
             return Err(SpecificationError::HorizonTooLong { horizon_s, duration_s });
@@ -195,7 +194,7 @@ impl Specification {
         Ok(Self::Formula(formula))
     }
 
-    /// Returns a warning if some part of a formula is judged at the first instant only.
+    /// Returns a warning if a part of a formula is evaluated only at the first sample.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         match self {
@@ -204,7 +203,7 @@ impl Specification {
         }
     }
 
-    /// What must be kept of a run to judge it.
+    /// Returns the recording level that [`Self::judge`] needs.
     #[must_use]
     pub fn recording_level(&self) -> RecordingLevel {
         match self {
@@ -213,7 +212,7 @@ impl Specification {
         }
     }
 
-    /// What must happen after a contact.
+    /// Returns the required behaviour after a contact.
     #[must_use]
     pub fn after_contact(&self) -> AfterContact {
         match self {
@@ -222,7 +221,7 @@ impl Specification {
         }
     }
 
-    /// The verdict on a scenario, run as the specification needs: to the first contact, or on after it.
+    /// Runs a scenario as the specification needs, to the first contact or beyond it, and returns the verdict.
     ///
     /// # Errors
     /// [`SpecificationError`] if the scenario cannot be run with these options, or a formula does not fit it.
@@ -231,7 +230,7 @@ impl Specification {
         self.judge(&run, &simulate(&run, self.recording_level()))
     }
 
-    /// The verdict on a run that was made with [`Self::keep`] and [`Self::after_contact`].
+    /// Returns the verdict of a run with [`Self::recording_level`] and [`Self::after_contact`].
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
@@ -241,7 +240,7 @@ impl Specification {
             (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(MIN_VIOLATION),
             (Self::NoContact, Outcome::NoCollision) => {
                 let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-                // A gap of zero would be a contact; rounding must not make it one.
+                // Rounding must not make a gap of zero a contact.
                 gaps.fold(f64::INFINITY, f64::min).max(0.0)
             }
             (Self::Formula(formula), _) => {
@@ -258,7 +257,7 @@ impl Specification {
     }
 }
 
-/// At exactly zero the formula itself decides.
+/// At robustness 0, the Boolean semantics decide.
 fn judge_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
     let robustness = formula.robustness(signals)?;
     let violated_at_zero = robustness == 0.0 && !formula.is_satisfied(signals)?;
@@ -268,7 +267,7 @@ fn judge_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64,
 fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
     let contact = result.outcome.contact()?;
     let scenario = run.scenario();
-    // Of two vehicles under test the one that hits.
+    // Of two vehicles under test, the one that hits.
     let ego = match ContactRole::new(contact, scenario) {
         ContactRole::IsHit => contact.front_vehicle,
         ContactRole::Hits | ContactRole::Bystander => contact.rear_vehicle,

@@ -1,8 +1,8 @@
-//! Traces built by hand, for the tests of the measures.
+//! Traces for tests of the measures.
 
 use crate::sim::{Contact, Impact, Trace, Track};
 
-/// A vehicle that holds each acceleration for its time, in steps that divide those times, and never reverses.
+/// Creates a track that holds each acceleration for its time, in steps that divide those times, and never reverses.
 pub(super) fn driven_track(
     length_m: f64,
     position_m: f64,
@@ -26,13 +26,12 @@ pub(super) fn driven_track(
     Track { length_m, mass_kg: 1500.0, position_m, speed_mps, acceleration_mps2, in_lane_s: Track::THROUGHOUT_S }
 }
 
-/// A trace of such vehicles, front to rear.
 pub(super) fn trace(vehicles: Vec<Track>, step_s: f64) -> Trace {
     let samples = vehicles.first().map_or(0, |track| track.position_m.len());
     Trace { time_s: (0..samples).map(|k| k as f64 * step_s).collect(), vehicles }
 }
 
-/// Vehicle `front` is hit by the one behind it; both weigh the same.
+/// Creates an impact of vehicle `front` with its follower; both have equal mass.
 pub(super) fn impact(time_s: f64, front: usize, front_speed_mps: f64, rear_speed_mps: f64) -> Impact {
     let contact = Contact {
         time_s,

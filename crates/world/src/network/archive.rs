@@ -1,4 +1,4 @@
-//! Zip archives whose members are stored as they are, which is how Python's `zipfile` and PyTorch write them.
+//! Zip archives with uncompressed members, as Python's `zipfile` and PyTorch write them.
 
 use std::cell::Cell;
 
@@ -6,10 +6,8 @@ use super::NetworkError;
 
 const FORMAT: &str = "zip archive";
 
-/// Most members of an archive.
 const MAX_MEMBERS: usize = 4096;
 
-/// The members of an archive.
 #[derive(Debug)]
 pub(super) struct Archive<'a> {
     bytes: &'a [u8],
@@ -24,7 +22,6 @@ struct ArchiveMember {
     crc: u32,
     size: u64,
     header: u64,
-    /// Whether its checksum was found to be right.
     is_checked: Cell<bool>,
 }
 
@@ -32,7 +29,6 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
     NetworkError::damaged(FORMAT, problem)
 }
 
-/// Numbers of two, four and eight bytes from a place on.
 struct ByteReader<'a>(&'a [u8]);
 
 impl<'a> ByteReader<'a> {
@@ -58,14 +54,14 @@ impl<'a> ByteReader<'a> {
 
 impl<'a> Archive<'a> {
     pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
-        // The end is found from behind: a comment of at most 65 535 bytes may follow it.
+        // The end record is searched from the end: a comment of at most 65 535 bytes may follow it.
         let earliest = bytes.len().saturating_sub(22 + 0xffff);
         let end = (earliest..bytes.len().saturating_sub(21)).rev().find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
         let end = end.ok_or_else(|| damaged("it has no end: it may be cut off"))?;
         let mut record = ByteReader(&bytes[end..]);
         record.take(10)?;
         let (mut count, _size, mut start) = (record.read_uint(2)?, record.read_uint(4)?, record.read_uint(4)?);
-        // The larger form of the end, to which a pointer lies right before the smaller one.
+        // The zip64 end record, whose locator is right before the end record.
         if let Some(pointer) = end.checked_sub(20)
             && bytes[pointer..].starts_with(b"PK\x06\x07")
         {
@@ -84,12 +80,10 @@ impl<'a> Archive<'a> {
         Ok(Self { bytes, members })
     }
 
-    /// Whether a member's name ends so.
     pub(super) fn has_member_with_suffix(&self, ending: &str) -> bool {
         self.members.iter().any(|member| member.name.ends_with(ending))
     }
 
-    /// The name of the only member whose name ends so.
     pub(super) fn only_member_with_suffix(&self, ending: &str) -> Result<&str, NetworkError> {
         let mut found = self.members.iter().filter(|member| member.name.ends_with(ending));
         match (found.next(), found.next()) {
@@ -99,7 +93,6 @@ impl<'a> Archive<'a> {
         }
     }
 
-    /// What a member holds.
     pub(super) fn member(&self, name: &str) -> Result<&'a [u8], NetworkError> {
         let mut found = self.members.iter().filter(|member| member.name == name);
         let member = found.next().ok_or_else(|| damaged(format!("it has no member `{name}`")))?;
@@ -143,7 +136,7 @@ impl ArchiveMember {
         while extras.0.len() >= 4 {
             let (kind, length) = (extras.read_uint(2)?, extras.read_uint(2)? as usize);
             let mut extra = ByteReader(extras.take(length)?);
-            // What does not fit into four bytes stands here, in this order.
+            // Zip64 extra field: values that do not fit into four bytes, in this order.
             if kind == 1 {
                 const ZIP64_MARKER: u64 = 0xffff_ffff;
                 if size == ZIP64_MARKER {
@@ -161,7 +154,6 @@ impl ArchiveMember {
     }
 }
 
-/// CRC-32, as it stands in zip archives.
 fn crc32(bytes: &[u8]) -> u32 {
     const TABLE: [u32; 256] = {
         let mut table = [0_u32; 256];

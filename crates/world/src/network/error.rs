@@ -1,11 +1,11 @@
-//! Why a network from outside cannot be used.
+//! Errors of imported networks.
 
 use std::io;
 use std::path::PathBuf;
 
 use super::{MAX_BYTES, MAX_PARAMETERS};
 
-/// Why a network from outside cannot be used.
+/// Reason why an imported network cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NetworkError {
@@ -14,7 +14,7 @@ pub enum NetworkError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// A network in a file cannot be used.
@@ -22,48 +22,48 @@ pub enum NetworkError {
     InFile {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The reason.
         reason: Box<Self>,
     },
-    /// The name says nothing of a network.
+    /// The file name does not indicate a network.
     #[error("a network's file ends in .onnx, or in .zip for a model of Stable-Baselines3")]
     Extension,
-    /// It is too large.
+    /// The file is too large.
     #[error("the file has more than {MAX_BYTES} bytes, too many for a network")]
     TooLarge,
-    /// It has too many numbers.
+    /// The network has too many numbers.
     #[error("the network has more than {MAX_PARAMETERS} weights and biases")]
     TooManyParameters,
-    /// The file is truncated or corrupt, or is something else.
+    /// The file is truncated, corrupt, or of another format.
     #[error("not a whole {format}: {problem}")]
     Damaged {
-        /// What it should be.
+        /// Expected format.
         format: &'static str,
-        /// What is wrong, and where.
+        /// Description of the error, with its place.
         problem: String,
     },
-    /// A node of a graph that is not followed.
+    /// A node of a graph is not supported.
     #[error("node {node} ({operator}): {problem}")]
     Node {
-        /// The node's name, or its place where it has none.
+        /// Name of the node, or its index.
         node: String,
-        /// Its operator.
+        /// Operator of the node.
         operator: String,
-        /// Why it is not followed.
+        /// Reason why it is not supported.
         problem: String,
     },
-    /// The whole of it is not followed.
+    /// The network as a whole is not supported.
     #[error("{0}")]
     Unsupported(String),
-    /// Its parts do not fit each other.
+    /// The parts of the network do not fit each other.
     #[error("step {step}: {problem}")]
     Step {
         /// Index of the step, from 0.
         step: usize,
-        /// What is wrong.
+        /// Description of the error.
         problem: String,
     },
-    /// The network's numbers are finite, but too large to be calculated with.
+    /// The network can overflow.
     #[error("step {step} can overflow on inputs within their limits: its numbers are too large to drive with")]
     Overflow {
         /// Index of the step, from 0.
@@ -71,7 +71,7 @@ pub enum NetworkError {
     },
 }
 
-/// What a file says, as it may stand in a message: on one line, without control characters, and not too long.
+/// Makes text of a file safe for a message: one line, without control characters, at most 200 characters.
 pub(super) fn sanitized(said: &str) -> String {
     said.chars().take(200).flat_map(char::escape_debug).collect()
 }

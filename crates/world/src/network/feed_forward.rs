@@ -1,51 +1,51 @@
-//! A network of products and of things done to each number, one after the other.
+//! Feed-forward networks: sequences of matrix products and elementwise operations.
 
 use super::{Elementwise, MAX_LAYER_WIDTH, MAX_PARAMETERS, MAX_STEPS, NetworkError};
 use crate::policy::{PackedNetwork, Workspace};
 
-/// h W + b.
+/// An affine layer, h W + b.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linear {
-    /// W, row after row: one row an input.
+    /// W, row-major: one row per input.
     pub weights: Vec<f32>,
-    /// b, one an output.
+    /// b, one per output.
     pub biases: Vec<f32>,
 }
 
-/// What a network does next.
+/// A step of a network.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NetworkStep {
     /// A product with a matrix.
     Linear(Linear),
-    /// Something done to each number.
+    /// An elementwise operation.
     Elementwise(Elementwise),
 }
 
 /// A fully connected network.
 ///
 /// ```
-/// use crumple_world::network::{Elementwise, FeedForward, Linear, Step};
+/// use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkStep};
 /// use crumple_world::policy::Workspace;
 ///
 /// let layer = Linear { weights: vec![1.0, -2.0], biases: vec![0.5] };
-/// let network = FeedForward::new(2, vec![Step::Linear(layer), Step::Each(Elementwise::Relu)]).unwrap();
+/// let steps = vec![NetworkStep::Linear(layer), NetworkStep::Elementwise(Elementwise::Relu)];
+/// let network = FeedForward::new(2, steps).unwrap();
 /// let mut space = Workspace::default();
-/// assert_eq!(network.answers(&[3.0, 1.0, 0.0, 1.0], 2, &mut space), [1.5, 0.0]);
+/// assert_eq!(network.forward(&[3.0, 1.0, 0.0, 1.0], 2, &mut space), [1.5, 0.0]);
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeedForward {
-    /// Numbers between the steps, from the inputs to the answers.
+    /// Numbers of values between the steps, from the inputs to the answers.
     widths: Vec<usize>,
     steps: Vec<NetworkStep>,
     packed: PackedNetwork,
 }
 
 impl FeedForward {
-    /// A network of steps that fit each other.
+    /// Creates a network from steps that fit each other.
     ///
     /// # Errors
-    /// [`NetworkError::Step`] for a step that does not fit, and for a number that is not finite; otherwise for a network that
-    /// is too large.
+    /// [`NetworkError::Step`] for a step that does not fit or is not finite; other errors for too large networks.
     pub fn new(inputs: usize, steps: Vec<NetworkStep>) -> Result<Self, NetworkError> {
         if !(1..=MAX_LAYER_WIDTH).contains(&inputs) || steps.len() > MAX_STEPS {
             let problem = format!(
@@ -70,25 +70,25 @@ impl FeedForward {
         Ok(Self { widths, steps, packed: acting })
     }
 
-    /// Numbers it sees.
+    /// Returns the number of inputs.
     #[must_use]
     pub fn inputs(&self) -> usize {
         self.widths.first().copied().unwrap_or_default()
     }
 
-    /// Numbers it answers with.
+    /// Returns the number of answers.
     #[must_use]
     pub fn outputs(&self) -> usize {
         self.widths.last().copied().unwrap_or_default()
     }
 
-    /// What it does, in order.
+    /// Returns the steps, in order.
     #[must_use]
     pub fn steps(&self) -> &[NetworkStep] {
         &self.steps
     }
 
-    /// The widths of its layers, in words: `5-20-20-1`.
+    /// Returns the widths of the layers as text: `5-20-20-1`.
     #[must_use]
     pub fn shape(&self) -> String {
         let products = self.steps.iter().zip(&self.widths[1..]);
@@ -96,14 +96,13 @@ impl FeedForward {
         std::iter::once(self.inputs()).chain(layers).map(|width| width.to_string()).collect::<Vec<_>>().join("-")
     }
 
-    /// Its answers to `batch` rows of inputs. Each row's bits do not depend on the others.
+    /// Returns the answers to `batch` rows of inputs; the bits of a row do not depend on other rows.
     #[must_use]
     pub fn forward<'w>(&self, inputs: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
         self.packed.forward(inputs, batch, space)
     }
 
-    /// Returns the bounds that the functions after the last layer alone set to each answer: -1 and 1 after tanh. Infinite where
-    /// they set none.
+    /// Returns the bounds of each answer by the functions after the last layer: -1 and 1 after tanh, or infinite.
     #[must_use]
     pub fn answer_bounds(&self) -> Vec<[f64; 2]> {
         let after_last =
@@ -117,12 +116,12 @@ impl FeedForward {
         (0..self.outputs()).map(bounds_of).collect()
     }
 
-    /// Where each answer can lie if each input lies between its limits, but for rounding.
+    /// Returns the range of each answer for inputs within their limits, without rounding.
     ///
     /// # Errors
-    /// [`NetworkError::Overflow`] if some sum on the way could leave single precision: then an answer may be no number.
+    /// [`NetworkError::Overflow`] if a sum could leave single precision, so that an answer might be NaN.
     pub fn answer_ranges(&self, inputs: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, NetworkError> {
-        // Half of the range is left for rounding.
+        // Half of the range is reserved for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
         let fits = |range: &[f64; 2]| range.iter().all(|bound| bound.abs() <= highest);
         let mut ranges = inputs.to_vec();
@@ -144,7 +143,7 @@ impl FeedForward {
 }
 
 impl Linear {
-    /// Where each sum can lie; none if some part of one could be larger than `highest`.
+    /// Returns the range of each sum; `None` if a partial sum could exceed `highest`.
     fn ranges(&self, inputs: &[[f64; 2]], highest: f64) -> Option<Vec<[f64; 2]>> {
         let start = |bias: &f32| [f64::from(*bias), f64::from(*bias), f64::from(bias.abs())];
         let mut sums: Vec<[f64; 3]> = self.biases.iter().map(start).collect();
@@ -160,7 +159,7 @@ impl Linear {
     }
 }
 
-/// How many numbers a step answers with that is given `width`.
+/// Checks a step with `width` inputs and returns the number of its outputs.
 fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
     let finite = |numbers: &[f32]| {
         let all = numbers.iter().all(|number| number.is_finite());
@@ -204,7 +203,7 @@ fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
     Ok(width)
 }
 
-/// The steps as they are done: a rectification behind a product inside it.
+/// Packs the steps, with a ReLU after a product merged into it.
 fn pack_steps(steps: &[NetworkStep], widths: &[usize]) -> PackedNetwork {
     let last = steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_)));
     let mut acting = PackedNetwork::default();

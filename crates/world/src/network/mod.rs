@@ -1,16 +1,16 @@
-//! Networks from outside: fully connected, layers of any width, read by readers of its own.
+//! Imported networks: fully connected, layers of any width, with readers of their own.
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
-//! | `feed_forward` | the network itself, and acting with it, one state or many |
-//! | `wire` | the encoding of protocol buffers |
+//! | `feed_forward` | the network and its evaluation for one state or many |
+//! | `protobuf` | the encoding of protocol buffers |
 //! | `onnx` | ONNX: a straight chain of a few operators |
-//! | `archive` | zip archives of stored members |
-//! | `pickle` | what a pickle builds, as dead data: nothing in it is called |
+//! | `archive` | zip archives with uncompressed members |
+//! | `pickle` | the values of a pickle, without calling anything |
 //! | `sb3` | models saved by Stable-Baselines3 |
 //!
-//! What a file asks for is done in the order in which it asks, in single precision: products as crumple's own policies
-//! are multiplied, everything else number by number. Only what is added to a product right behind it becomes its bias.
+//! The operations of a file run in its order, in single precision: products as in crumple's own policies, all else
+//! elementwise. Only an addition right after a product becomes its bias.
 
 mod archive;
 mod error;
@@ -32,34 +32,30 @@ pub use error::NetworkError;
 pub use feed_forward::{FeedForward, Linear, NetworkStep};
 pub use sb3::{BoxSpace, Normalisation, SavedModel, VecNormalizeStats, VecNormalizeUse};
 
-/// Largest file that is read, in bytes.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// Most weights and biases of a network.
 const MAX_PARAMETERS: usize = 8 << 20;
 
-/// Widest layer that is accepted.
 const MAX_LAYER_WIDTH: usize = 1 << 14;
 
-/// Most steps of a network.
 const MAX_STEPS: usize = 256;
 
-/// A network as it lies in a file.
+/// A network with its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkFile {
     /// The network.
     pub network: FeedForward,
     /// SHA-256 of the file, in hexadecimal.
     pub sha256: String,
-    /// The file itself, to be laid beside what is said of it.
+    /// Content of the file, for copies beside results.
     bytes: Arc<[u8]>,
     format: NetworkFormat,
     saved_model: Option<Arc<SavedModel>>,
 }
 
 impl NetworkFile {
-    /// Whether a file is taken for a network: it ends in `.onnx`, in `.zip` for a model of Stable-Baselines3, or in neither and
-    /// begins as a zip archive, for `model.save("ppo_0.5")` appends no `.zip` to what looks like an ending.
+    /// True if a file counts as a network: it ends in `.onnx`, in `.zip` for a model of Stable-Baselines3, or in
+    /// neither and begins as a zip archive. `model.save("ppo_0.5")` appends no `.zip`.
     #[must_use]
     pub fn is_network(path: &Path) -> bool {
         NetworkFormat::from_path(path).is_some()
@@ -68,7 +64,7 @@ impl NetworkFile {
     /// Reads a network.
     ///
     /// # Errors
-    /// [`NetworkError`] for a file that cannot be read, is damaged, or holds something else than a network that can be followed.
+    /// [`NetworkError`] for a file that cannot be read, is damaged, or contains no supported network.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
         let in_file = |reason| NetworkError::InFile { path: path.to_owned(), reason: Box::new(reason) };
         let format = NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
@@ -98,19 +94,19 @@ impl NetworkFile {
         })
     }
 
-    /// What a model of Stable-Baselines3 says of itself.
+    /// Returns the metadata of a Stable-Baselines3 model.
     #[must_use]
     pub fn saved_model(&self) -> Option<&SavedModel> {
         self.saved_model.as_deref()
     }
 
-    /// What kind of file it is.
+    /// Returns the format of the file.
     #[must_use]
     pub fn format(&self) -> NetworkFormat {
         self.format
     }
 
-    /// A name for the file that says what is in it, and the file.
+    /// Returns the file, and a name for it that identifies its content.
     pub(crate) fn name_and_bytes(&self) -> (String, Arc<[u8]>) {
         let extension = match self.format {
             NetworkFormat::Onnx => "onnx",
@@ -137,7 +133,7 @@ impl NetworkFile {
     }
 }
 
-/// Formats of networks that are read.
+/// Supported formats of networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -153,14 +149,14 @@ impl NetworkFormat {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("onnx") => Some(Self::Onnx),
             Some("zip") => Some(Self::StableBaselines),
-            // These are something else, whatever they begin with.
+            // These are other formats, even if they begin as a zip archive.
             Some("toml" | "fmu" | "safetensors") => None,
             _ => has_zip_signature(path).then_some(Self::StableBaselines),
         }
     }
 }
 
-/// Whether an ordinary file begins as a zip archive does: reading some other things does not end.
+/// True if a regular file begins as a zip archive. Others, such as pipes, are not read, since that may block.
 fn has_zip_signature(path: &Path) -> bool {
     let mut first = [0; 4];
     let is_ordinary = std::fs::metadata(path).is_ok_and(|found| found.is_file());

@@ -1,44 +1,37 @@
-//! What a pickle builds, as dead data.
+//! Reader of pickles that calls nothing.
 //!
-//! A pickle is a program that may call anything. Here it only says what it would call: nothing is imported or called, and
-//! whoever reads the result takes from it what it knows. Values lie in one list and refer to each other by their places in
-//! it, so that no nesting, however deep, and no circle costs more than its length.
+//! A pickle is a program that may call anything. This reader only records the calls; it imports and calls nothing.
+//! Values are in one list and refer to each other by index, so that nesting may be deep or circular.
 
 use std::collections::HashMap;
 
 use super::NetworkError;
 
-/// Most values that a pickle may build.
 const MAX_VALUES: usize = 200_000;
 
-/// The place of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ValueId(usize);
 
-/// A value.
 #[derive(Debug, Clone)]
 pub(super) enum Object<'a> {
-    /// None.
     None,
     Bool(bool),
     Integer(i64),
-    /// A number that is not whole.
     Float(f64),
     Text(&'a str),
     Bytes(&'a [u8]),
     Tuple(Vec<ValueId>),
     List(Vec<ValueId>),
-    /// A dictionary, in the order in which it was filled.
+    /// Dictionary, in insertion order.
     Dict(Vec<(ValueId, ValueId)>),
-    /// Something by the name of its module and its own.
+    /// Global name: module and name.
     Global(&'a str, &'a str),
-    /// What calling something would give.
+    /// Recorded call.
     Call(Call),
-    /// Something that lies outside of the pickle, by its description.
     PersistentId(ValueId),
 }
 
-/// What calling something would give, and what is then done to it.
+/// A recorded call, and the changes of its result.
 #[derive(Debug, Clone)]
 pub(super) struct Call {
     pub(super) callee: ValueId,
@@ -47,7 +40,6 @@ pub(super) struct Call {
     pub(super) items: Vec<(ValueId, ValueId)>,
 }
 
-/// All values of a pickle.
 pub(super) struct Pickle<'a> {
     values: Vec<Object<'a>>,
     pub(super) top: ValueId,
@@ -77,7 +69,6 @@ impl<'a> Pickle<'a> {
         if let Object::Bool(truth) = self.get(id) { Some(*truth) } else { None }
     }
 
-    /// A number, whole or not.
     pub(super) fn number(&self, id: ValueId) -> Option<f64> {
         match self.get(id) {
             Object::Float(number) => Some(*number),
@@ -98,7 +89,7 @@ impl<'a> Pickle<'a> {
         if let Object::Call(call) = self.get(id) { Some(call) } else { None }
     }
 
-    /// The entries of a dictionary, ordered or not.
+    /// Returns the entries of a dictionary, ordered or not.
     pub(super) fn entries(&self, id: ValueId) -> Option<&[(ValueId, ValueId)]> {
         match self.get(id) {
             Object::Dict(entries) => Some(entries),
@@ -107,7 +98,7 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// The last entry of a dictionary under a key.
+    /// Returns the last entry of a dictionary under a key.
     pub(super) fn entry(&self, id: ValueId, key: &str) -> Option<ValueId> {
         self.entries(id)?.iter().rev().find(|(name, _)| self.text(*name) == Some(key)).map(|(_, value)| *value)
     }
@@ -146,7 +137,7 @@ impl<'a> Machine<'a> {
 
     fn step(&mut self, operation: u8) -> Result<(), NetworkError> {
         match operation {
-            // Protocol and frames, which only say how long something is.
+            // Protocol and frame headers.
             0x80 => self.take_array::<1>().map(drop),
             0x95 => self.take_array::<8>().map(drop),
             b'(' => {
@@ -210,7 +201,7 @@ impl<'a> Machine<'a> {
                     _ => Err(damaged("a name that is no text")),
                 }
             }
-            // What is called, with what.
+            // Records the call instead of executing it.
             b'R' | 0x81 => {
                 let (arguments, of) = (self.pop()?, self.pop()?);
                 self.push(Object::Call(Call { callee: of, arguments, state: None, items: Vec::new() }))
@@ -271,7 +262,6 @@ impl<'a> Machine<'a> {
         Ok(*bytes)
     }
 
-    /// Bytes behind their count.
     fn take_length_prefixed(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
         let (count, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
         let count = count.iter().rev().fold(0_u64, |number, &byte| number << 8 | u64::from(byte));
@@ -292,7 +282,7 @@ impl<'a> Machine<'a> {
         self.push(Object::Bytes(bytes))
     }
 
-    /// A whole number of up to eight bytes; a longer one is nothing that is looked at.
+    /// Pushes an integer of up to eight bytes; a longer one becomes bytes, since no reader uses it.
     fn long(&mut self) -> Result<(), NetworkError> {
         let bytes = self.take_length_prefixed(1)?;
         let mut eight = if bytes.last().is_some_and(|byte| byte & 0x80 != 0) { [0xff; 8] } else { [0; 8] };
@@ -351,7 +341,7 @@ impl<'a> Machine<'a> {
         let top = self.top()?;
         match self.values.get_mut(top.0) {
             Some(Object::List(list)) => list.extend(members),
-            // A list of a kind of its own: nothing that is looked at.
+            // A subclass of list; no reader uses it.
             Some(Object::Call(_)) => {}
             _ => return Err(damaged("members for what is no list")),
         }
@@ -369,7 +359,7 @@ impl<'a> Machine<'a> {
 
     fn get_memo(&mut self, place: usize) -> Result<(), NetworkError> {
         let value = *self.memo.get(&place).ok_or_else(|| damaged("a value that was not remembered"))?;
-        // The stack grows, the values do not.
+        // The stack grows without new values.
         if self.stack.len() >= MAX_VALUES {
             return Err(damaged(format!("more than {MAX_VALUES} values")));
         }

@@ -1,26 +1,21 @@
-//! The encoding of protocol buffers: numbered fields, read where they lie.
+//! Reader of protocol buffers: numbered fields, without copies.
 //!
-//! A handful of messages of one format are read, and nothing is written: a field is matched by its number where it is
-//! needed, so that no code is generated and nothing is copied before its size is known.
+//! Only a few messages of one format are needed, so fields are matched by number instead of by generated code.
 
 use super::NetworkError;
 
 const FORMAT: &str = "ONNX file";
 
-/// Most whole numbers of a repeated field: they make shapes, not weights.
+/// Maximum number of integers of a repeated field, which hold shapes, not weights.
 const MAX_INTEGERS: usize = 4096;
 
-/// Longest name of anything, in bytes.
 const MAX_NAME_BYTES: usize = 300;
 
-/// A field's value.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum WireValue<'a> {
-    /// Variable length.
+    /// Integer of variable length.
     Varint(u64),
-    /// Eight bytes.
     Fixed64(u64),
-    /// Four bytes.
     Fixed32(u32),
     /// Text, bytes, a message, or packed numbers.
     Bytes(&'a [u8]),
@@ -36,7 +31,7 @@ impl<'a> WireValue<'a> {
 
     pub(super) fn text(self) -> Result<String, NetworkError> {
         let text = std::str::from_utf8(self.bytes()?).map_err(|_| damaged("text that is not UTF-8"))?;
-        // Names are said in messages.
+        // Messages contain names, so control characters are rejected.
         if text.len() > MAX_NAME_BYTES || text.chars().any(char::is_control) {
             return Err(damaged(&format!("a name of more than {MAX_NAME_BYTES} bytes or with control characters")));
         }
@@ -50,7 +45,6 @@ impl<'a> WireValue<'a> {
         }
     }
 
-    /// A whole number, which may be negative.
     pub(super) fn integer(self) -> Result<i64, NetworkError> {
         Ok(self.varint()?.cast_signed())
     }
@@ -62,7 +56,7 @@ impl<'a> WireValue<'a> {
         }
     }
 
-    /// Whole numbers of a repeated field, one by one or packed.
+    /// Appends integers of a repeated field, packed or not.
     pub(super) fn integers(self, into: &mut Vec<i64>) -> Result<(), NetworkError> {
         match self {
             Self::Bytes(packed) => {
@@ -77,7 +71,7 @@ impl<'a> WireValue<'a> {
         if fits { Ok(()) } else { Err(damaged(&format!("more than {MAX_INTEGERS} whole numbers in one field"))) }
     }
 
-    /// Numbers of single precision of a repeated field, one by one or packed.
+    /// Appends single-precision numbers of a repeated field, packed or not.
     pub(super) fn floats(self, into: &mut Vec<f32>) -> Result<(), NetworkError> {
         match self {
             Self::Bytes(packed) => {
@@ -92,7 +86,7 @@ impl<'a> WireValue<'a> {
         }
     }
 
-    /// The same of double precision, rounded to single.
+    /// Appends double-precision numbers of a repeated field, rounded to single.
     pub(super) fn doubles(self, into: &mut Vec<f32>) -> Result<(), NetworkError> {
         match self {
             Self::Bytes(packed) => {
@@ -112,11 +106,9 @@ impl<'a> WireValue<'a> {
     }
 }
 
-/// The fields of a message that are not read yet.
 pub(super) struct Message<'a>(pub(super) &'a [u8]);
 
 impl<'a> Message<'a> {
-    /// The next field and its number; none at the end.
     pub(super) fn next_field(&mut self) -> Result<Option<(u64, WireValue<'a>)>, NetworkError> {
         if self.0.is_empty() {
             return Ok(None);

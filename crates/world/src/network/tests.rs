@@ -1,9 +1,8 @@
-//! Graphs of a few bytes: what is followed to which numbers, and what is refused by which words.
+//! Tests of ONNX graphs of a few bytes: results of supported graphs, errors of others.
 
 use super::*;
 use crate::policy::Workspace;
 
-/// A field of bytes.
 fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut all = vec![number << 3 | 2];
     let mut length = bytes.len();
@@ -16,19 +15,17 @@ fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     all
 }
 
-/// A field of a small number.
 fn varint_field(number: u8, value: u8) -> Vec<u8> {
     vec![number << 3, value]
 }
 
-/// A constant of single precision.
 fn constant(name: &str, shape: &[u8], numbers: &[f32]) -> Vec<u8> {
     let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
     let dims: Vec<u8> = shape.iter().flat_map(|&size| varint_field(1, size)).collect();
     [dims, varint_field(2, 1), bytes_field(8, name.as_bytes()), bytes_field(9, &raw)].concat()
 }
 
-/// A node whose name is that of its operator in small letters.
+/// Encodes a node whose name is its operator in lower case.
 fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -> Vec<u8> {
     let inputs: Vec<u8> = inputs.iter().flat_map(|name| bytes_field(1, name.as_bytes())).collect();
     let attributes: Vec<u8> = attributes.iter().flat_map(|one| bytes_field(5, one)).collect();
@@ -52,7 +49,7 @@ fn value_info(name: &str, shape: &[u8]) -> Vec<u8> {
     [bytes_field(1, name.as_bytes()), bytes_field(2, &bytes_field(1, &bytes_field(2, &dims)))].concat()
 }
 
-/// A model that makes `y` of `x`.
+/// Encodes a model that computes `y` from `x`.
 fn model(opset: u8, shape: &[u8], nodes: &[Vec<u8>], constants: &[Vec<u8>]) -> Vec<u8> {
     let nodes: Vec<u8> = nodes.iter().flat_map(|one| bytes_field(1, one)).collect();
     let constants: Vec<u8> = constants.iter().flat_map(|one| bytes_field(5, one)).collect();
@@ -70,7 +67,7 @@ fn answer(bytes: &[u8], inputs: &[f32]) -> Vec<f32> {
     file.network.forward(inputs, 1, &mut Workspace::default()).to_vec()
 }
 
-/// As the official network of the ARCH benchmark is written: opset 6, four dimensions into Gemm, 1 subtracted first.
+/// The official network of the ARCH benchmark has this form: opset 6, four dimensions into Gemm, 1 subtracted.
 #[test]
 fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
     let nodes = [
@@ -86,7 +83,7 @@ fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
     assert_eq!(answer(&model(6, &[1, 1, 1, 3], &nodes, &constants), &[2.0, 3.0, 4.0]), [321.5, 0.0]);
 }
 
-/// MATLAB writes a fully connected layer as a convolution, too.
+/// MATLAB exports a fully connected layer as a convolution, too.
 #[test]
 fn a_convolution_over_the_whole_input_is_a_product() {
     let convolved = |shape: &[u8], pads: u8| {
@@ -143,7 +140,7 @@ fn what_is_not_followed_is_refused_by_operator_and_node() {
     assert!(refusal(&model(5, &[2], &[node("Relu", &["x"], "y", &[])], &[])).starts_with("opset 5 is too old"));
 }
 
-/// What exporters put before a network that is asked in another precision.
+/// Exporters insert such casts before networks that are called in another precision.
 #[test]
 fn a_cast_between_real_numbers_changes_nothing() {
     let cast = |to: u8| {
@@ -170,7 +167,6 @@ fn numbers_that_cannot_be_calculated_with_are_refused() {
     assert_eq!(said, "step 0: divides by 0");
 }
 
-/// Where an answer can lie is never narrower than where it lies.
 #[test]
 fn answers_lie_in_their_ranges() {
     use proptest::prelude::*;
@@ -202,7 +198,7 @@ fn answers_lie_in_their_ranges() {
     });
 }
 
-/// A pickle whose values are nested a million deep, and one that calls something.
+/// One pickle is nested a million deep, another calls a function, a third is circular.
 #[test]
 fn pickles_are_read_and_not_run() {
     let deep = [b"\x80\x02)".to_vec(), vec![0x85; 1_000_000], b".".to_vec()].concat();

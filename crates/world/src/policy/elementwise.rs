@@ -1,8 +1,8 @@
-//! What a network does to each of its numbers between products.
+//! Elementwise operations of a network.
 
-/// A step that changes every number by itself: one operand for each of them where there are operands.
+/// An elementwise operation, with one operand per number or none.
 ///
-/// All of it is single-precision arithmetic in one order, with `tanh` and `exp` from `libm`: the same bits on every machine.
+/// Uses single precision in a fixed order, with `tanh` and `exp` from `libm`: bit-identical on every machine.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Elementwise {
@@ -12,21 +12,21 @@ pub enum Elementwise {
     Multiply(Vec<f32>),
     /// x / a.
     Divide(Vec<f32>),
-    /// x cut to lie between a low and a high number.
+    /// x clipped to a minimum and a maximum.
     Clip {
-        /// The lowest.
+        /// Minimum.
         low: Vec<f32>,
-        /// The highest.
+        /// Maximum.
         high: Vec<f32>,
     },
     /// max(0, x).
     Relu,
-    /// x, times the slope below 0.
+    /// x, multiplied by the slope if negative.
     LeakyRelu {
-        /// The slope.
+        /// Slope.
         slope: f32,
     },
-    /// x, below 0 α (eˣ - 1).
+    /// x, or α (eˣ - 1) if negative.
     Elu {
         /// α.
         alpha: f32,
@@ -38,7 +38,7 @@ pub enum Elementwise {
 }
 
 impl Elementwise {
-    /// How many numbers it is for; none if for any.
+    /// Returns the number of operands; `None` without operands.
     #[must_use]
     pub(crate) fn width(&self) -> Option<usize> {
         match self {
@@ -48,7 +48,6 @@ impl Elementwise {
         }
     }
 
-    /// Changes rows of `width` numbers in place.
     pub(crate) fn apply(&self, values: &mut [f32], width: usize) {
         match self {
             Self::Add(operands) => map_rows(values, operands, |x, a| x + a),
@@ -69,7 +68,7 @@ impl Elementwise {
         }
     }
 
-    /// Where number `index` can end up if it starts between `low` and `high`, but for rounding.
+    /// Returns the range of number `index` for an input between `low` and `high`, without rounding.
     pub(crate) fn range(&self, index: usize, [low, high]: [f64; 2]) -> [f64; 2] {
         let of = |operands: &[f32]| operands.get(index).copied().map_or(f64::NAN, f64::from);
         let sorted = |a: f64, b: f64| if a <= b { [a, b] } else { [b, a] };
@@ -83,7 +82,7 @@ impl Elementwise {
             Self::LeakyRelu { slope } => {
                 let of = |x: f64| if x < 0.0 { f64::from(*slope) * x } else { x };
                 let [a, b] = sorted(of(low), of(high));
-                // A negative slope turns at 0.
+                // A negative slope has its extremum at 0.
                 if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
             }
             Self::Elu { alpha } => {
@@ -97,7 +96,7 @@ impl Elementwise {
     }
 }
 
-/// A number cut to lie between two; by hand, since of 0 and -0 `f32::max` may give either.
+/// Clips a number. Plain comparisons: for 0 and -0 `f32::max` may return either.
 #[inline]
 fn clamp(value: f32, low: f32, high: f32) -> f32 {
     let value = if value < low { low } else { value };

@@ -10,19 +10,16 @@ use safetensors::{SafeTensorError, SafeTensors};
 use super::header::{POLICY_VERSION, PolicyHeader, STATE_LEN};
 use super::{Network, Policy, ResidualControl};
 
-/// The one metadata key; a single key keeps the bytes the same from run to run.
 const METADATA_KEY: &str = "crumple_policy";
 
-/// Largest file that is read.
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Deepest and widest network that is accepted.
 const MAX_LAYERS: usize = 16;
 const MAX_LAYER_WIDTH: usize = 4096;
-/// Most decisions whose numbers a network may see, and most decisions from one of them to the next.
+/// Maximum number of decisions in the history of a network, and of decisions between two of its frames.
 pub const MAX_HISTORY: usize = 64;
 
-/// Why a policy cannot be used.
+/// Reason why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
@@ -31,7 +28,7 @@ pub enum PolicyError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// A policy in a file cannot be used.
@@ -39,19 +36,19 @@ pub enum PolicyError {
     InFile {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The reason.
         reason: Box<Self>,
     },
-    /// It is too large.
+    /// The file is too large.
     #[error("the policy file has more than {MAX_BYTES} bytes")]
     TooLarge,
-    /// It is no safetensors file, or a truncated one.
+    /// The file is not a safetensors file, or is truncated.
     #[error("not a whole safetensors file: {0}")]
     Container(#[from] SafeTensorError),
-    /// The header is missing, or does not say what it should.
+    /// The header is missing or wrong.
     #[error("header `{METADATA_KEY}`: {0}")]
     Header(String),
-    /// The network's numbers are finite, but too large to be calculated with.
+    /// The network can overflow.
     #[error(
         "layer {layer} can overflow on a state within the observation's limit: its numbers are too large to drive with"
     )]
@@ -59,12 +56,12 @@ pub enum PolicyError {
         /// Index of the layer, from 0.
         layer: usize,
     },
-    /// A tensor is missing, superfluous, or not what the header says.
+    /// A tensor is missing, superfluous, or does not fit the header.
     #[error("tensor `{tensor}`: {problem}")]
     Tensor {
-        /// Its name.
+        /// Name of the tensor.
         tensor: String,
-        /// What is wrong.
+        /// Description of the error.
         problem: String,
     },
 }
@@ -73,8 +70,7 @@ impl Policy {
     /// Reads a policy file.
     ///
     /// # Errors
-    /// [`PolicyError`] for a file that is missing, truncated, corrupt, whose tensors are not what its header says, or whose
-    /// network could answer with something that is no number.
+    /// [`PolicyError`] for a missing or damaged file, tensors that do not fit the header, or a possible overflow.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let failed = |source| PolicyError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
@@ -104,7 +100,7 @@ impl Policy {
         check_header(&header)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let sizes = layer_sizes(&header);
-        // Checked before anything is allocated: a small file cannot ask for a large network.
+        // Checked before any allocation: a small file cannot claim a large network.
         let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
         if described.saturating_mul(4) > bytes.len() {
             let problem = format!("describes a network of {described} numbers, more than the file holds");
@@ -124,10 +120,10 @@ impl Policy {
         Self::from_checked_parts(header, network)
     }
 
-    /// The bytes of the policy file: the same for the same policy.
+    /// Returns the bytes of the policy file, which are the same for equal policies.
     ///
     /// # Errors
-    /// None in practice; [`PolicyError::Header`] and [`PolicyError::Container`] pass on what the writers report.
+    /// None in practice; [`PolicyError::Header`] and [`PolicyError::Container`] forward errors of the writers.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
         let text = serde_json::to_string(&self.header).map_err(|e| PolicyError::Header(e.to_string()))?;
         let mut data = Vec::new();
@@ -159,7 +155,6 @@ fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
     (0..layers).flat_map(|layer| [weight_name(layer), bias_name(layer)])
 }
 
-/// Layer sizes of the actor that a header describes.
 pub(super) fn layer_sizes(header: &PolicyHeader) -> Vec<usize> {
     [&[STATE_LEN * header.observation.history], header.hidden.as_slice(), &[1]].concat()
 }
@@ -192,7 +187,6 @@ fn read_tensor(
     }
 }
 
-/// Whether a header can be driven with.
 pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
     let wrong = |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
     if header.version != POLICY_VERSION {

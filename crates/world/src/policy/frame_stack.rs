@@ -1,18 +1,17 @@
-//! What a policy has seen: the present, and where it looks back, what it saw at its decisions before.
+//! History of a policy's inputs.
 
 use super::STATE_LEN;
 
-/// What was seen at the last decisions, oldest first; empty before the first.
+/// Inputs of the last decisions, oldest first; empty before the first.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameStack {
     frames: Vec<f32>,
-    /// Of those, what is looked back on.
     row: Vec<f32>,
 }
 
 impl FrameStack {
-    /// Takes in what is seen at a decision, and gives what was seen at `history` decisions, this one the last of them, each
-    /// `every` after the one before it, oldest first. Before the first decision the world is taken to have been as it was then.
+    /// Appends the inputs of a decision. Returns those of `history` decisions, each `every` after the previous one,
+    /// oldest first. The inputs of the first decision stand for all earlier ones.
     pub fn push(&mut self, [history, every]: [usize; 2], now: &[f32; STATE_LEN]) -> &[f32] {
         let Self { frames: seen, row } = self;
         match seen.len().checked_sub(STATE_LEN) {

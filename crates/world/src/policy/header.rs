@@ -1,60 +1,60 @@
-//! What a policy file says about its network: everything that is needed to drive with it.
+//! Header of a policy file: everything that driving needs except the weights.
 
 use serde::{Deserialize, Serialize};
 
 use super::residual::ResidualControl;
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 
-/// Version of the policy file format this release reads and writes.
+/// Version of the policy file format that this release reads and writes.
 pub const POLICY_VERSION: u32 = 1;
 
-/// Numbers a policy sees at a decision: the paper's eight.
+/// Number of inputs of a policy per decision: the paper's eight.
 pub const STATE_LEN: usize = 8;
 
-/// The header of a policy file.
+/// Header of a policy file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyHeader {
     /// Version of the file format: 1.
     pub version: u32,
-    /// The release that wrote it.
+    /// Release that wrote the file.
     pub crumple: String,
-    /// Widths of the hidden layers, from the state on.
+    /// Widths of the hidden layers, input side first.
     pub hidden: Vec<usize>,
-    /// From the eight numbers to what the network sees.
+    /// Scaling of the eight numbers to inputs of the network.
     pub observation: ObservationScaling,
-    /// From what the network answers to an acceleration.
+    /// Mapping of the network's answer to an acceleration.
     pub action: ActionBounds,
     /// Time between decisions, in seconds.
     pub decision_interval_s: f64,
-    /// What it looked through in training.
+    /// Estimator in training.
     pub estimator: EstimatorKind,
-    /// Seed it was trained under.
+    /// Seed of the training.
     pub seed: u64,
-    /// Episode of training after which it was taken.
+    /// Training episode after which the policy was saved.
     pub episode: u64,
-    /// The whole training configuration.
+    /// Training configuration.
     pub training: serde_json::Value,
 }
 
-/// Makes numbers of order one out of an observation: (x - offset) / scale, cut to ±limit.
+/// Scaling of observations to inputs of order one: (x - offset) / scale, clipped to ±limit.
 ///
-/// Order: `d_fm`, `d_mr`, `v_f`, `v_m`, `v_r`, `a_f`, `a_m`, `a_r` (paper, section "Markov decision process", paragraph S).
+/// Order: `d_fm`, `d_mr`, `v_f`, `v_m`, `v_r`, `a_f`, `a_m`, `a_r` (paper, section "Markov decision process", S).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationScaling {
-    /// Subtracted: metres, m/s or m/s².
+    /// Offsets that are subtracted: metres, m/s or m/s².
     pub offset: [f64; STATE_LEN],
-    /// Divided by: metres, m/s or m/s², positive.
+    /// Divisors: metres, m/s or m/s², positive.
     pub scale: [f64; STATE_LEN],
-    /// Scaled numbers are cut to plus and minus this.
+    /// Clipping limit of scaled numbers.
     pub limit: f64,
-    /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
+    /// Gap that stands for a missing neighbour, in metres; its speed is that of the ego vehicle.
     pub empty_gap_m: f64,
-    /// Decisions whose numbers the network sees, the present one included; 1 for one that sees the present alone.
+    /// Number of decisions whose inputs the network receives, including the current one.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history: usize,
-    /// Decisions from one of them to the next: with 5, and decisions 0.1 s apart, what was seen is half a second apart.
+    /// Number of decisions between two of these; 5 with decisions 0.1 s apart means 0.5 s.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history_every: usize,
 }
@@ -82,7 +82,7 @@ impl Default for ObservationScaling {
 }
 
 impl ObservationScaling {
-    /// What the network sees of the present. A number that is not finite counts as the limit or as 0.
+    /// Returns the inputs of the current decision. NaN counts as 0, infinity as the limit.
     #[must_use]
     #[inline]
     pub fn state(&self, seen: &Observation) -> [f32; STATE_LEN] {
@@ -105,15 +105,15 @@ impl ObservationScaling {
     }
 }
 
-/// The accelerations a policy chooses from.
+/// Accelerations that a policy chooses from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionBounds {
-    /// Lowest acceleration, in m/s².
+    /// Minimum acceleration, in m/s².
     pub low_mps2: f64,
-    /// Highest acceleration, in m/s².
+    /// Maximum acceleration, in m/s².
     pub high_mps2: f64,
-    /// The law that is followed unless the network says otherwise; without one it says the acceleration itself.
+    /// Base controller of a residual policy; `None` if the network determines the acceleration itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "departs_from")]
     pub residual_over: Option<ResidualControl>,
@@ -126,8 +126,7 @@ impl Default for ActionBounds {
 }
 
 impl ActionBounds {
-    /// The action, between -1 and 1, of the output of a network, before the final tanh. NaN, which a network whose weights multiply to
-    /// infinity answers with, would mean full braking: a vehicle must not coast because its controller failed.
+    /// Returns the action, between -1 and 1, for an output before tanh. NaN means full braking.
     #[must_use]
     #[inline]
     pub(crate) fn squash(raw: f32) -> f32 {

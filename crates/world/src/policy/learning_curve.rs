@@ -1,22 +1,22 @@
-//! Learning curves of policies: reward in evaluation over episodes of training.
+//! Learning curves of policies: evaluation reward over training episodes.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-/// The reward of an episode without contact (paper, section "DDPG training result").
+/// Reward of an episode without collision (paper, section "DDPG training result").
 pub const COLLISION_FREE_REWARD: f64 = 22_500.0;
 
-/// Mean and standard deviation over trainings of the reward in evaluation. A training that has ended keeps its best.
+/// Mean and standard deviation over trainings of the evaluation reward. Ended trainings keep their best reward.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LearningCurve {
     /// Name of the training configuration.
     pub preset: String,
-    /// Trainings.
+    /// Number of trainings.
     pub seeds: usize,
-    /// One entry an evaluation, in order.
+    /// Points, one per evaluation, in order.
     pub points: Vec<CurvePoint>,
 }
 
@@ -25,7 +25,7 @@ pub struct LearningCurve {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CurvePoint {
-    /// Episodes done.
+    /// Number of episodes.
     pub episode: u64,
     /// Mean reward.
     pub mean_reward: f64,
@@ -34,7 +34,7 @@ pub struct CurvePoint {
 }
 
 impl LearningCurve {
-    /// Computes the curve from the rewards in evaluation of each training, by episode.
+    /// Computes the curve from the evaluation rewards of each training, by episode.
     #[must_use]
     pub fn from_evaluations(preset: &str, curves: &[BTreeMap<u64, f64>]) -> Self {
         let episodes: BTreeSet<u64> = curves.iter().flat_map(|curve| curve.keys().copied()).collect();
@@ -50,7 +50,7 @@ impl LearningCurve {
     }
 }
 
-/// Returns the reward of the last evaluation up to an episode, or the best reward if the training has ended before it.
+/// Returns the reward of the last evaluation up to an episode, or the best reward if the training ended earlier.
 fn reward_at(curve: &BTreeMap<u64, f64>, episode: u64) -> Option<f64> {
     let (&end, _) = curve.last_key_value()?;
     if episode > end {

@@ -1,7 +1,6 @@
-//! The learned policy: an actor network, the file it lives in, and acting with it, one state or many.
+//! Policies: an actor network, its file, and its evaluation for one state or many.
 //!
-//! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
-//! others, and on any machine. No learning framework is needed to drive.
+//! Evaluation uses single precision in a fixed order: same bits for one state, in a batch, and on any machine.
 
 mod elementwise;
 mod file;
@@ -30,35 +29,33 @@ pub use simd::{SimdClosure, f64_lanes, has_fused_multiply_add};
 
 use crate::observation::Observation;
 
-/// The committed reference policy; `corpora/policy/README.md` says how it was trained.
+/// File of the committed reference policy; `corpora/policy/README.md` describes its training.
 static REFERENCE_BYTES: &[u8] = include_bytes!("reference.safetensors");
 
 #[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
 static REFERENCE: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(REFERENCE_BYTES).expect("the reference policy is whole")));
 
-/// The committed policy retrained by `crumple retrain`, likewise.
+/// File of the committed policy that `crumple retrain` made.
 static RETRAINED_BYTES: &[u8] = include_bytes!("retrained.safetensors");
 
 #[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
 static RETRAINED: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(RETRAINED_BYTES).expect("the retrained policy is whole")));
 
-/// An actor that can drive.
+/// A policy: an actor network that drives.
 ///
-/// Its answers are numbers: an observation is cut to the header's limit before the network sees it, and a network that could
-/// overflow on any state within that limit is refused ([`PolicyError::Overflow`]), not driven with.
+/// Answers are finite: networks that could overflow on clipped observations are rejected ([`PolicyError::Overflow`]).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Policy {
     header: PolicyHeader,
     network: Network,
     packed: PackedNetwork,
-    /// SHA-256 of its file.
     digest: String,
 }
 
 impl Policy {
-    /// A policy of a header and the network it describes.
+    /// Creates a policy from a header and the network that it describes.
     ///
     /// # Errors
     /// [`PolicyError`] if the header is not usable, or describes another network.
@@ -76,7 +73,6 @@ impl Policy {
         }
     }
 
-    /// A policy of parts that fit each other.
     fn from_checked_parts(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
         if let Some(layer) = network.overflowing_layer(header.observation.limit) {
             return Err(PolicyError::Overflow { layer });
@@ -86,55 +82,55 @@ impl Policy {
         Ok(policy)
     }
 
-    /// The committed reference policy.
+    /// Returns the committed reference policy.
     #[must_use]
     pub fn reference() -> Arc<Self> {
         Arc::clone(&REFERENCE)
     }
 
-    /// The file of the reference policy.
+    /// Returns the file of the reference policy.
     #[must_use]
     pub fn reference_bytes() -> &'static [u8] {
         REFERENCE_BYTES
     }
 
-    /// The committed policy that `crumple retrain` made of the reference policy.
+    /// Returns the committed policy that `crumple retrain` made from the reference policy.
     #[must_use]
     pub fn retrained() -> Arc<Self> {
         Arc::clone(&RETRAINED)
     }
 
-    /// The file of the retrained policy.
+    /// Returns the file of the retrained policy.
     #[must_use]
     pub fn retrained_bytes() -> &'static [u8] {
         RETRAINED_BYTES
     }
 
-    /// Everything but the weights.
+    /// Returns the header: everything except the weights.
     #[must_use]
     pub fn header(&self) -> &PolicyHeader {
         &self.header
     }
 
-    /// The actor's network, before the final tanh.
+    /// Returns the actor network, before the final tanh.
     #[must_use]
     pub fn network(&self) -> &Network {
         &self.network
     }
 
-    /// SHA-256 of the policy file, in hexadecimal, for reports and certificates.
+    /// Returns the SHA-256 of the policy file, in hexadecimal.
     #[must_use]
     pub fn digest(&self) -> String {
         self.digest.clone()
     }
 
-    /// What the network sees at a decision: a row of numbers, [`STATE_LEN`] for each decision that it looks back on.
+    /// Returns the inputs of the network at a decision: [`STATE_LEN`] numbers per decision of the history.
     pub fn observe<'p>(&self, seen: &Observation, past: &'p mut FrameStack) -> &'p [f32] {
         let scaling = &self.header.observation;
         past.push([scaling.history, scaling.history_every], &scaling.state(seen))
     }
 
-    /// The action chosen at one decision, between -1 and 1, for what the network [sees](Policy::look).
+    /// Returns the action for a row of [inputs](Policy::observe), between -1 and 1.
     #[must_use]
     pub fn choose(&self, row: &[f32], space: &mut Workspace) -> f32 {
         match *self.packed.forward(row, 1, space) {
@@ -143,7 +139,7 @@ impl Policy {
         }
     }
 
-    /// What [`Policy::choose`] answers for each of many rows, one after the other, as one matrix product a layer.
+    /// Computes the action of [`Policy::choose`] for each of many rows, with one matrix product per layer.
     pub fn choose_batch(&self, rows: &[f32], space: &mut Workspace, actions: &mut [f32]) {
         let answers = self.packed.forward(rows, actions.len(), space);
         for (action, &raw) in actions.iter_mut().zip(answers) {

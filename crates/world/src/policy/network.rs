@@ -1,24 +1,24 @@
-//! A fully connected network: rectified hidden layers, a linear output.
+//! A fully connected network: hidden layers with ReLU, a linear output.
 
 use super::elementwise::Elementwise;
 use super::product::{Lhs, PackedPanels, Rhs, multiply_vector};
 
 /// Shape and parameters of a network.
 ///
-/// Layer l maps h to max(0, h W + b), the last one to h W + b. Parameters lie in one array, layer after layer: W row after
-/// row (one row an input), then b.
+/// Layer l maps h to max(0, h W + b), the last one to h W + b. One array holds the parameters, layer after layer: first
+/// W, one row per input, then b.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Network {
     sizes: Vec<usize>,
     parameters: Vec<f32>,
 }
 
-/// Where one layer's parameters lie.
+/// Location of one layer's parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LayerLayout {
     pub inputs: usize,
     pub outputs: usize,
-    /// First parameter of the layer.
+    /// Index of the first parameter of the layer.
     pub offset: usize,
 }
 
@@ -36,7 +36,7 @@ impl LayerLayout {
 }
 
 impl Network {
-    /// A network of given layer sizes (inputs first, outputs last) with all parameters 0.
+    /// Creates a network of given layer sizes (inputs first, outputs last) with all parameters 0.
     #[must_use]
     pub fn zeros(sizes: &[usize]) -> Self {
         let mut network = Self { sizes: sizes.to_vec(), parameters: Vec::new() };
@@ -45,27 +45,27 @@ impl Network {
         network
     }
 
-    /// Number of values of each layer, inputs first.
+    /// Returns the number of values of each layer, inputs first.
     #[must_use]
     #[inline]
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
     }
 
-    /// All weights and biases.
+    /// Returns all weights and biases.
     #[must_use]
     #[inline]
     pub fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 
-    /// All weights and biases, to be changed.
+    /// Returns all weights and biases, mutable.
     #[inline]
     pub fn parameters_mut(&mut self) -> &mut [f32] {
         &mut self.parameters
     }
 
-    /// The layers from input to output.
+    /// Returns the layers from input to output.
     #[inline]
     pub fn layers(&self) -> impl DoubleEndedIterator<Item = LayerLayout> + ExactSizeIterator + use<> {
         let mut from = 0;
@@ -81,10 +81,9 @@ impl Network {
         layers.into_iter()
     }
 
-    /// The first layer whose output could leave single precision for an input within plus and minus `limit`, by the bound
-    /// |h W + b| <= |h| |W| + |b|, which holds for every partial sum too.
+    /// Returns the first layer that could overflow for inputs within ±`limit`, by |h W + b| <= |h| |W| + |b|.
     pub(crate) fn overflowing_layer(&self, limit: f64) -> Option<usize> {
-        // Half of the range is left for rounding.
+        // Half of the range is reserved for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
         let mut bounds = vec![limit; self.sizes.first().copied().unwrap_or_default()];
         if limit > highest {
@@ -104,7 +103,7 @@ impl Network {
         None
     }
 
-    /// One layer for `batch` rows of `input`, into `out`; `panels` is working space.
+    /// Computes one layer for `batch` rows of `input` into `out`; `panels` is workspace.
     pub fn layer_forward(
         &self,
         layer: LayerLayout,
@@ -124,7 +123,7 @@ impl Network {
     }
 }
 
-/// A network whose weights are laid out for acting.
+/// A network with packed weights for fast evaluation.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct PackedNetwork {
     steps: Vec<PackedStep>,
@@ -132,15 +131,13 @@ pub(crate) struct PackedNetwork {
 
 #[derive(Debug, Clone, PartialEq)]
 enum PackedStep {
-    /// A product with a matrix, its negative elements turned into 0 if `rectified`.
+    /// Product with a matrix; `rectified` replaces negative elements by 0.
     Matrix { panels: PackedPanels, outputs: usize, rectified: bool },
-    /// A product with a vector.
     Vector { weights: Vec<f32>, bias: f32 },
-    /// Something done to each number of rows of this width.
     Elementwise(Elementwise, usize),
 }
 
-/// Working space of an acting network.
+/// Workspace of a network evaluation.
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
     front: Vec<f32>,
@@ -159,8 +156,7 @@ impl PackedNetwork {
         acting
     }
 
-    /// Appends a product with a matrix of one row an input. The last one of a network with one answer is a sum of its own,
-    /// so it cannot be `rectified`.
+    /// Appends a product with a matrix of one row per input. The last product to one output cannot be `rectified`.
     pub(crate) fn push_product(
         &mut self,
         weights: &[f32],
@@ -179,12 +175,11 @@ impl PackedNetwork {
         });
     }
 
-    /// Appends what is done to each of `width` numbers.
     pub(crate) fn push_elementwise(&mut self, each: Elementwise, width: usize) {
         self.steps.push(PackedStep::Elementwise(each, width));
     }
 
-    /// Output for `batch` rows of `input`. Each row's bits do not depend on the others.
+    /// Returns the output for `batch` rows of `input`; the bits of a row do not depend on other rows.
     pub(crate) fn forward<'w>(&self, input: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
         space.front.clear();
         space.front.extend_from_slice(input);

@@ -1,14 +1,12 @@
-//! Products of dense matrices in single precision, with the same bits everywhere.
+//! Products of dense matrices in single precision, bit-identical on every machine.
 //!
-//! Every element of a product is start + Σₚ aₚ bₚ, added up one after the other in order of p, each product and its sum rounded
-//! once, together (a fused multiply-add, IEEE 754-2019 clause 5.4.1). Neither the number of rows computed together nor the width of the
-//! vector registers changes a bit, so that a policy drives one vehicle exactly as it drives five hundred, on any machine. One
-//! without the operation (below x86-64-v3) computes it in software: the same bits, slowly.
+//! Every element of a product is start + Σₚ aₚ bₚ, summed in order of p with fused multiply-add (IEEE 754-2019 clause
+//! 5.4.1), so that each product and its sum are rounded once. Neither batch size nor register width changes a bit. A
+//! machine without the operation (below x86-64-v3) computes it in software: same bits, slowly.
 //!
-//! The right factor is first copied into panels of 32 columns, which the inner loop reads from end to end; R rows by
-//! 32 columns of the result stay in registers meanwhile.
+//! The right factor is copied into panels of 32 columns; R rows by 32 columns of the result stay in registers.
 //!
-//! The rows of a large product can be shared out among threads, which changes no bit either.
+//! The rows of a large product can be split among threads, which does not change a bit either.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,49 +19,48 @@ use super::simd::SimdClosure;
 /// Columns of a panel: two of the widest vector registers.
 const PANEL_COLUMNS: usize = 32;
 
-/// Multiplications that are worth handing to another thread: some fifty microseconds.
+/// Multiplications that justify another thread: some fifty microseconds.
 const MIN_PARALLEL_MULTIPLICATIONS: usize = 5_000_000;
 
-/// Numbers of a factor that are worth being packed by several threads.
+/// Size of a factor that justifies packing by several threads.
 const MIN_PARALLEL_PACK_LEN: usize = 50_000;
 
-/// Rows that are computed together at most.
+/// Maximum number of rows that are computed together.
 const MAX_TILE_ROWS: usize = 8;
 
-/// One row of a panel, at the start of a cache line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
 struct PanelRow([f32; PANEL_COLUMNS]);
 
-/// The left factor of a product with m rows and k columns.
+/// Left factor of a product with m rows and k columns.
 #[derive(Clone, Copy)]
 pub enum Lhs<'a> {
-    /// Row after row: m rows of k.
+    /// Row-major: m rows of k.
     Rows(&'a [f32]),
-    /// Column after column: k columns of m, that is, a matrix of k rows to be taken transposed.
+    /// Column-major: k columns of m, that is, the transpose of a matrix of k rows.
     Columns(&'a [f32]),
 }
 
-/// The right factor of a product with k rows and n columns.
+/// Right factor of a product with k rows and n columns.
 #[derive(Clone, Copy)]
 pub enum Rhs<'a> {
-    /// Row after row: k rows of n.
+    /// Row-major: k rows of n.
     Rows(&'a [f32]),
-    /// Column after column: n columns of k, that is, a matrix of n rows to be taken transposed.
+    /// Column-major: n columns of k, that is, the transpose of a matrix of n rows.
     Columns(&'a [f32]),
 }
 
-/// A right factor, and the values its products start from, ready to be multiplied with.
+/// A packed right factor with the start values of its products.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PackedPanels {
     rows: usize,
     columns: usize,
-    /// Panel after panel; the first row of each is what sums start from.
+    /// Panels; the first row of each contains the start values.
     data: Vec<PanelRow>,
 }
 
 impl PackedPanels {
-    /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
+    /// Packs a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
     pub(crate) fn pack(&mut self, right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         self.reshape(shape);
         for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
@@ -71,7 +68,7 @@ impl PackedPanels {
         }
     }
 
-    /// `pack` on all threads of the pool it is called in.
+    /// Packs a factor as `pack` does, on all threads of the current pool.
     pub fn pack_parallel(&mut self, right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         if shape[0] * shape[1] < MIN_PARALLEL_PACK_LEN {
             return self.pack(right, start, shape);
@@ -87,14 +84,14 @@ impl PackedPanels {
         self.data.resize(columns.div_ceil(PANEL_COLUMNS) * (rows + 1), PanelRow([0.0; PANEL_COLUMNS]));
     }
 
-    /// A factor taken in at once.
+    /// Creates panels from a factor.
     pub fn new(right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) -> Self {
         let mut panels = Self::default();
         panels.pack(right, start, shape);
         panels
     }
 
-    /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
+    /// Computes the product with a left factor of `m` rows into `out` (m rows of n), with ReLU if `rectified`.
     pub(crate) fn multiply(&self, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let (Lhs::Rows(data) | Lhs::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
@@ -105,7 +102,7 @@ impl PackedPanels {
         path.dispatch(Multiply { panels: self, lhs: left, m, rows: 0..m, rectified, out });
     }
 
-    /// `multiply` on all threads of the pool it is called in: for products that do not run beside others.
+    /// Multiplies as `multiply` does, on all threads of the current pool; for products without concurrent ones.
     pub fn multiply_parallel(&self, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let worth = (m * self.rows * self.columns / MIN_PARALLEL_MULTIPLICATIONS).max(1);
         let parts = rayon::current_num_threads().min(worth);
@@ -120,7 +117,7 @@ impl PackedPanels {
     }
 }
 
-/// Fills the panel of the columns that begin at `from`, whatever was there.
+/// Overwrites the panel of the columns that begin at `from`.
 fn fill_panel(data: &mut [PanelRow], from: usize, right: Rhs<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
     let width = PANEL_COLUMNS.min(columns - from);
     if width < PANEL_COLUMNS {
@@ -147,13 +144,12 @@ fn fill_panel(data: &mut [PanelRow], from: usize, right: Rhs<'_>, start: Option<
     }
 }
 
-/// Does `work`, in which some products are computed together, while the other threads of the pool stand by.
+/// Runs `work`, some of whose products are computed in parallel, while the other threads of the pool stay awake.
 ///
-/// Those that find nothing to do fall asleep after some microseconds, and to wake them up takes tens of them each time: as
-/// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications; on a busy
-/// machine they give way. They do whatever there is to do in the pool, so it must be a pool for this work alone.
+/// Waking idle threads takes as long as a small product. So they spin if products have up to `largest` multiplications,
+/// and yield on a busy machine. They execute all tasks of the pool, so the pool must be for this work alone.
 pub fn with_workers<R>(largest: usize, work: impl FnOnce() -> R) -> R {
-    /// Says so when it goes, even if `work` panics.
+    /// Drop guard: lets the spinning pool threads stop, also on panic.
     struct SetOnDrop<'a>(&'a AtomicBool);
     impl Drop for SetOnDrop<'_> {
         fn drop(&mut self) {
@@ -179,12 +175,11 @@ pub fn with_workers<R>(largest: usize, work: impl FnOnce() -> R) -> R {
 struct Multiply<'a> {
     panels: &'a PackedPanels,
     lhs: Lhs<'a>,
-    /// Rows of the left factor.
     m: usize,
-    /// Those of them that are to be multiplied.
+    /// Rows to multiply.
     rows: Range<usize>,
     rectified: bool,
-    /// The product of those.
+    /// Product of these rows.
     out: &'a mut [f32],
 }
 
@@ -193,8 +188,8 @@ impl WithSimd for Multiply<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        // Sixteen registers hold the sums where there are 32 of them, twelve where there are 16. A sum waits some four cycles for its
-        // last term while two terms are begun a cycle, so eight is the least that keeps the units busy.
+        // With 32 vector registers, sixteen hold sums; with 16, twelve. A sum waits some four cycles for its last term
+        // while two terms start per cycle, so at least eight sums keep the units busy.
         if S::F32_LANES == 16 { self.multiply_all::<S, MAX_TILE_ROWS>(simd) } else { self.multiply_all::<S, 6>(simd) }
     }
 }
@@ -261,7 +256,7 @@ impl Multiply<'_> {
     }
 }
 
-/// R rows of the product by two vectors of columns; `left` gives the R left factors of one term.
+/// Computes R rows of the product by two vectors of columns; `left` returns the R left factors of one term.
 #[inline(always)]
 fn tile_sums<S: Simd, const R: usize>(
     simd: S,
@@ -286,7 +281,7 @@ fn tile_sums<S: Simd, const R: usize>(
     sums
 }
 
-/// Σₚ aₚ bₚ in sixteen interleaved partial sums that are then added pairwise: one order on every machine.
+/// Computes Σₚ aₚ bₚ as sixteen interleaved partial sums that are added pairwise, in the same order on every machine.
 #[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut partial = [0.0_f32; 16];
@@ -309,7 +304,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     partial[0]
 }
 
-/// `start` plus the product of each row of `rows` with `factor`, into `out`.
+/// Computes `start` plus the product of each row of `rows` with `factor` into `out`.
 pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
     Arch::new().dispatch(SimdClosure(
         #[inline(always)]
@@ -359,7 +354,6 @@ mod tests {
     }
 
     proptest! {
-        /// The definition, element by element and to the last bit, from any of the four layouts, in registers of any width.
         #[test]
         fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, rectified: bool) {
             let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));

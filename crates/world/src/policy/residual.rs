@@ -1,4 +1,4 @@
-//! Actions that say how far to depart from a law of driving.
+//! Residual policies: actions that are added to the command of a base controller.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,32 +7,32 @@ use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
 use crate::settings::ControllerSettings;
 
-/// A law of driving that is followed while the action is within a dead zone around 0; beyond it the acceleration goes
-/// towards one of the bounds, for which an action of -1 or 1 stands.
+/// A residual policy's base controller and dead zone.
 ///
-/// The law follows what is seen at every step, whatever the time between decisions, and departures from it come and go at a
-/// limited rate. So what a policy does that keeps within the dead zone is the law to the last bit, comfort and distance included.
+/// Within the dead zone around 0 the base controller drives. Beyond it the acceleration moves towards a bound, which an
+/// action of -1 or 1 stands for. The base controller uses the observation of every step, and residuals change at a
+/// limited rate. Within the dead zone the command is therefore bit-identical to that of the base controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ResidualControl {
-    /// Actions up to this, either way, follow the law; from 0 to 0.99.
+    /// Absolute action up to which the base controller drives; from 0 to 0.99.
     pub dead_zone: f64,
-    /// How fast departures come and go, in 1/s: 4 takes a quarter of a second from the law to a bound; from 0.1 to 1000.
+    /// Rate at which residuals change, in 1/s; from 0.1 to 1000. With 4, reaching a bound takes a quarter of a second.
     pub rate_per_s: f64,
-    /// The law: the Intelligent Driver Model with these settings.
+    /// The base controller: the Intelligent Driver Model with these settings.
     #[serde(default)]
     pub idm: IdmSettings,
 }
 
-/// Wider dead zones leave no room for departures.
+/// Maximum dead zone; a wider one would leave no room for residuals.
 const MAX_DEAD_ZONE: f64 = 0.99;
 
-/// Slower departures come too late for any emergency, and faster ones take less than a step.
+/// Range of the rate. Slower residuals come too late in an emergency, faster ones take less than a step.
 const RATE_RANGE_PER_S: [f64; 2] = [0.1, 1000.0];
 
 impl ResidualControl {
-    /// Every number, the path of its field and its range.
+    /// Returns every number with the path of its field and its range.
     pub fn parameters(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let own =
             [("dead_zone", self.dead_zone, [0.0, MAX_DEAD_ZONE]), ("rate_per_s", self.rate_per_s, RATE_RANGE_PER_S)];
@@ -43,7 +43,7 @@ impl ResidualControl {
         own.into_iter().map(|(field, value, range)| (field.to_owned(), value, range)).chain(of_law)
     }
 
-    /// What is wrong with it: the path of the field, and the problem.
+    /// Checks the numbers; an error has the path of the field and the problem.
     ///
     /// # Errors
     /// If a number is outside its range.
@@ -56,16 +56,15 @@ impl ResidualControl {
         }
     }
 
-    /// How far an action wants to depart, from -1, the lowest acceleration, to 1, the highest; 0 is the law.
+    /// Returns the residual that an action demands, from -1 (lowest acceleration) to 1; 0 is the base controller.
     fn target_residual(&self, action: f64) -> f64 {
         let strength = ((action.abs() - self.dead_zone) / (1.0 - self.dead_zone)).max(0.0);
         if action < 0.0 { -strength } else { strength }
     }
 
-    /// The acceleration when one has departed so far, in m/s².
     fn acceleration_mps2(&self, departed: f64, seen: &Observation, [low_mps2, high_mps2]: [f64; 2]) -> f64 {
         let wanted_mps2 = Idm::from(&self.idm).desired_acceleration_mps2(seen);
-        // What cannot be computed means full braking, as for a network.
+        // NaN means full braking, as for a network.
         let law_mps2 = if wanted_mps2.is_nan() { low_mps2 } else { wanted_mps2.max(low_mps2).min(high_mps2) };
         let bound_mps2 = if departed < 0.0 { low_mps2 } else { high_mps2 };
         let strength = departed.abs();
@@ -73,7 +72,7 @@ impl ResidualControl {
     }
 }
 
-/// An action while it is held, and what has come of it.
+/// The current action and the residual so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct HeldAction {
     action: f32,
@@ -81,21 +80,20 @@ pub struct HeldAction {
 }
 
 impl HeldAction {
-    /// Holds another action, between -1 and 1, from now on.
+    /// Sets the action, between -1 and 1.
     #[inline]
     pub fn set(&mut self, action: f32) {
         self.action = action;
     }
 
-    /// How far the driver has departed from the law, from 0 to 1; always 0 where there is none.
+    /// Returns the absolute residual, from 0 to 1; always 0 without a base controller.
     #[must_use]
     #[inline]
     pub fn residual(&self) -> f64 {
         self.residual.abs()
     }
 
-    /// The acceleration of the next step, in m/s²: linear in the action between the bounds, or between each of them and the law
-    /// that it departs from, which follows what is seen.
+    /// Returns the acceleration of the next step, in m/s²: linear in the action, or blended with the base controller.
     #[inline]
     pub fn acceleration_mps2(&mut self, bounds: &ActionBounds, seen: &Observation, step_s: f64) -> f64 {
         let ActionBounds { low_mps2, high_mps2, residual_over: departs_from } = bounds;

@@ -1,11 +1,10 @@
-//! Loops compiled for the vector registers of the machine at hand.
+//! Loops that are compiled for the vector registers of this machine.
 
 use pulp::{Simd, WithSimd};
 
-/// Work to be dispatched to the widest registers there are, as a closure that must be `#[inline(always)]`.
+/// Work for the widest vector registers, as a closure that must be `#[inline(always)]`.
 ///
-/// A closure that is given to `pulp` as it is, is called once and for that through a function of its own, which is compiled
-/// for the narrowest registers.
+/// `pulp` would call a plain closure through a function that is compiled for the narrowest registers.
 pub struct SimdClosure<F>(pub F);
 
 impl<R, F: FnMut() -> R> WithSimd for SimdClosure<F> {
@@ -17,7 +16,7 @@ impl<R, F: FnMut() -> R> WithSimd for SimdClosure<F> {
     }
 }
 
-/// Doubles in the widest vector register that the loops use on this machine. It changes times, and no bit of a result.
+/// Returns the number of doubles in the widest vector register that loops use here. Affects times only, not results.
 #[must_use]
 pub fn f64_lanes() -> usize {
     struct Width;
@@ -31,15 +30,14 @@ pub fn f64_lanes() -> usize {
     pulp::Arch::new().dispatch(Width)
 }
 
-/// Whether this machine multiplies and adds in one operation, rounding once. Without it the same is computed in software: equal to the bit,
-/// and networks act and learn many times as slowly.
+/// True if this machine has fused multiply-add. Software computes the same bits, many times slower.
 #[must_use]
 pub fn has_fused_multiply_add() -> bool {
-    // The loops' wide registers of x86-64 come with the operation; every 64-bit ARM has it.
+    // On x86-64, wide registers imply the operation; every 64-bit ARM has it.
     cfg!(target_arch = "aarch64") || f64_lanes() > 1
 }
 
-/// All widths of registers that this machine has, the narrowest first.
+/// Returns all register widths of this machine, narrowest first.
 #[cfg(test)]
 pub(crate) fn available_archs() -> Vec<pulp::Arch> {
     let mut paths = vec![pulp::Arch::Scalar];

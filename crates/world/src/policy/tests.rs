@@ -1,4 +1,4 @@
-//! Policies: files read back and refused, and acting on one state or many to the same bits.
+//! Tests of policies: reading and rejecting files, and bit-identical evaluation of one state and many.
 
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -6,12 +6,10 @@ use rand::{RngExt, SeedableRng};
 use super::*;
 use crate::observation::{EstimatorKind, Neighbour};
 
-/// A policy with random weights.
 pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
     policy_with_history([1, 1], hidden, decision_interval_s, seed)
 }
 
-/// A policy with random weights that sees some of its past.
 fn policy_with_history(
     [history, history_every]: [usize; 2],
     hidden: &[usize],
@@ -49,7 +47,6 @@ fn any_observation() -> impl Strategy<Value = Observation> {
     })
 }
 
-/// The acceleration that a policy chooses at once, in m/s².
 fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = HeldAction::default();
     held.set(policy.choose(policy.observe(seen, &mut FrameStack::default()), &mut Workspace::default()));
@@ -75,7 +72,7 @@ proptest! {
         }
     }
 
-    /// Cut anywhere, with any byte changed: refused, or a policy that still acts. Never a panic.
+    /// A truncated or changed file is rejected, or is a policy that works; reading never panics.
     #[test]
     fn damaged_files_never_panic(cut in 0..4000_usize, at in 0..4000_usize, flip in 1..=255_u8) {
         let bytes = policy(&[5, 3], 0.1, 1).to_bytes().unwrap();
@@ -168,7 +165,6 @@ fn no_number_at_all_means_full_braking() {
 }
 
 proptest! {
-    /// Weights of any size, up to the largest numbers there are: refused, or driven with to an answer within the bounds.
     #[test]
     fn what_is_accepted_answers_with_a_number(seen in any_observation(), seed: u64, exponent in 0..39_i32, layer in 0..3_usize) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);

@@ -1,6 +1,6 @@
-//! Programs that are asked line by line: how they are started, how long they may take, and how they end with all that they started.
+//! External programs that answer queries line by line: start, timeouts and termination of the process group.
 //!
-//! Needs Unix, and the feature `process`: elsewhere no program starts.
+//! Needs Unix and the feature `process`; otherwise no program starts.
 
 mod problem;
 pub(crate) mod protocol;

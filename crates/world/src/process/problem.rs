@@ -1,4 +1,4 @@
-//! How a process fails as a controller.
+//! Errors of a process that serves as a controller.
 
 use std::fmt;
 
@@ -7,97 +7,97 @@ use serde::{Deserialize, Serialize};
 use super::protocol::VERSION;
 use crumple_core::quoting::TerminalText;
 
-/// Most characters that are told of a text of somebody else.
+/// Maximum number of characters quoted from text of a process.
 pub(super) const MAX_CHARACTERS: usize = 300;
 
-/// What is wrong with a process that should drive.
+/// An error of a controller process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ProcessProblem {
-    /// There is no such command, or the system will not start it.
+    /// No such command, or the system refused to start it.
     #[error("cannot be started: {reason}")]
     NotStarted {
-        /// What the system says.
+        /// Error message of the system.
         reason: String,
     },
-    /// It ended while it was needed.
+    /// The process ended while it was needed.
     #[error("ended by {status}")]
     Ended {
-        /// Its exit code, or the signal that ended it.
+        /// Exit code, or the signal that ended the process.
         status: String,
     },
-    /// It is still there, and no longer reads or writes.
+    /// The process still runs, but closed its pipes.
     #[error("closed its pipes")]
     Closed,
-    /// No answer came in time.
+    /// No answer within the time limit.
     #[error("gave no answer within {limit_s} s")]
     #[serde(rename = "late")]
     Timeout {
-        /// The time it had, in seconds.
+        /// Time limit, in seconds.
         limit_s: f64,
     },
-    /// It wrote on without an end of the line.
+    /// The process wrote a line without end.
     #[error("wrote more than {limit_bytes} bytes without the end of a line")]
     TooLong {
-        /// The limit, in bytes.
+        /// Limit, in bytes.
         limit_bytes: usize,
     },
-    /// It wrote before it was asked, or more than one line.
+    /// The process wrote before a query, or more than one line.
     #[error("answered question {found} where it was asked question {asked}")]
     #[serde(rename = "other_question")]
     WrongRequestId {
-        /// The question's number in its answer.
+        /// Number in the answer.
         found: u64,
-        /// The number it was asked.
+        /// Number of the query.
         asked: u64,
     },
-    /// It speaks another version of the protocol.
+    /// The process uses another version of the protocol.
     #[error("speaks version {found} of the protocol, and crumple speaks {VERSION}")]
     Version {
-        /// What it said.
+        /// Version of the process.
         found: String,
     },
-    /// It wants another number of inputs than it is shown.
+    /// The process expects another number of inputs.
     #[error("wants {wanted} inputs, and is shown {shown}")]
     Inputs {
-        /// How many it wants.
+        /// Number of inputs that the process expects.
         wanted: u64,
-        /// How many there are.
+        /// Number of inputs of the mapping.
         shown: usize,
     },
-    /// It gave more or fewer answers than it was asked for.
+    /// Number of answers that does not match the query.
     #[error("gave {found} answers, and was asked for {asked}")]
     Answers {
-        /// How many it gave.
+        /// Number of answers found.
         found: usize,
-        /// How many were due.
+        /// Number of answers expected.
         asked: usize,
     },
-    /// It did not answer as the protocol says.
+    /// A reply that violates the protocol.
     #[error("answered `{found}`, which is no answer: {reason}")]
     #[serde(rename = "no_answer")]
     InvalidReply {
-        /// The beginning of what it said.
+        /// Beginning of the reply.
         found: String,
-        /// What is wrong with it.
+        /// Description of the error.
         reason: String,
     },
-    /// The answer was not a number, or infinite.
+    /// An answer that is infinite or not a number.
     #[error("answered with a number that is not finite")]
     NotFinite,
-    /// The answer left the range that it has.
+    /// An answer outside its range.
     #[error("answered {answer_mps2} m/s², which is outside its range of {low_mps2} to {high_mps2} m/s²")]
     OutOfRange {
-        /// The answer, in m/s².
+        /// Answer, in m/s².
         answer_mps2: f64,
-        /// The least there may be, in m/s².
+        /// Smallest allowed answer, in m/s².
         low_mps2: f64,
-        /// The largest there may be, in m/s².
+        /// Largest allowed answer, in m/s².
         high_mps2: f64,
     },
-    /// It said that it is deterministic, and is not.
+    /// The process declares itself deterministic, but is not.
     #[error(
         "says that it is deterministic, and when it was asked the same twice, {} answered {first_mps2} m/s² and a fresh one \
          {second_mps2} m/s²{}",
@@ -105,53 +105,53 @@ pub enum ProcessProblem {
         if *reused { ": is its state cleared at reset?" } else { "" }
     )]
     Nondeterministic {
-        /// The answer that counted, in m/s².
+        /// Answer of the run, in m/s².
         first_mps2: f64,
-        /// That of a process that had driven no run before, in m/s².
+        /// Answer of a fresh process, in m/s².
         second_mps2: f64,
-        /// Whether the first answer came from a process that had driven runs before.
+        /// True if the first answer came from a process that had driven earlier runs.
         #[serde(default)]
         reused: bool,
     },
-    /// It says that it is not deterministic, and its controller file does not.
+    /// The process declares itself non-deterministic, but its controller file does not.
     #[error("says that it is not deterministic: its controller file has to say `deterministic = false`, too")]
     #[serde(rename = "undeclared")]
     UndeclaredNondeterminism,
-    /// It decides at instants that are not the scenario's.
+    /// A decision interval that does not match the scenario.
     #[error("decides every {interval_s} s, which is not {wanted}")]
     Interval {
-        /// Its interval, in seconds.
+        /// Decision interval of the process, in seconds.
         interval_s: f64,
-        /// What it should be.
+        /// Expected interval.
         wanted: String,
     },
-    /// One process of a command says something else than another did.
+    /// A handshake that differs from an earlier one of the same command.
     #[error("introduced itself otherwise before")]
     #[serde(rename = "changed")]
     HandshakeChanged,
-    /// A file that its identity stands for is another one now.
+    /// A file of the controller's identity that has changed.
     #[error("cannot be started again: {file} has changed since it was read")]
     FileChanged {
-        /// The file, as the controller file names it.
+        /// File, as the controller file names it.
         file: String,
     },
-    /// It failed too often.
+    /// Too many failures.
     #[error("was started {starts} times, and is not started again")]
     TooManyStarts {
-        /// The limit.
+        /// Maximum number of starts.
         starts: u32,
     },
 }
 
-/// A process that gave no usable answer.
+/// Failure of a process that gave no usable answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ProcessFailure {
-    /// What it calls itself, or its command if it has not said so.
+    /// Name from the handshake, or the command before a handshake.
     pub controller: String,
-    /// What is wrong.
+    /// Reason of the failure.
     pub problem: ProcessProblem,
-    /// The last lines of its standard error since the run began, the latest last.
+    /// Last lines of standard error since the run began, newest last.
     #[serde(rename = "last_words")]
     pub stderr_tail: Vec<String>,
 }
@@ -168,7 +168,7 @@ impl fmt::Display for ProcessFailure {
     }
 }
 
-/// The beginning of a text of somebody else, in which every character shows as itself.
+/// Returns the beginning of an untrusted text, with escapes for characters that a terminal would interpret.
 pub(crate) fn escaped_excerpt(text: &str) -> String {
     let begin: String = text.chars().take(MAX_CHARACTERS).collect();
     let rest = if begin.len() < text.len() { "…" } else { "" };

@@ -1,21 +1,18 @@
-//! The protocol, version 1: lines of JSON, as `docs/controllers.md` tells it.
+//! Messages of protocol version 1: lines of JSON (`docs/controllers.md`).
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{ProcessProblem, escaped_excerpt};
 
-/// The version that this release speaks.
 pub(crate) const VERSION: u64 = 1;
 
-/// What a process is told first.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct HelloRequest<'a> {
     pub(crate) crumple: u64,
     pub(crate) hello: HelloParams<'a>,
 }
 
-/// What it is to do.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct HelloParams<'a> {
     pub(crate) vehicle: VehicleParams,
@@ -23,12 +20,11 @@ pub(crate) struct HelloParams<'a> {
     pub(crate) inputs: Vec<&'a str>,
     pub(crate) history: usize,
     pub(crate) newest_first: bool,
-    /// The range of its answers as accelerations.
+    /// Range of the answers as accelerations.
     pub(crate) low_mps2: f64,
     pub(crate) high_mps2: f64,
 }
 
-/// The vehicle that it drives.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct VehicleParams {
     pub(crate) index: usize,
@@ -37,7 +33,6 @@ pub(crate) struct VehicleParams {
     pub(crate) length_m: f64,
 }
 
-/// What it says to that.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct HelloReply {
@@ -47,14 +42,14 @@ pub(crate) struct HelloReply {
     pub(crate) deterministic: bool,
     /// Time between its decisions, in seconds.
     pub(crate) interval_s: Option<f64>,
-    /// Whether it answers many at once, each by itself.
+    /// True if one query may hold the decisions of several independent runs.
     #[serde(default)]
     pub(crate) batch: bool,
-    /// How many numbers it wants to see.
+    /// Expected number of inputs.
     pub(crate) inputs: Option<u64>,
 }
 
-/// A run begins. Each question has a number of its own, which its answer repeats: what was said too much or too late is known by it.
+/// Start of a run. Replies repeat the `id` of their query, which reveals surplus and late lines.
 #[derive(Serialize)]
 pub(crate) struct ResetRequest {
     pub(crate) id: u64,
@@ -73,7 +68,6 @@ pub(crate) struct ResetReply {
     ready: bool,
 }
 
-/// A decision is due.
 #[derive(Serialize)]
 pub(crate) struct DecisionRequest<'a> {
     pub(crate) id: u64,
@@ -82,7 +76,6 @@ pub(crate) struct DecisionRequest<'a> {
     pub(crate) inputs: &'a [f64],
 }
 
-/// Decisions of several runs are due.
 #[derive(Serialize)]
 pub(crate) struct BatchDecisionRequest<'a> {
     pub(crate) id: u64,
@@ -98,17 +91,15 @@ struct DecisionReply<T> {
     acceleration_mps2: T,
 }
 
-/// A line of the protocol.
 pub(crate) fn write_line(into: &mut Vec<u8>, message: &impl Serialize) -> Result<(), ProcessProblem> {
     into.clear();
-    // Numbers and texts alone: nothing that JSON lacks.
+    // Cannot fail: the messages hold only numbers and text.
     serde_json::to_writer(&mut *into, message)
         .map_err(|error| ProcessProblem::NotStarted { reason: error.to_string() })?;
     into.push(b'\n');
     Ok(())
 }
 
-/// What a process says of itself.
 pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProblem> {
     #[derive(Deserialize)]
     struct Version {
@@ -122,21 +113,19 @@ pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProble
     Ok(HelloReply { name: escaped_excerpt(&greeting.name), ..greeting })
 }
 
-/// That it is ready for a run, in answer to the question of a number.
+/// Checks that the process is ready for a run, in reply to query `asked`.
 pub(crate) fn parse_reset_reply(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
     let ResetReply { id, ready } = parse_message(line)?;
     check_id(id, asked)?;
     if ready { Ok(()) } else { Err(invalid_reply(line, "it is not ready")) }
 }
 
-/// One decision, in answer to the question of a number.
 pub(crate) fn parse_decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
     let DecisionReply { id, acceleration_mps2 } = parse_message(line)?;
     check_id(id, asked)?;
     Ok(acceleration_mps2)
 }
 
-/// Several decisions, in answer to the question of a number.
 pub(crate) fn parse_decisions(line: &[u8], asked: u64, count: usize) -> Result<Vec<f64>, ProcessProblem> {
     let DecisionReply::<Vec<f64>> { id, acceleration_mps2: answers } = parse_message(line)?;
     check_id(id, asked)?;
@@ -152,12 +141,12 @@ fn check_id(found: u64, asked: u64) -> Result<(), ProcessProblem> {
 }
 
 fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
-    // Serde would take a list for a structure.
+    // Serde would accept a list as a structure.
     if line.trim_ascii_start().first() != Some(&b'{') {
         return Err(invalid_reply(line, "a line is a JSON object"));
     }
     serde_json::from_slice(line).map_err(|error| {
-        // Python and others write these, and JSON has no word for them.
+        // Python and others write these numbers, which JSON lacks.
         let names = |number: &str| line.windows(number.len()).any(|part| part == number.as_bytes());
         let is_decision = names("\"acceleration_mps2\"");
         let is_not_finite = ["NaN", "nan", "Infinity", "inf", "number out of range"].into_iter().any(names);

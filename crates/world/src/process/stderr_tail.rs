@@ -2,16 +2,14 @@
 
 use super::problem::escaped_excerpt;
 
-/// Most lines that are told, and the bytes that are kept to tell them.
+/// Maximum number of lines returned, and of bytes kept.
 const MAX_LINES: usize = 8;
 const TAIL_BYTES: usize = 8 << 10;
 
-/// What a program said last.
 #[derive(Default)]
 pub(super) struct StderrTail(Vec<u8>);
 
 impl StderrTail {
-    /// Takes in what it says next.
     pub(super) fn push(&mut self, said: &[u8]) {
         let said = said.get(said.len().saturating_sub(TAIL_BYTES)..).unwrap_or(said);
         self.0.extend_from_slice(said);
@@ -20,12 +18,11 @@ impl StderrTail {
         }
     }
 
-    /// Forgets what was said until now.
     pub(super) fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// The last lines, in which every character shows as itself.
+    /// Returns the last lines, escaped for terminals.
     pub(super) fn lines(&self) -> Vec<String> {
         let kept = self.0.get(self.0.len().saturating_sub(TAIL_BYTES)..).unwrap_or(&self.0);
         let text = String::from_utf8_lossy(kept);

@@ -1,9 +1,8 @@
-//! A program with pipes, and a watchman that outlives crumple.
+//! A child process with pipes, and a watchdog that outlives crumple.
 //!
-//! Each program runs in the process group of a shell that does nothing but wait for the end of its input, and then ends the group.
-//! The other end of that input is held by crumple alone and closed by the system when crumple ends, however it ends: so neither the
-//! program nor what it started stays behind. That is so from its first instant, since it is started into the group. What leaves
-//! the group of its own will (`setsid`) is not followed.
+//! Each program runs in the process group of a shell that waits for the end of its input and then kills the group. Only
+//! crumple holds the other end of that input. The system closes it when crumple ends for any reason, so neither the
+//! program nor its children remain. Processes that leave the group (`setsid`) are not followed.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
@@ -20,49 +19,46 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use super::ProcessProblem;
 use super::stderr_tail::StderrTail;
 
-/// Most bytes of a line.
 const MAX_LINE_BYTES: usize = 1 << 20;
 
-/// Bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
 
-/// Time for a program that closed its output to have an exit code.
+/// Time in which a program that closed its output must have an exit code.
 const EXIT_CODE_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Time for a program whose input has ended to end by itself. The host of an FMU removes what it unpacked in that time.
+/// Time to exit after stdin is closed. The host of an FMU removes its unpacked files in that time.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Ends its process group, itself included, at the end of its input.
+/// Kills its own process group at the end of its input.
 const WATCHDOG_SCRIPT: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -s KILL 0";
 
-/// Held while pipes are made and handed to a process: where a system does that in two steps, another process could inherit them.
+/// Lock for pipe creation and spawn: on systems where these are two steps, another child could inherit the pipes.
 static SPAWN_LOCK: Mutex<()> = Mutex::new(());
 
-/// A program that runs.
 pub(crate) struct ChildProcess {
     child: Child,
     stdin: Option<ChildStdin>,
     stdout: ChildStdout,
     stderr: Option<ChildStderr>,
     received: Vec<u8>,
-    /// Bytes at their beginning that were handed on as a line.
+    /// Number of received bytes that were returned as lines.
     consumed: usize,
     chunk: Box<[u8]>,
     stderr_tail: StderrTail,
     group: ProcessGroup,
 }
 
-/// A process group with its watchman. The group's number is its own as long as the watchman is not waited for.
+/// A process group with its watchdog. The group id stays reserved until the watchdog is waited for.
 struct ProcessGroup {
     watchdog: Child,
-    /// Held so that the watchman's input ends with crumple.
+    /// Pipe that ends the watchdog's input when crumple ends.
     _lifeline: Option<ChildStdin>,
 }
 
 impl ProcessGroup {
     fn start() -> std::io::Result<Self> {
         let mut shell = Command::new("/bin/sh");
-        // Its name in lists of processes says whose it is.
+        // The name identifies the owner in process lists.
         shell.args(["-c", WATCHDOG_SCRIPT, &format!("crumple-watchman-{}", std::process::id())]).process_group(0);
         let mut watchman = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
         let lifeline = watchman.stdin.take();
@@ -72,14 +68,14 @@ impl ProcessGroup {
 
 impl Drop for ProcessGroup {
     fn drop(&mut self) {
-        // Fails only where nobody of the group is left.
+        // Fails only if the group is empty.
         let _ = kill_process_group(Pid::from_child(&self.watchdog), Signal::KILL);
         let _ = self.watchdog.wait();
     }
 }
 
 impl ChildProcess {
-    /// Starts a program in a folder: the first of the words, unless it is said where it lies.
+    /// Starts a program in `folder`. The path is `found`, or else the first of `words`.
     pub(crate) fn start(words: &[String], found: Option<&Path>, folder: &Path) -> Result<Self, ProcessProblem> {
         let failed = |error: std::io::Error| ProcessProblem::NotStarted { reason: error.to_string() };
         let missing = || ProcessProblem::NotStarted { reason: "there is no command".to_owned() };
@@ -88,7 +84,7 @@ impl ChildProcess {
         let group = ProcessGroup::start().map_err(failed)?;
         let mut command = match found {
             Some(found) => Command::new(found),
-            // Otherwise it would depend on the system which folder it starts from.
+            // Relative paths would otherwise be resolved against a system-dependent folder.
             None if program.contains('/') => Command::new(std::path::absolute(folder.join(program)).map_err(failed)?),
             None => Command::new(program),
         };
@@ -118,21 +114,21 @@ impl ChildProcess {
         Ok(program)
     }
 
-    /// Only crumple's ends: the program's own block as programs expect.
+    /// Makes crumple's ends of the pipes non-blocking; the program's own ends block.
     fn set_nonblocking(&self) -> rustix::io::Result<()> {
         self.stdin.as_ref().map_or(Ok(()), |input| ioctl_fionbio(input, true))?;
         self.stderr.as_ref().map_or(Ok(()), |error| ioctl_fionbio(error, true))?;
         ioctl_fionbio(&self.stdout, true)
     }
 
-    /// Writes a line, which ends in a line feed, and waits for the line that answers it.
+    /// Writes a line, which must end in a line feed, and waits for the reply.
     pub(crate) fn query(&mut self, request: &[u8], within: Duration) -> Result<&[u8], ProcessProblem> {
         let end = Instant::now() + within;
         self.received.drain(..self.consumed);
         self.consumed = 0;
         let (mut rest, mut searched) = (request, 0);
         loop {
-            // What it wrote too much before is its answer now, whenever it came: so the outcome is no matter of time.
+            // A surplus line counts as this reply, whenever it came, so that the outcome does not depend on timing.
             if rest.is_empty() {
                 let new = self.received.get(searched..).unwrap_or_default();
                 if let Some(length) = new.iter().position(|byte| *byte == b'\n') {
@@ -155,10 +151,10 @@ impl ChildProcess {
         }
     }
 
-    /// Waits until there is something to read, or to write if that is wanted, and reads it.
+    /// Waits until the process has output, or accepts input if `wants_to_write`, and reads the output.
     fn poll_pipes(&mut self, wants_to_write: bool, end: Instant, within: Duration) -> Result<(), ProcessProblem> {
         let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.timeout_problem(within)) };
-        // What does not count is the output once more.
+        // Polls stdout twice if nothing is to be written.
         let input = match &self.stdin {
             Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
             _ => PollFd::new(&self.stdout, PollFlags::IN),
@@ -189,7 +185,7 @@ impl ChildProcess {
         Ok(())
     }
 
-    /// Reads once from standard error; whether there was something.
+    /// Reads once from standard error; returns true if there was output.
     fn read_stderr(&mut self) -> bool {
         let Some(error) = &mut self.stderr else { return false };
         match error.read(&mut self.chunk) {
@@ -203,7 +199,7 @@ impl ChildProcess {
         false
     }
 
-    /// Why no answer came. What a program started may hold its output open when it has ended.
+    /// Returns the reason of a missing reply. Children may keep the output open after the program ended.
     fn timeout_problem(&mut self, within: Duration) -> ProcessProblem {
         match self.child.try_wait() {
             Ok(Some(status)) => ProcessProblem::Ended { status: describe_exit(status) },
@@ -211,7 +207,7 @@ impl ChildProcess {
         }
     }
 
-    /// How a program ended that no longer reads or writes.
+    /// Returns the error for a program that closed its pipes.
     fn exit_problem(&mut self) -> ProcessProblem {
         let end = Instant::now() + EXIT_CODE_TIMEOUT;
         while Instant::now() < end {
@@ -224,25 +220,23 @@ impl ChildProcess {
         ProcessProblem::Closed
     }
 
-    /// Forgets what was said on standard error until now.
     pub(crate) fn clear_stderr(&mut self) {
         self.drain_stderr();
         self.stderr_tail.clear();
     }
 
-    /// Lets the program know that it may end.
     pub(crate) fn close_stdin(&mut self) {
         self.stdin = None;
     }
 
-    /// Ends it and all that it started at once; what it said last.
+    /// Kills the process group; returns the last lines of standard error.
     pub(crate) fn terminate(mut self) -> Vec<String> {
         self.kill();
         self.drain_stderr();
         self.stderr_tail.lines()
     }
 
-    /// Reads what there is on standard error. There may be no end of it.
+    /// Reads pending standard error. The loop is bounded: the output may be endless.
     fn drain_stderr(&mut self) {
         let most = 2 * MAX_LINE_BYTES / READ_BYTES;
         let _ = (0..most).take_while(|_| self.read_stderr()).count();
@@ -250,18 +244,18 @@ impl ChildProcess {
 
     fn kill(&mut self) {
         let _ = kill_process_group(Pid::from_child(&self.group.watchdog), Signal::KILL);
-        // It may have left the group.
+        // The program may have left the group.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 
-    /// Lets it end by itself for a moment, and then ends it and all that it started. Returns what it said before.
+    /// Closes stdin, waits briefly and kills the process group. Returns the last lines of standard error.
     pub(crate) fn shut_down(mut self) -> Vec<String> {
         self.drain_stderr();
         self.stderr_tail.lines()
     }
 
-    /// Waits for its end for a moment.
+    /// Waits up to `SHUTDOWN_TIMEOUT` for the end of the process.
     fn wait_for_exit(&mut self) {
         self.close_stdin();
         let end = Instant::now() + SHUTDOWN_TIMEOUT;

@@ -1,11 +1,11 @@
-//! Where there are no process groups, or nobody wants any.
+//! Replacement without process groups or without the feature `process`.
 
 use std::path::Path;
 use std::time::Duration;
 
 use super::ProcessProblem;
 
-/// No program.
+/// Uninhabited type: no program runs.
 pub(crate) enum ChildProcess {}
 
 impl ChildProcess {

@@ -1,18 +1,18 @@
-//! What an import leaves out of a recording, and why: nothing is dropped in silence.
+//! Parts of a recording that an import drops, with reasons.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use crate::scenario::{InvalidField, format_compact};
 
-/// Something in a recording that is not in the scenarios made from it.
+/// A part of a recording that is in no scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DroppedItem {
-    /// The recording.
+    /// Path of the recording.
     pub path: PathBuf,
-    /// Line it was first seen on, from 1.
+    /// Line of the first occurrence, from 1.
     pub line: u64,
-    /// What was dropped.
+    /// Dropped part.
     pub omission: Omission,
 }
 
@@ -22,31 +22,31 @@ impl fmt::Display for DroppedItem {
     }
 }
 
-/// What was dropped.
+/// A dropped part and its reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Omission {
-    /// Vehicles of the platoon that have no speed column: before the first, between two, or behind the last.
+    /// Vehicles of the platoon without a speed column.
     #[error("{} speed column: {}", have_no(.first, .last), consequence(.place))]
     VehiclesMissing {
-        /// First vehicle missing.
+        /// First missing vehicle.
         first: usize,
-        /// Last vehicle missing.
+        /// Last missing vehicle.
         last: usize,
-        /// Where in the platoon they were.
+        /// Position of the gap in the platoon.
         place: PlatoonPosition,
     },
-    /// Two neighbours without a spacing column between them.
+    /// Two neighbours without a spacing column.
     #[error("{column}: no such column, so the platoon is split between vehicles {ahead} and {behind}")]
     SpacingColumnMissing {
         /// Name of the column.
         column: String,
-        /// The vehicle ahead.
+        /// Number of the vehicle ahead.
         ahead: usize,
-        /// The vehicle behind.
+        /// Number of the vehicle behind.
         behind: usize,
     },
-    /// A spacing column between vehicles that are not both recorded.
+    /// A spacing column of a vehicle that is not recorded.
     #[error("{column}: ignored, for one of the two vehicles it lies between has no speed column")]
     SpacingWithoutVehicle {
         /// Name of the column.
@@ -55,7 +55,7 @@ pub enum Omission {
     /// A vehicle without a recorded neighbour.
     #[error("vehicle {number}: left out, for no spacing to a vehicle ahead of it or behind it is recorded")]
     LoneVehicle {
-        /// Its number in the recording.
+        /// Number in the recording.
         number: usize,
     },
     /// Empty fields.
@@ -63,12 +63,12 @@ pub enum Omission {
     MissingValues {
         /// Name of the column.
         column: String,
-        /// How many are missing.
+        /// Number of missing values.
         count: usize,
-        /// Rows read.
+        /// Number of rows.
         rows: usize,
     },
-    /// Spacings that no two vehicles can have: not positive, or beyond any view.
+    /// Spacings of 0 or less, or beyond any view.
     #[error(
         "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, \
          the worst {} m",
@@ -77,14 +77,14 @@ pub enum Omission {
     ImpossibleSpacings {
         /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of spacings.
         count: usize,
         /// Line of the last one.
         last_line: u64,
-        /// The one furthest out of range, in metres.
+        /// Value furthest out of range, in metres.
         worst_m: f64,
     },
-    /// Lengths that no vehicle can have: below 0.1 m, or beyond 100 m.
+    /// Lengths below 0.1 m or above 100 m.
     #[error(
         "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, \
          the worst {} m",
@@ -93,14 +93,14 @@ pub enum Omission {
     ImpossibleLengths {
         /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of lengths.
         count: usize,
         /// Line of the last one.
         last_line: u64,
-        /// The one furthest out of range, in metres.
+        /// Value furthest out of range, in metres.
         worst_m: f64,
     },
-    /// Speeds that no vehicle can have: beyond 100 m/s, or negative where a sign means nothing.
+    /// Speeds above 100 m/s, or negative where the sign has no meaning.
     #[error(
         "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, \
          the worst {} m/s",
@@ -109,14 +109,14 @@ pub enum Omission {
     ImpossibleSpeeds {
         /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of speeds.
         count: usize,
         /// Line of the last one.
         last_line: u64,
-        /// The one furthest out of range, in m/s.
+        /// Value furthest out of range, in m/s.
         worst_mps: f64,
     },
-    /// Rows that are not at least a millisecond later than the one before.
+    /// Rows less than a millisecond later than the row before.
     #[error(
         "{column}: {count} rows are not later than the row before and were left out, the first one here \
          ({found_s} s after {before_s} s)"
@@ -124,46 +124,46 @@ pub enum Omission {
     NonIncreasingTime {
         /// Name of the time column.
         column: String,
-        /// How many rows.
+        /// Number of rows.
         count: usize,
-        /// Time of the last row kept before the first of them, in seconds.
+        /// Time of the last valid row before them, in seconds.
         before_s: f64,
         /// Time of the first of them, in seconds.
         found_s: f64,
     },
-    /// Rows of one vehicle at one time.
+    /// Several rows of one vehicle at one time.
     #[error("vehicle {vehicle} is in two places at once here; of {count} such rows each first one is kept")]
     DuplicateRows {
-        /// The vehicle.
+        /// Number of the vehicle.
         vehicle: u32,
-        /// How many rows were left out.
+        /// Number of dropped rows.
         count: usize,
     },
-    /// Vehicles of one lane that overlap, so that neither follows the other.
+    /// Overlapping vehicles of one lane, which are not linked.
     #[error(
         "{count} times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then"
     )]
     Overlapping {
-        /// How often.
+        /// Number of occurrences.
         count: usize,
     },
-    /// Vehicles of which it is not known where they begin or end.
+    /// Vehicles with unknown position or length.
     #[error(
         "{count} times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then"
     )]
     UnknownPosition {
-        /// How often.
+        /// Number of occurrences.
         count: usize,
     },
-    /// Missing values that were filled by straight lines, as a map says.
+    /// Missing values that were interpolated, as the map demands.
     #[error("{column}: {count} missing values were filled by straight lines, the first one here")]
     Interpolated {
         /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of values.
         count: usize,
     },
-    /// Rows of car-following events whose three speeds contradict one another.
+    /// Rows of car-following events with contradictory speeds.
     #[error(
         "{column}: differs from {difference} in {count} rows, the first one here \
          (by {} m/s); their speeds were left out",
@@ -172,26 +172,26 @@ pub enum Omission {
     SpeedsContradict {
         /// Name of the column of relative speeds.
         column: String,
-        /// What it should be, by the names of columns.
+        /// Expected difference, by names of columns.
         difference: String,
-        /// How many rows.
+        /// Number of rows.
         count: usize,
-        /// By how much in the first one, in m/s.
+        /// Error of the first row, in m/s.
         first_error_mps: f64,
     },
-    /// A braking episode that makes no scenario.
+    /// A braking episode without a scenario.
     #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {reason}")]
     Episode {
         /// Number of the braking vehicle in the recording.
         number: usize,
-        /// When it starts to brake, in seconds of the recording.
+        /// Onset of braking, in seconds of the recording.
         onset_s: f64,
-        /// Why there is no scenario.
+        /// Reason.
         reason: EpisodeProblem,
     },
 }
 
-/// Where in a platoon vehicles are missing.
+/// Position of missing vehicles in a platoon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlatoonPosition {
     /// Ahead of the first recorded vehicle.
@@ -202,7 +202,6 @@ pub enum PlatoonPosition {
     Rear,
 }
 
-/// A number of ordinary size to so many decimals.
 fn format_fixed(number: f64, decimals: usize) -> String {
     if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
 }
@@ -219,33 +218,33 @@ fn consequence(place: &PlatoonPosition) -> &'static str {
     }
 }
 
-/// Why a braking episode makes no scenario.
+/// A reason why a braking episode has no scenario.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EpisodeProblem {
-    /// At no time shortly before braking are speed and gap of the next vehicle known.
+    /// No time shortly before braking with known speed and gap of the follower.
     #[error("speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before")]
     NoFollower {
-        /// Number of the vehicle behind.
+        /// Number of the follower.
         follower: usize,
-        /// The time searched, in seconds.
+        /// Time searched, in seconds.
         within_s: f64,
     },
-    /// At no time shortly before braking is anybody known behind.
+    /// No vehicle recorded behind shortly before braking.
     #[error("nobody is recorded behind it in the {within_s} s before")]
     NoVehicleBehind {
-        /// The time searched, in seconds.
+        /// Time searched, in seconds.
         within_s: f64,
     },
-    /// The recorded speed changes faster than any road vehicle can.
+    /// A recorded speed that changes faster than any road vehicle's.
     #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle does", format_fixed(*found_mps2, 1))]
     SpeedJump {
-        /// When, in seconds of the recording.
+        /// Time of the change, in seconds of the recording.
         at_s: f64,
-        /// The change, in m/s², negative when slowing.
+        /// Acceleration, in m/s².
         found_mps2: f64,
     },
-    /// The numbers are outside what a scenario may hold.
+    /// Numbers that a scenario may not hold.
     #[error("{0}")]
     Invalid(InvalidField),
 }

@@ -1,4 +1,4 @@
-//! A braking episode and the scenario it makes.
+//! Braking episodes and their scenarios.
 
 use std::fmt::Write as _;
 
@@ -11,30 +11,31 @@ use crate::scenario::{
 use super::lead_vehicles::VehicleAhead;
 use super::series::round_to_milli;
 
-/// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
-/// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
+/// Length of a recorded car, in metres: antenna distance less bumper spacing, on average over twelve pairs of the
+/// published files. The class length of 2 m is the paper's.
 pub const CAR_LENGTH_M: f64 = 4.5;
-/// Steps of the scenarios in a second. Durations are rounded up to whole steps.
+/// Steps per second of the scenarios. Durations are rounded up to whole steps.
 const STEPS_PER_S: f64 = 100.0;
 
-/// A leader's braking with the followers' start. Times count from the start of the scenario unless said otherwise.
+/// Braking of a leader and initial state of its followers. Times count from the start of the scenario unless stated
+/// otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BrakingEpisode {
-    /// The event it was recorded in, where the file names events; see `Platoon::event`.
+    /// Event of the recording, if the file names events; see `RecordedPlatoon::event`.
     pub event: Option<String>,
-    /// Line of the file that holds the start, from 1.
+    /// Line of the start, from 1.
     pub line: u64,
     /// Time of the start in the recording, in seconds.
     pub start_s: f64,
-    /// When the leader's speed starts to drop faster than the threshold, in seconds.
+    /// Onset of the leader's braking above the threshold, in seconds.
     pub onset_s: f64,
-    /// End of the last second over which it does, in seconds.
+    /// End of the last second of such braking, in seconds.
     pub braking_end_s: f64,
-    /// How long the scenario lasts, in seconds. The recording may end before; the leader then holds its last speed.
+    /// Duration of the scenario, in seconds. After the end of the recording the leader holds its speed.
     pub duration_s: f64,
-    /// The leader's speed at the onset, in m/s.
+    /// Speed of the leader at the onset, in m/s.
     pub onset_speed_mps: f64,
-    /// The leader's speed at the end of braking, in m/s.
+    /// Speed of the leader at the end of braking, in m/s.
     pub end_speed_mps: f64,
     /// Largest loss of speed over one second, in m/s.
     pub largest_drop_mps: f64,
@@ -42,44 +43,45 @@ pub struct BrakingEpisode {
     pub hardest_brake_mps2: f64,
     /// Hardest acceleration between two samples, in m/s².
     pub hardest_accel_mps2: f64,
-    /// The line at the start, front to rear, the leader first.
+    /// Vehicles at the start, front to rear, with the leader first.
     pub vehicles: Vec<EpisodeVehicle>,
-    /// The vehicle ahead of the leader, which is no part of the scenario.
+    /// Vehicle ahead of the leader, which is not in the scenario.
     pub ahead: VehicleAhead,
-    /// Number of the vehicle behind the last, if there was one whose gap or speed was not recorded at the start.
+    /// Number of the vehicle behind the last, if its gap or speed is unknown at the start.
     pub not_recorded_behind: Option<usize>,
     /// Time of each of the leader's samples, in seconds, to the millisecond.
     pub time_s: Vec<f64>,
-    /// The leader's speed at each of them, in m/s, to three decimals.
+    /// Speed of the leader at each of them, in m/s, to three decimals.
     pub speed_mps: Vec<f64>,
 }
 
 /// A vehicle at the start of an episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeVehicle {
-    /// Its number in the recording.
+    /// Number in the recording.
     pub number: usize,
-    /// Its make or role, where the recording says so.
+    /// Make or role, if recorded.
     pub name: Option<String>,
-    /// Bumper gap ahead, in metres, to three decimals; 0 for the leader, which has none.
+    /// Bumper gap ahead, in metres, to three decimals; 0 for the leader.
     pub gap_ahead_m: f64,
     /// Speed in m/s, to three decimals.
     pub speed_mps: f64,
-    /// Bumper to bumper, in metres, to three decimals, where the recording says so.
+    /// Length from bumper to bumper, in metres, to three decimals, if recorded.
     pub length_m: Option<f64>,
 }
 
 impl BrakingEpisode {
-    /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
+    /// Creates the scenario: the leader drives as recorded, the others start as recorded and are then driven by
+    /// controllers.
     ///
-    /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have a vehicle behind them
-    /// to mind; the others, or the only follower, are under test. All are light vehicles of 4.5 m where the
-    /// recording does not say how long they are, and heavy ones from 7.5 m on. The leader's limits are raised where its recorded motion needs more than the class has.
+    /// The last of three or more vehicles drives the baseline ADAS, so that those under test have a follower; all other
+    /// followers are under test. Vehicles of unknown length are light with 4.5 m; vehicles from 7.5 m on are heavy. The
+    /// leader's limits are raised to its recorded motion where necessary.
     ///
-    /// `file` is the recording's name as the scenario's `about` gives it.
+    /// `file` is the name of the recording in the scenario's `about`.
     ///
     /// # Errors
-    /// [`InvalidField`] for numbers outside what a scenario may hold, such as positions beyond 1000 km.
+    /// [`InvalidField`] for numbers that a scenario may not hold, such as positions beyond 1000 km.
     pub fn scenario(&self, name: String, file: &str) -> Result<Scenario, InvalidField> {
         let last = self.vehicles.len().saturating_sub(1);
         let mut position_m = 0.0;
@@ -108,7 +110,7 @@ impl BrakingEpisode {
             version: SCENARIO_VERSION,
             name,
             about: self.about(file),
-            // A quotient, not a multiple of the step, which would not round to what a file shows.
+            // Division rounds to the decimals of the file; multiplication by the step would not.
             duration_s: (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S,
             step_s: 1.0 / STEPS_PER_S,
             seed: 0,
@@ -123,7 +125,6 @@ impl BrakingEpisode {
         Driver::Profile(LeadProfile::Recorded(recorded))
     }
 
-    /// What happened, and what of it the scenario does not show.
     fn about(&self, file: &str) -> String {
         let event = self.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
         let leader = self.vehicles.first().map(EpisodeVehicle::to_string).unwrap_or_default();
@@ -172,7 +173,7 @@ impl std::fmt::Display for EpisodeVehicle {
     }
 }
 
-/// A limit to the next tenth above what was recorded, if that is beyond the class.
+/// Returns the limit, rounded up to a tenth, if the recording exceeds the class.
 fn raise_limit(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
     (recorded_mps2 > class_mps2).then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1).map(round_to_milli)
 }

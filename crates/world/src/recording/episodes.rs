@@ -1,4 +1,4 @@
-//! Where the leader of a recorded platoon brakes, and where to start a scenario from.
+//! Detection of braking episodes and of their start.
 
 use std::cmp::Reverse;
 
@@ -9,25 +9,24 @@ use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
 use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
 
-/// A scenario starts about this long before braking does, so that sensors and filters have settled, in milliseconds.
+/// Time before braking at which a scenario starts, in milliseconds; sensors and filters settle in it.
 const LEAD_IN_MS: i64 = 1_000;
-/// A start is looked for within this long before braking, in milliseconds.
+/// Time before braking within which a start is searched, in milliseconds.
 const START_SEARCH_MS: i64 = 2_000;
-/// A scenario lasts this long beyond the end of braking, unless the leader brakes anew before, in milliseconds. A
-/// brake wave passes from car to car in about a second, and the last of them still has to stop.
+/// Time that a scenario continues after braking, unless the leader brakes again, in milliseconds. A braking wave passes
+/// from car to car in about a second, and the last car still has to stop.
 const TAIL_MS: i64 = 10_000;
 
-/// The least braking that makes an episode: the speed lost within one second, in m/s².
+/// Smallest braking of an episode: the speed lost within one second, in m/s².
 ///
-/// The default is 1.3 m/s², the deceleration above which a car that brakes electrically or automatically must light its
-/// stop lamps (UN Regulation 13-H, 5.2.22.4): what the driver behind has to be warned of. On samples of the published
-/// data (two OpenACC files of two minutes and one and a half, twenty NGSIM events) it yields 23 episodes; 1.0 yields 36
-/// and 2.0 yields 8.
+/// The default is 1.3 m/s², above which a car with electric or automatic braking must light its stop lamps (UN
+/// Regulation 13-H, 5.2.22.4). On samples of the published data (two OpenACC files of two minutes and one and a half,
+/// twenty NGSIM events) it yields 23 episodes; 1.0 yields 36 and 2.0 yields 8.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MinBrake(f64);
 
 impl MinBrake {
-    /// A threshold in m/s².
+    /// Creates a threshold in m/s².
     ///
     /// # Errors
     /// [`RecordingError::MinBrake`] unless it is above 0 and at most 12 m/s², which no road vehicle exceeds.
@@ -36,7 +35,7 @@ impl MinBrake {
         if possible { Ok(Self(mps2)) } else { Err(RecordingError::MinBrake { found: mps2 }) }
     }
 
-    /// The threshold in m/s².
+    /// Returns the threshold in m/s².
     #[must_use]
     pub fn mps2(self) -> f64 {
         self.0
@@ -49,34 +48,33 @@ impl Default for MinBrake {
     }
 }
 
-/// Braking episodes, and those that were left out.
+/// Braking episodes, and dropped ones.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FoundEpisodes {
-    /// Episodes in the order of the file.
+    /// Episodes, in the order of the file.
     pub episodes: Vec<BrakingEpisode>,
-    /// Episodes no scenario can be made of.
+    /// Episodes without a scenario.
     pub dropped: Vec<DroppedItem>,
 }
 
-/// Which vehicles make episodes when they brake.
+/// A selection of the vehicles whose braking makes episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LeaderSelection {
-    /// Every vehicle with another behind it.
+    /// Every vehicle with a follower.
     #[default]
     Any,
-    /// Those without a recorded vehicle ahead of them, alone: braking of the others is their reaction to it.
+    /// Vehicles without a recorded vehicle ahead: the others only react to it.
     First,
 }
 
 /// Finds the braking episodes of a recording.
 ///
-/// An episode is a drop of a vehicle's speed by more than the threshold within one second, merged with those that
-/// follow within 5 s of its end. It starts about 1 s before, at the sample at which the longest unbroken line of
-/// followers has known speeds and gaps, and ends 10 s after braking or when that vehicle's next episode begins.
+/// An episode is a loss of speed above the threshold within one second, merged with those within 5 s of its end. It
+/// starts about 1 s earlier, at the sample with the most followers with known speeds and gaps, and ends 10 s after
+/// braking or at the next episode of the vehicle.
 ///
-/// The vehicle that brakes leads the scenario, with those behind it: a wave of braking that grows from car to car makes an
-/// episode at each of them, the last ones the hardest. With [`LeaderSelection::First`] only a vehicle leads that had none recorded
-/// ahead of it at the time.
+/// The braking vehicle leads the scenario. A growing braking wave thus makes an episode at each car. With
+/// [`LeaderSelection::First`], only vehicles without a recorded vehicle ahead at that time lead.
 #[must_use]
 pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: LeaderSelection) -> FoundEpisodes {
     let mut found = FoundEpisodes::default();
@@ -95,7 +93,6 @@ pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: Leader
     found
 }
 
-/// One braking and what surrounds it.
 struct EpisodeWindow<'a> {
     lead: &'a dyn LeadVehicle,
     run: &'a [SpeedSample],
@@ -127,7 +124,6 @@ impl EpisodeWindow<'_> {
         }
     }
 
-    /// The samples of the run from one time to another, both included.
     fn samples_between(&self, from_ms: i64, to_ms: i64) -> &[SpeedSample] {
         let from = self.run.partition_point(|sample| sample.time_ms < from_ms);
         let to = self.run.partition_point(|sample| sample.time_ms <= to_ms);

@@ -1,186 +1,186 @@
-//! Why a recording could not be used at all.
+//! Errors of recordings.
 
 use std::io;
 use std::path::PathBuf;
 
 use crate::scenario::{file::FileError, format_compact};
 
-/// Why a recording could not be read. What could be read in part is no error: see [`super::Dropped`].
+/// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
     /// The file could not be opened or read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The file holds nothing.
+    /// An empty file.
     #[error("{}: the recording is empty", path.display())]
     Empty {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The first line is of neither format.
+    /// A first line of neither built-in format.
     #[error(
         "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events \
          (which start with `event,time_s,gap_m,...`), both without quotation marks; of any other, a map says what is in it", path.display()
     )]
     UnknownFormat {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// The first field found.
+        /// First field of the line.
         found: String,
     },
-    /// A line that is not text, or is far too long to be a row of numbers.
+    /// A line that is not UTF-8, or far longer than any row of numbers.
     #[error("{}:{line}: {message}", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// What is wrong.
+        /// Description of the error.
         message: String,
     },
-    /// The file ends before its first sample.
+    /// A file that ends before its first sample.
     #[error("{}:{line}: the recording ends here, before {expected}", path.display())]
     CutShort {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Last line found, from 1.
+        /// Last line, from 1.
         line: u64,
-        /// What should have followed.
+        /// Expected content.
         expected: &'static str,
     },
-    /// The line that names the columns is wrong.
+    /// An invalid line of column names.
     #[error("{}:{line}: {column}: {problem}", path.display())]
     Column {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line of the column names, from 1.
         line: u64,
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// What is wrong with it.
+        /// Problem of the column.
         problem: ColumnProblem,
     },
-    /// A row with fewer or more fields than there are columns.
+    /// A row whose number of fields differs from the number of columns.
     #[error("{}:{line}: {column}: {found} fields in a row of {expected}", path.display())]
     FieldCount {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// The first column that has no field, or the last column if there are too many fields.
+        /// First column without a field, or the last column if there are too many fields.
         column: String,
         /// Number of columns.
         expected: usize,
         /// Number of fields.
         found: usize,
     },
-    /// A field that cannot be used.
+    /// An invalid field.
     #[error("{}:{line}: {column}: {problem}", path.display())]
     Value {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// What is wrong with the field.
+        /// Problem of the field.
         problem: ValueProblem,
     },
-    /// More than this release is willing to hold in memory.
+    /// More data than this release holds in memory.
     #[error("{}:{line}: more than {limit} {what}: split the recording", path.display())]
     TooLarge {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line at which the limit was passed, from 1.
+        /// Line that exceeds the limit, from 1.
         line: u64,
-        /// The limit.
+        /// Limit.
         limit: usize,
-        /// What is counted.
+        /// Unit of the limit.
         what: &'static str,
     },
-    /// A map that is not valid.
+    /// An invalid map.
     #[error(transparent)]
     Map(Box<FileError>),
-    /// A threshold no episode could be found with.
+    /// A threshold outside its range.
     #[error("min_brake_mps2: must be above 0 and at most {limit}, found {found}", limit = super::MAX_PLAUSIBLE_ACCEL_MPS2)]
     MinBrake {
-        /// The threshold asked for, in m/s².
+        /// Threshold, in m/s².
         found: f64,
     },
-    /// A scenario that could not be written as text.
+    /// A scenario that could not be serialized.
     #[error("{}: {name}: {source}", path.display())]
     Render {
-        /// The recording.
+        /// Path of the recording.
         path: PathBuf,
-        /// The scenario.
+        /// Name of the scenario.
         name: String,
-        /// What the serializer says.
+        /// Error of the serializer.
         source: toml::ser::Error,
     },
 }
 
-/// What can be wrong with a column's name.
+/// A problem of a column name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ColumnProblem {
-    /// There is no such column.
+    /// No such column.
     #[error("there is no such column among `{known}`")]
     Missing {
-        /// The names that there are, cut after 40 letters.
+        /// Existing names, truncated to 40 characters.
         known: String,
     },
     /// Two columns of one name.
     #[error("named twice")]
     Repeated,
-    /// No vehicle has a spacing to a vehicle next to it.
+    /// No spacing between successive vehicles.
     #[error("no such column lies between two `Speed` columns of successive numbers, so nobody follows anybody")]
     NoFollower,
 }
 
-/// What can be wrong with a field.
+/// A problem of a field.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ValueProblem {
-    /// Not a finite number.
+    /// A field that is not a finite number.
     #[error("must be a finite number or empty, found `{found}`")]
     NotANumber {
-        /// The text found.
+        /// Text of the field.
         found: String,
     },
-    /// No number of a vehicle.
+    /// A field that is not a vehicle number.
     #[error("must be a whole number from 0 to 4294967295, found `{found}`")]
     NotWhole {
-        /// The text found.
+        /// Text of the field.
         found: String,
     },
-    /// Empty, where a row is nothing without it.
+    /// An empty field that the row requires.
     #[error("must not be empty")]
     Missing,
-    /// A row that goes on with an event after rows of other events.
+    /// A row that continues an event after rows of other events.
     #[error(
         "event `{event}`, whose last row was line {last_line}, goes on here after rows of other events: sort the rows by event and then by \
          time, or give different events different names"
     )]
     Interleaved {
-        /// The event.
+        /// Name of the event.
         event: String,
-        /// Line of its row before, from 1.
+        /// Line of its previous row, from 1.
         last_line: u64,
     },
     /// A time beyond any clock.
     #[error("must be from -{limit} to {limit}, found {}", format_compact(*found))]
     OutOfRange {
-        /// Largest magnitude allowed.
+        /// Largest allowed magnitude.
         limit: f64,
-        /// The number found.
+        /// Value of the field.
         found: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! How much following a recording holds, and which of its episodes belong to one wave of braking.
+//! Following exposure of a recording, and its braking waves.
 
 use super::Recording;
 use super::episode::BrakingEpisode;
@@ -6,22 +6,22 @@ use super::episodes::LeaderSelection;
 use super::lead_vehicles::VehicleAhead;
 use super::motion::BRAKING_WINDOW_MS;
 
-/// Brakings that are at most this far apart are of one wave, in seconds: as for phases of one vehicle's braking.
+/// Largest time between brakings of one wave, in seconds; equal to that of phases of one vehicle's braking.
 const MERGE_WITHIN_S: f64 = 5.0;
 
 /// Driving in which an episode could have begun.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FollowingExposure {
-    /// Hours for which a vehicle that may lead had so many behind it: the sum over such vehicles.
+    /// Hours of selected leaders with enough followers, summed over leaders.
     pub hours: f64,
-    /// Kilometres that the vehicle next behind it drove meanwhile.
+    /// Kilometres of the next follower in these hours.
     pub kilometres: f64,
 }
 
-/// Driving in which an episode could have begun, with at least so many `followers` (1 or more) behind its leader.
+/// Measures the driving in which an episode with at least `followers` (1 or more) could have begun.
 ///
-/// Counted are times between two samples, at most half a second apart, at both of which speeds and gaps are known. The last second of
-/// each unbroken stretch is not: braking is a loss of speed within one second, and none that begins then could have been seen.
+/// Counts times between samples at most half a second apart with known speeds and gaps. The last second of each segment
+/// does not count: braking is a loss of speed within one second, so none could have been detected in it.
 #[must_use]
 pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, followers: usize) -> FollowingExposure {
     let mut sum = FollowingExposure::default();
@@ -50,9 +50,9 @@ pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, follo
     sum
 }
 
-/// The wave of braking that each episode of one recording belongs to, numbered from 0.
+/// Returns the braking wave of each episode of one recording, numbered from 0.
 ///
-/// Two episodes are of one wave if the leader of one is in the other's line and they brake at most 5 s apart.
+/// Two episodes belong to one wave if the leader of one is a vehicle of the other and they brake at most 5 s apart.
 #[must_use]
 pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     let mut wave: Vec<usize> = (0..episodes.len()).collect();
@@ -97,8 +97,8 @@ mod tests {
     use std::fmt::Write;
     use std::path::Path;
 
-    /// A platoon of four for 30 s, of which each brakes half a second after the one ahead, and again much later; one spacing is missing
-    /// for a second.
+    /// A platoon of four for 30 s; each brakes half a second after the one ahead, and again much later. One spacing is
+    /// missing for a second.
     fn platoon() -> Recording {
         let header = "Date,1\nVehicle_order\nNumber_of_vehicles,4\nACC,1\nDistance_setting,S\n";
         let names = "Time,Speed1,Speed2,Speed3,Speed4,IVS1,IVS2,IVS3\n";
@@ -119,8 +119,8 @@ mod tests {
     #[test]
     fn following_is_summed_over_whoever_may_lead_and_waves_hold_together() {
         let recording = platoon();
-        // Between 600 samples lie 59.9 s, in the last of which no braking can begin; where the second spacing is missing, 1.1 s of its pair and
-        // of those ahead of it are not counted.
+        // 600 samples span 59.9 s; no braking can begin in the last second. Where the second spacing is missing, 1.1 s
+        // of its pair and of those ahead do not count.
         let seconds = |leaders, followers| following_exposure(&recording, leaders, followers).hours * 3600.0;
         for (leaders, followers, wanted) in [
             (LeaderSelection::Any, 1, 3.0 * 58.9 - 1.1),

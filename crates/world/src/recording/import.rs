@@ -1,4 +1,4 @@
-//! From recordings to scenario files, all or nothing.
+//! Import of recordings as scenario files, all or nothing.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,58 +12,56 @@ use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, hardest_braking};
 use super::{Recording, RecordingFormat, load};
 
-/// Longest part of a file's name that goes into a scenario's.
 const MAX_STEM: usize = 100;
 
-/// What to import.
+/// Options of an import.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImportOptions {
-    /// The least braking that makes an episode.
+    /// Smallest braking of an episode.
     pub min_brake: MinBrake,
-    /// Whose braking makes one.
+    /// Vehicles whose braking makes episodes.
     pub leaders: LeaderSelection,
 }
 
-/// The scenarios of a set of recordings, nothing written yet.
+/// Scenarios of a set of recordings; none is written yet.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImportResult {
-    /// One scenario an episode, in the order of the recordings. No two have the same name.
+    /// One scenario for each episode, in the order of the recordings, with unique names.
     pub scenarios: Vec<ImportedScenario>,
-    /// What was read, one entry a recording.
+    /// Imported recordings, in order.
     pub sources: Vec<ImportedRecording>,
-    /// What was left out, in the order of the recordings.
+    /// Dropped parts, in the order of the recordings.
     pub dropped: Vec<DroppedItem>,
 }
 
 /// A scenario and its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportedScenario {
-    /// The file's name: the scenario's with `.toml` behind it; lower-case letters, digits, `-` and `.` only.
+    /// Name of the file: the scenario's with `.toml`; lower-case letters, digits, `-` and `.` only.
     pub file_name: String,
-    /// The file's text.
+    /// Text of the file.
     pub toml: String,
-    /// The scenario in it.
+    /// Parsed scenario.
     pub scenario: Scenario,
 }
 
-/// What one recording yielded.
+/// Result of one recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportedRecording {
-    /// The recording.
+    /// Path of the recording.
     pub path: PathBuf,
-    /// Its format.
+    /// Format of the recording.
     pub format: RecordingFormat,
-    /// Scenarios made of it.
+    /// Number of scenarios.
     pub scenarios: usize,
-    /// The hardest braking in it, whether it made a scenario or not.
+    /// Hardest braking, with or without a scenario.
     pub hardest: HardestBrakingResult,
 }
 
-/// Reads recordings, by a map if there is one, and renders one scenario file for each braking episode. Writes nothing: a caller that gets a result
-/// has all of it.
+/// Reads recordings, with a map if there is one, and renders a scenario file for each braking episode. Writes nothing.
 ///
-/// Scenarios are named after format, file and a number, such as `openacc-long-setting-dynamic-part16-01`; files of one
-/// name in different folders are numbered on.
+/// Names consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`; equal file names in
+/// different folders continue the numbers.
 ///
 /// # Errors
 /// [`RecordingError`] for the first recording that cannot be read, see [`load`].
@@ -122,8 +120,7 @@ impl ImportResult {
     }
 }
 
-/// Format and file in lower-case letters, digits and single hyphens; a file already named after its format is not named
-/// after it twice.
+/// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.
 fn prefix(recording: &Recording) -> String {
     let format = recording.format.name();
     let stem = slug(recording.path.file_stem().map(Path::new).unwrap_or(Path::new("")));

@@ -1,32 +1,32 @@
-//! Who may lead an episode: any recorded vehicle, and what is known of those around it.
+//! Leaders of episodes and the vehicles around them.
 
 use super::RecordedPlatoon;
 use super::episode::EpisodeVehicle;
 use super::motion::{SpeedSample, platoon_segments};
 use super::series::round_to_milli;
 
-/// The vehicle ahead of one that brakes.
+/// Vehicle ahead of a braking vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum VehicleAhead {
-    /// Nobody that the recording knows of.
+    /// No recorded vehicle.
     None,
-    /// A vehicle, by its number, whose speed and gap are known.
+    /// Vehicle number, with known speed and gap.
     Recorded(usize),
-    /// A vehicle, by its number, of which they are not.
+    /// Vehicle number, with unknown speed or gap.
     NotRecorded(usize),
 }
 
-/// A recorded vehicle as the leader of those behind it.
+/// A recorded vehicle as a leader.
 pub(super) trait LeadVehicle {
-    /// Unbroken stretches of its motion.
+    /// Returns the segments of its motion without holes.
     fn segments(&self) -> Vec<Vec<SpeedSample>>;
-    /// The vehicle itself, with a speed.
+    /// Returns the vehicle itself at a speed.
     fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle;
-    /// Who is behind it at a sample with known speeds and gaps, front to rear, without a break.
+    /// Returns the consecutive followers with known speeds and gaps at a sample, front to rear.
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle>;
-    /// Speed of the next behind it, if at least so many `followers` are behind it with known speeds and gaps.
+    /// Returns the speed of the next follower, if at least `followers` followers have known speeds and gaps.
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64>;
-    /// Number of the vehicle behind the first so many followers, if the recording has one.
+    /// Returns the number of the vehicle behind the first `followers` followers, if recorded.
     fn next_behind(&self, followers: usize) -> Option<usize>;
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead;
     fn line_of(&self, sample: &SpeedSample) -> u64;

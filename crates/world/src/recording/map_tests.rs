@@ -1,4 +1,4 @@
-//! Maps: one motion in several layouts and units is one set of episodes, and what is wrong with a map is said where it stands.
+//! One motion in several layouts and units yields equal episodes; map errors name their line.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use super::motion_tests::{PlatoonMotion, any_motion};
 use super::tests::read_text;
 use super::*;
 
-/// Places of many vehicles, against the direction in which positions grow, in feet, kilometres an hour and frames.
+/// Tracks of vehicles that drive towards smaller positions, in feet, kilometres per hour and frames.
 const TRACKS: &str = r#"version = 1
 name = "tracks"
 delimiter = "semicolon"
@@ -24,7 +24,7 @@ speed = { column = "v", unit = "km/h" }
 length.column = { name = "length", unit = "cm" }
 "#;
 
-/// Pairs, in miles an hour and from front to front, with the closing speed instead of the leader's.
+/// Pairs, in miles per hour and from front to front, with the closing speed instead of the leader's speed.
 const PAIRS: &str = r#"version = 1
 name = "pairs"
 delimiter = "tab"
@@ -45,7 +45,7 @@ fn read_with(text: &str, by: &str) -> Recording {
     read(text.as_bytes(), Path::new("a.csv"), Some(&map(by))).expect("readable")
 }
 
-/// What makes each scenario: when it starts and how long it lasts, when and how the leader drives, and who starts where.
+/// Returns the data of each scenario: start and duration, braking and leader speeds, initial states.
 fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
     let mut told: Vec<_> = found
@@ -87,7 +87,7 @@ proptest! {
 
     #[test]
     fn one_motion_in_every_layout_is_one_set_of_episodes(mut motion in any_motion(0.0)) {
-        // What is written to a millimetre is read to a millimetre, whatever the unit.
+        // Values are written and read to a millimetre in any unit.
         for value in motion.speeds.iter_mut().chain(&mut motion.gaps).flatten().flatten() {
             *value = (*value * 1000.0).round() / 1000.0;
         }
@@ -179,7 +179,7 @@ fn what_no_road_has_is_left_out_and_said() {
     }
 }
 
-/// Three cars in one lane, of which a field of the second one's second row is damaged. Nobody is taken to follow whoever is beyond it.
+/// Three cars in one lane; a field of the second car's second row is damaged. No vehicle follows across it.
 #[test]
 fn nobody_follows_across_a_vehicle_that_is_not_known() {
     let text = |damage: &dyn Fn(u32, u32) -> [String; 4]| {
@@ -232,12 +232,12 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
         assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]], "{field} {with}");
         let dropped: Vec<_> = recording.dropped.iter().map(DroppedItem::to_string).collect();
         assert_eq!(dropped, [said.to_owned(), format!("a.csv:7: 1 {cannot}")]);
-        // The map may say that such holes are filled.
+        // The map can fill such holes.
         let recording = read_with(&damaged(field, with), &filled);
         assert_eq!(behind(&recording), [[2, 3], [2, 3], [2, 3]], "{field} {with}");
         assert!(recording.dropped[1].to_string().contains("1 missing values were filled"), "{:?}", recording.dropped);
     }
-    // A speed that no vehicle has is said, and ends the line there.
+    // An impossible speed is reported, and ends the line of vehicles there.
     let recording = read_with(&damaged(2, "-1e300"), TRACKS);
     assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]]);
     let [said] = &recording.dropped[..] else { panic!("{:?}", recording.dropped) };
@@ -247,7 +247,7 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
     assert_eq!(error.to_string(), "a.csv:7: lane: must not be empty");
 }
 
-/// What is too slow, too short or not there is not said to be a recording in which nobody brakes.
+/// Too sparse or too short recordings are not reported as free of braking.
 #[test]
 fn that_nobody_brakes_is_said_only_where_it_was_seen() {
     let pair = |step_ms: u32, count: u32, ego: &str| {

@@ -1,10 +1,10 @@
-//! What did happen: recorded platoons, and the scenarios their braking episodes make.
+//! Recorded traffic, and scenarios of its braking episodes.
 //!
-//! What the columns of a file mean, a [`RecordingMap`] says. Two are built in, for formats that are told apart by their first
-//! line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database of car-following experiments to
-//! study the properties of commercial ACC systems", Transportation Research Part C 125 (2021) 103047) and car-following events
-//! (pairs cut out of traffic recordings such as NGSIM). All become a [`Recording`]; [`episodes()`] finds where a leader brakes,
-//! and [`import()`] turns each episode into a scenario and says what it dropped.
+//! A [`RecordingMap`] states the meaning of the columns of a file. Two maps are built in and recognised by the first
+//! line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database of car-following
+//! experiments to study the properties of commercial ACC systems", Transportation Research Part C 125 (2021) 103047)
+//! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
+//! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists what it dropped.
 
 mod dropped;
 mod episode;
@@ -46,27 +46,27 @@ pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hard
 use table::{CsvRow, RowReader};
 pub use traffic::RecordedTraffic;
 
-/// Fastest change of speed that is taken for motion and not for an error of measurement, in m/s²: tyres on a dry road
-/// give little more than 1 g.
+/// Largest plausible acceleration, in m/s²; larger values are measurement errors. Tyres on a dry road give little more
+/// than 1 g.
 pub const MAX_PLAUSIBLE_ACCEL_MPS2: f64 = 12.0;
 
-/// A recording: the platoons of one file, and what of the file is not in them.
+/// The platoons of one file, and its dropped parts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Its format.
+    /// Format of the file.
     pub format: RecordingFormat,
-    /// Unbroken lines of vehicles, at least two in each.
+    /// Platoons of at least two vehicles without missing members.
     pub platoons: Vec<RecordedPlatoon>,
-    /// Vehicles that come, go and change their places, where the file holds tracks.
+    /// Vehicles with changing neighbours, if the file holds tracks.
     pub traffic: Option<RecordedTraffic>,
-    /// What was dropped while reading.
+    /// Parts dropped while reading.
     pub dropped: Vec<DroppedItem>,
 }
 
 impl Recording {
-    /// Everybody who may lead, front to rear: whoever has a vehicle behind.
+    /// Returns all vehicles with a follower, front to rear.
     fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
         let in_platoon = |platoon| {
             let leads = 0..RecordedPlatoon::vehicles(platoon).len().saturating_sub(1);
@@ -77,7 +77,7 @@ impl Recording {
     }
 }
 
-/// The format of a recording, by the name of its map.
+/// Format of a recording: the name of its map.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordingFormat(String);
 
@@ -86,16 +86,16 @@ impl RecordingFormat {
         Self(map.name.clone())
     }
 
-    /// A short name, the first part of the names of imported scenarios.
+    /// Returns the name, which begins the names of imported scenarios.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.0
     }
 }
 
-/// Vehicles that were recorded one behind the other, with the gaps between them, on one time base.
+/// A line of recorded vehicles with the gaps between them, on one time base.
 ///
-/// Speeds and gaps may be missing at any sample, but every list has one entry for each sample.
+/// Speeds and gaps may be missing, but every list has one entry for each sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedPlatoon {
     event: Option<String>,
@@ -106,38 +106,38 @@ pub struct RecordedPlatoon {
 }
 
 impl RecordedPlatoon {
-    /// The event it was recorded in, where the file names events; a long name is cut after 40 characters, for display.
+    /// Returns the event, if the file names events, truncated to 40 characters.
     #[must_use]
     pub(crate) fn event(&self) -> Option<&str> {
         self.event.as_deref()
     }
 
-    /// Time of each sample in seconds, increasing by a millisecond or more.
+    /// Returns the time of each sample in seconds, increasing by a millisecond or more.
     #[must_use]
     pub fn time_s(&self) -> &[f64] {
         &self.time_s
     }
 
-    /// Line of the file that each sample stands on, from 1.
+    /// Returns the line of each sample in the file, from 1.
     #[must_use]
     pub fn line(&self) -> &[u64] {
         &self.line
     }
 
-    /// The vehicles, front to rear.
+    /// Returns the vehicles, front to rear.
     #[must_use]
     pub fn vehicles(&self) -> &[RecordedVehicle] {
         &self.vehicles
     }
 
-    /// Bumper gap ahead of vehicle `index`, counted within the platoon, at each sample: metres, positive, none where
-    /// it is not known. Empty for the first vehicle and for one that does not exist.
+    /// Returns the bumper gap ahead of vehicle `index` of the platoon at each sample: metres, positive, `None` if
+    /// unknown. Empty for the first vehicle and for one that does not exist.
     #[must_use]
     pub fn gap_ahead_m(&self, index: usize) -> &[Option<f64>] {
         index.checked_sub(1).and_then(|above| self.gaps_m.get(above)).map_or(&[], Vec::as_slice)
     }
 
-    /// Gap ahead and speed of vehicle `index` at one sample, if both are known.
+    /// Returns gap ahead and speed of vehicle `index` at one sample, if both are known.
     fn gap_and_speed(&self, index: usize, sample: usize) -> Option<(f64, f64)> {
         let gap_m = *self.gap_ahead_m(index).get(sample)?;
         Some((gap_m?, self.vehicles.get(index)?.speed_at_mps(sample)?))
@@ -153,19 +153,19 @@ pub struct RecordedVehicle {
 }
 
 impl RecordedVehicle {
-    /// Its number in the file, from 1 at the front of the platoon that drove.
+    /// Returns the number in the file, from 1 at the front of the platoon.
     #[must_use]
     pub fn number(&self) -> usize {
         self.number
     }
 
-    /// Its make or role, where the file says so.
+    /// Returns make or role, if recorded.
     #[must_use]
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
     }
 
-    /// Speed at each sample, from 0 to 100 m/s; none where it is not known.
+    /// Returns the speed at each sample, from 0 to 100 m/s; `None` if unknown.
     #[must_use]
     pub fn speed_mps(&self) -> &[Option<f64>] {
         &self.speed_mps
@@ -176,11 +176,12 @@ impl RecordedVehicle {
     }
 }
 
-/// Reads a recording, whatever its extension: by a map, or else of a format that its first line tells.
+/// Reads a recording with any extension, by `map` or by the built-in map that matches its first line.
 ///
 /// # Errors
-/// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is cut short, or
-/// holds a field that is not a number. Missing and impossible values are no error: they are in [`Recording::dropped`].
+/// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
+/// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
+/// [`Recording::dropped`].
 pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
     let file = File::open(path).map_err(|source| RecordingError::Read { path: path.to_owned(), source })?;
     read(file, path, map)
@@ -188,9 +189,8 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 
 /// Reads a recording from a stream; `path` only names it.
 ///
-/// Memory is bounded: a line of more than a mebibyte, and more than 5 million rows, 20 million speeds and gaps, 200
-/// vehicles of a platoon or 100 000 events are refused. A byte order mark and carriage returns before line feeds are no part of
-/// the text.
+/// Memory is bounded: fails for lines above a mebibyte, and for more than 5 million rows, 20 million speeds and gaps,
+/// 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before line feeds.
 ///
 /// # Errors
 /// As [`load`].
@@ -217,7 +217,6 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
     read_with_map(&mut table, map.spec(), first)
 }
 
-/// Reads by a map, from the first row on.
 fn read_with_map<R: Read>(
     table: &mut RowReader<'_, R>,
     map: &RecordingMapSpec,

@@ -1,45 +1,43 @@
-//! One vehicle's recorded speeds as the piecewise linear motion a scenario plays back, and where it brakes.
+//! Recorded speeds of a vehicle as piecewise linear motion, and its braking events.
 //!
-//! Times are whole milliseconds and speeds whole millimetres a second here, as in the files that are written, so that
-//! what was found in the recording is still there in the scenario.
+//! Times are whole milliseconds and speeds whole millimetres per second, as in scenario files, so that written
+//! scenarios contain the detected braking.
 
 use super::RecordedPlatoon;
 use super::series::round_to_milli;
 
-/// Longest hole between two samples that is bridged by a straight line, in milliseconds. Within half a second a car's
-/// acceleration changes little; beyond it, a whole brake application could hide.
+/// Longest hole that is bridged linearly, in milliseconds. Within half a second a car's acceleration changes little; a
+/// longer hole could hide a brake application.
 pub(super) const MAX_HOLE_MS: i64 = 500;
-/// Braking is a loss of speed within this time, in milliseconds.
+/// Time window of a loss of speed that counts as braking, in milliseconds.
 pub(super) const BRAKING_WINDOW_MS: i64 = 1000;
-/// Braking phases at most this far apart are one episode, in milliseconds: the followers are still reacting to the
-/// first when the second begins.
+/// Largest time between braking phases of one episode, in milliseconds: followers still react to the first phase.
 const MERGE_WITHIN_MS: i64 = 5_000;
-/// Clearance to the threshold that keeps rounding errors of a difference from deciding, in m/s.
+/// Margin above the threshold against rounding errors, in m/s.
 const ROUNDING_MARGIN_MPS: f64 = 1e-9;
 
-/// A recorded speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SpeedSample {
-    /// Index in the platoon's time base.
+    /// Index in the time base of the platoon.
     pub(super) index: usize,
     pub(super) time_ms: i64,
     pub(super) speed_mps: f64,
 }
 
-/// Braking phases that belong together.
+/// Merged braking phases.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BrakingEvent {
-    /// Start of the first second over which the speed drops fast enough.
+    /// Start of the first second with enough loss of speed.
     pub(super) onset_ms: i64,
     /// End of the last such second.
     pub(super) end_ms: i64,
-    /// Largest drop over one second, in m/s.
+    /// Largest loss of speed within one second, in m/s.
     pub(super) largest_drop_mps: f64,
     /// Start of that second.
     pub(super) hardest_ms: i64,
 }
 
-/// The unbroken stretches of the motion of a platoon's vehicle.
+/// Returns the segments of the motion of a vehicle of a platoon.
 pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec<Vec<SpeedSample>> {
     let Some(vehicle) = platoon.vehicles.get(vehicle) else { return Vec::new() };
     let known = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
@@ -48,7 +46,7 @@ pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec
     }))
 }
 
-/// Samples in unbroken stretches: no hole longer than half a second.
+/// Splits samples at holes longer than half a second.
 pub(super) fn split_at_holes(samples: impl Iterator<Item = SpeedSample>) -> Vec<Vec<SpeedSample>> {
     let mut runs: Vec<Vec<SpeedSample>> = Vec::new();
     for sample in samples {
@@ -62,7 +60,7 @@ pub(super) fn split_at_holes(samples: impl Iterator<Item = SpeedSample>) -> Vec<
     runs
 }
 
-/// Where `v(t) - v(t + 1 s)` exceeds the threshold, for t at each sample, in order of time.
+/// Finds where `v(t) - v(t + 1 s)` exceeds the threshold, for t at each sample, in order of time.
 pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<BrakingEvent> {
     let mut found: Vec<BrakingEvent> = Vec::new();
     let mut ahead = run.windows(2).peekable();
@@ -91,7 +89,7 @@ pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<Bra
     found
 }
 
-/// Speed at a time within the run, linear between samples, the ends held.
+/// Returns the speed at a time of the run, linear between samples, constant outside.
 pub(super) fn speed_at_mps(run: &[SpeedSample], at_ms: i64) -> f64 {
     let next = run.partition_point(|sample| sample.time_ms <= at_ms);
     let before = next.checked_sub(1).and_then(|index| run.get(index));

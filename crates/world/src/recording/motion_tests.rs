@@ -6,7 +6,7 @@ use super::tests::{HEADER, read_text};
 use super::*;
 use crate::scenario::{Driver, LeadProfile, RecordedSpeeds};
 
-/// A platoon's motion: the number of its first vehicle, and speeds and gaps of each row, some of them missing.
+/// Motion of a platoon: number of its first vehicle, and speeds and gaps of each row, some missing.
 #[derive(Debug, Clone)]
 pub(super) struct PlatoonMotion {
     pub(super) first: usize,
@@ -43,7 +43,7 @@ pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = PlatoonMot
 }
 
 impl PlatoonMotion {
-    /// The text of a file with carriage returns and a blank line, so that samples begin on line 8.
+    /// Writes a file with carriage returns and a blank line; samples begin on line 8.
     pub(super) fn to_csv(&self) -> String {
         let vehicles = self.speeds[0].len();
         let numbers = self.first..self.first + vehicles;
@@ -61,7 +61,7 @@ impl PlatoonMotion {
     }
 }
 
-/// The largest loss of speed over one second that starts at a sample.
+/// Returns the largest loss of speed over one second that starts at a sample.
 fn largest_drop_mps(lead: &RecordedSpeeds) -> f64 {
     let drop = |&t: &f64| lead.speed_at_mps(t) - lead.speed_at_mps(t + 1.0);
     lead.time_s.iter().map(drop).fold(f64::NEG_INFINITY, f64::max)
@@ -70,8 +70,8 @@ fn largest_drop_mps(lead: &RecordedSpeeds) -> f64 {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(96))]
 
-    /// What was written is read, and every episode is a valid scenario that starts as recorded, whose leader drops
-    /// speed faster than the threshold and can do what was recorded.
+    /// Files are read as written. Every episode is a valid scenario that starts as recorded; its leader loses speed
+    /// faster than the threshold and within its limits.
     #[test]
     fn recordings_survive_the_way_into_scenarios(motion in any_motion(0.05), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.to_csv()).expect("well formed");
@@ -109,7 +109,7 @@ proptest! {
         }
     }
 
-    /// Every second over which a fully recorded leader brakes lies in exactly one episode, and no episode is empty.
+    /// Every second of braking of a fully recorded leader is in exactly one episode, and no episode is empty.
     #[test]
     fn every_braking_is_in_one_episode(motion in any_motion(0.0), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.to_csv()).expect("well formed");
@@ -124,7 +124,7 @@ proptest! {
                 from_s < at_s + 1e-3 && at_s + 1.0 < to_s + 1e-3
             });
             let holding = holding.count();
-            // Speeds are rounded to 1 mm/s, so a difference this close to the threshold may fall on either side.
+            // Speeds are rounded to 1 mm/s, which may decide a difference this close to the threshold.
             if pair[0] - pair[10] > threshold + 0.001_1 {
                 prop_assert_eq!(holding, 1, "at {} s", at_s);
             }

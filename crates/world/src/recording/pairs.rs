@@ -1,7 +1,7 @@
-//! Recordings of pairs: one row an instant of an event, with one leader and one follower in it.
+//! Recordings of pairs: each row holds one leader and one follower of an event at one instant.
 //!
-//! Rows of one event stand together; each event becomes a platoon of two. The relative speed supplies whichever of the two
-//! speeds is missing, and contradicts them or not.
+//! Rows of one event are consecutive; each event becomes a platoon of two. The relative speed supplies a missing speed,
+//! or is checked against both.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -15,12 +15,12 @@ use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
 use crumple_core::digest::sha256;
 
-/// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
+/// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
-/// Most events of one file. Each takes about a kilobyte beside its samples, however few those are.
+/// Maximum number of events of a file. Each takes about a kilobyte beside its samples.
 const MAX_EVENTS: usize = 100_000;
 
-/// Reads what follows the names of the columns.
+/// Reads the rows after the column names.
 pub(super) fn read<R: Read>(
     table: &mut RowReader<'_, R>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
@@ -59,14 +59,14 @@ pub(super) fn read<R: Read>(
     Ok(Recording { path, format, platoons: events.platoons, traffic: None, dropped })
 }
 
-/// The events read so far, and the one being read.
+/// Finished events, and the current one.
 struct EventReader<'m> {
     spec: (&'m RecordingMapSpec, &'m PairsSpec),
     platoons: Vec<RecordedPlatoon>,
-    /// Its column, and the full text: events may differ in their last letter only.
+    /// Column of the event. `event` holds the full text, since names may differ in the last character.
     column: Option<CsvColumn>,
     event: Option<String>,
-    /// Last time and line of each event that is finished, by its hash: names may be long.
+    /// Last time and line of each finished event, by the hash of its name, which may be long.
     finished: HashMap<String, (f64, u64)>,
     clock: Clock,
     time_s: Vec<f64>,
@@ -78,7 +78,7 @@ struct EventReader<'m> {
     followers_mps: Vec<Option<f64>>,
     leaders_mps: Vec<Option<f64>>,
     contradictions: Option<(DroppedItem, usize)>,
-    /// Of spacings, followers' and leaders' speeds: the first line, and how many were filled.
+    /// First line and number of interpolated spacings, follower speeds and leader speeds.
     interpolated: [Option<(u64, usize)>; 3],
 }
 
@@ -141,8 +141,8 @@ impl<'m> EventReader<'m> {
         Ok(())
     }
 
-    /// Refuses a row that goes on with an event after rows of others. One that begins before the end of an earlier event of that name is
-    /// another event.
+    /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
+    /// event starts another event of that name.
     fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
         let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
             return Ok(());
@@ -153,7 +153,8 @@ impl<'m> EventReader<'m> {
         }
     }
 
-    /// Follower's and leader's speed from any two of the three columns, or neither if they contradict one another.
+    /// Returns the speeds of follower and leader from any two of the three columns; neither if they contradict one
+    /// another.
     fn reconcile_speeds(
         &mut self,
         row: &CsvRow<'_>,
@@ -180,7 +181,7 @@ impl<'m> EventReader<'m> {
         }
     }
 
-    /// Makes a platoon of the event being read, if there is one.
+    /// Converts the current event to a platoon.
     fn finish_event(&mut self) {
         self.clock.restart();
         let Some(event) = self.event.take() else { return };

@@ -1,14 +1,13 @@
-//! Recordings of platoons: one row an instant, with every vehicle in it, such as OpenACC's.
+//! Recordings of platoons, such as OpenACC's: each row holds all vehicles at one instant.
 //!
-//! There: five header lines (`Date`, `Vehicle_order`, `Number_of_vehicles`, `ACC`, `Distance_setting`), the column names, then
-//! one row each 0.1 s. `Speed<k>` is the speed of vehicle k in m/s, `IVS<k>` the spacing in metres from its rear bumper
-//! to the front bumper of vehicle k + 1. The other columns are antenna positions; distances between antennas include an
-//! unknown length of car and are not used.
+//! OpenACC files have five header lines (`Date`, `Vehicle_order`, `Number_of_vehicles`, `ACC`, `Distance_setting`), the
+//! column names, then one row each 0.1 s. `Speed<k>` is the speed of vehicle k in m/s, `IVS<k>` the spacing in metres
+//! from its rear bumper to the front bumper of vehicle k + 1. Antenna positions in the other columns are unused,
+//! because the distance from antenna to bumper is unknown.
 //!
-//! `IVS<k>` always means the vehicles k and k + 1 of the platoon that drove, recorded or not: where vehicle 8 has no
-//! columns, `IVS7` and `IVS8` are absent and `IVS9` is still the spacing from vehicle 9 to vehicle 10 (in the published
-//! files it follows the distance of their antennas). What lies across such a hole cannot be known, so the platoon is
-//! split there.
+//! `IVS<k>` always refers to vehicles k and k + 1 of the platoon, recorded or not: without columns of vehicle 8, `IVS7`
+//! and `IVS8` are absent and `IVS9` is still the spacing from vehicle 9 to vehicle 10 (in the published files it
+//! follows the distance of their antennas). The platoon is split at such holes.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -22,10 +21,10 @@ use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
 
-/// Most vehicles of a platoon: ten times what was ever driven.
+/// Maximum number of vehicles of a platoon: ten times that of any published recording.
 const MAX_VEHICLES: usize = 200;
 
-/// Reads what follows the names of the columns, with the lines before them.
+/// Reads the rows after the column names, with the header lines.
 pub(super) fn read<R: Read>(
     table: &mut RowReader<'_, R>,
     (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
@@ -97,7 +96,6 @@ pub(super) fn read<R: Read>(
     })
 }
 
-/// What the header lines say of the vehicles.
 #[derive(Default)]
 struct PlatoonHeader {
     order: Vec<String>,
@@ -115,8 +113,8 @@ impl PlatoonHeader {
         }
     }
 
-    /// Names count from vehicle 1 if there are enough of them, and else from the first recorded vehicle if there is
-    /// one for each; otherwise it is unknown whose they are.
+    /// Returns the name of a vehicle. Names count from vehicle 1 if there are enough, or from the first recorded
+    /// vehicle if each has one; otherwise they are ambiguous.
     fn name_of(&self, number: usize, recorded: &BTreeMap<usize, CsvColumn>) -> Option<String> {
         let last = *recorded.keys().next_back()?;
         let place = if self.order.len() >= last {
@@ -130,14 +128,13 @@ impl PlatoonHeader {
     }
 }
 
-/// Where in a row things are.
 struct PlatoonColumns {
     time: CsvColumn,
     /// Speed columns by number of the vehicle.
     speeds: BTreeMap<usize, CsvColumn>,
     /// Spacing columns by number of the vehicle ahead.
     gaps: BTreeMap<usize, CsvColumn>,
-    /// What columns of spacings are called.
+    /// Name of the columns of spacings.
     spacing: String,
 }
 
@@ -167,7 +164,7 @@ impl PlatoonColumns {
         Ok(Self { time, speeds, gaps, spacing: platoon.spacing.column.clone() })
     }
 
-    /// The numbers of the vehicles in each unbroken line of two or more.
+    /// Splits the platoon into lines of two or more vehicles without holes; returns their numbers.
     fn split(
         &self,
         names: &CsvRow<'_>,
@@ -194,7 +191,7 @@ impl PlatoonColumns {
             }
             ahead = number;
         }
-        // A count far beyond the columns is a slip of the pen, not a platoon.
+        // A count far beyond the columns is a typing error.
         if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
             report(Omission::VehiclesMissing {
                 first: ahead + 1,
@@ -220,7 +217,7 @@ impl PlatoonColumns {
     }
 }
 
-/// The number, from 1, of a column such as `Speed2`, where they are called `Speed{}`.
+/// Returns the number, from 1, of a column such as `Speed2`, for the pattern `Speed{}`.
 fn column_number(name: &str, called: &str) -> Option<usize> {
     let (before, after) = called.split_once("{}")?;
     let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;

@@ -1,4 +1,4 @@
-//! What was understood of a recording: how many, how fast, how near, and how hard anybody braked.
+//! Summary of a recording: numbers of vehicles, speeds, gaps, and the hardest braking.
 
 use std::fmt;
 
@@ -7,45 +7,44 @@ use super::lead_vehicles::LeadVehicle;
 use super::motion::{BRAKING_WINDOW_MS, MAX_HOLE_MS, SpeedSample, find_brakings};
 use super::series::round_to_milli;
 
-/// Most lines that are drawn of one recording.
 const MAX_LINES: usize = 40;
 
 /// The hardest braking of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HardestBraking {
-    /// The event it was recorded in, where the file names events.
+    /// Event, if the file names events.
     pub event: Option<String>,
     /// Number of the vehicle.
     pub number: usize,
-    /// When the second begins in which it loses most speed, in seconds of the recording.
+    /// Start of the second with the largest loss of speed, in seconds of the recording.
     pub from_s: f64,
     /// Speed lost in that second, in m/s.
     pub drop_mps: f64,
 }
 
-/// The hardest braking of a recording, or why there is none to be told.
+/// Hardest braking of a recording, or the reason of its absence.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum HardestBrakingResult {
-    /// This.
+    /// Hardest braking.
     Braking(HardestBraking),
-    /// Speeds are known for whole seconds, and none of them falls.
+    /// Known speeds over whole seconds, none of which falls.
     NoBraking,
-    /// No speed of a vehicle that may lead is known.
+    /// No known speed of a vehicle that may lead.
     NoSpeed,
-    /// Speeds are further apart than is bridged by a straight line.
+    /// Samples too far apart for interpolation.
     SamplesTooFarApart {
-        /// The usual time between two speeds of a vehicle, in seconds.
+        /// Median time between two samples of a vehicle, in seconds.
         step_s: f64,
     },
-    /// Speeds are never known for a whole second without a hole.
+    /// No segment of a whole second.
     TooShort {
-        /// The longest time for which they are, in seconds.
+        /// Duration of the longest segment, in seconds.
         longest_s: f64,
     },
 }
 
-/// In words, as the rest of a sentence about a file.
+/// Writes the result as the rest of a sentence about a file.
 impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -73,39 +72,39 @@ impl fmt::Display for HardestBrakingResult {
     }
 }
 
-/// What was understood of a recording.
+/// Summary of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preview {
-    /// Vehicles with one behind them, or with a place for one.
+    /// Number of vehicles that may have a follower.
     pub lead_vehicles: usize,
-    /// Samples with a known speed of these.
+    /// Number of samples of these with known speed.
     pub samples: usize,
     /// First and last time, in seconds.
     pub time_s: [f64; 2],
-    /// The usual time between two samples of a vehicle, in seconds; none if no vehicle has two.
+    /// Median time between two samples of a vehicle, in seconds; `None` if no vehicle has two.
     pub step_s: Option<f64>,
     /// Lowest, median and highest speed, in m/s.
     pub speed_mps: [f64; 3],
-    /// Lowest, median and highest bumper gap, in metres; none if nobody follows anybody.
+    /// Lowest, median and highest bumper gap, in metres; `None` without followers.
     pub gap_m: Option<[f64; 3]>,
-    /// The hardest braking.
+    /// Hardest braking.
     pub hardest: HardestBrakingResult,
-    /// What can be drawn: the speeds of the vehicles with the longest tracks, and the gap behind each.
+    /// Data of a figure: speeds of the vehicles with the longest tracks, and the gap behind each.
     pub lines: Vec<SpeedLine>,
 }
 
-/// Speeds of one vehicle, and the gap behind it.
+/// Speeds of a vehicle, and the gap to its follower.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpeedLine {
     /// Number of the vehicle.
     pub number: usize,
     /// Time in seconds, and speed in m/s.
     pub speed_mps: Vec<(f64, f64)>,
-    /// Time in seconds, and the bumper gap from this vehicle to the one behind, in metres.
+    /// Time in seconds, and bumper gap from this vehicle to its follower, in metres.
     pub gap_behind_m: Vec<(f64, f64)>,
 }
 
-/// Looks through a recording; none if nobody's speed is known.
+/// Summarises a recording; `None` if no speed is known.
 #[must_use]
 pub fn preview(recording: &Recording) -> Option<Preview> {
     let (mut speeds_mps, mut gaps_m, mut steps_s, mut lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -143,7 +142,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
     })
 }
 
-/// The hardest braking of a recording, by the speed lost within a second.
+/// Finds the hardest braking of a recording, by the loss of speed within a second.
 #[must_use]
 pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
     let mut hardest: Option<HardestBraking> = None;
@@ -175,7 +174,6 @@ pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
     }
 }
 
-/// Times between each two successive samples of a vehicle, in seconds, whether they are bridged or not.
 fn sample_intervals(lead: &dyn LeadVehicle) -> Vec<f64> {
     let times: Vec<f64> = lead.segments().iter().flatten().map(seconds).collect();
     times.windows(2).filter_map(|pair| Some(pair.last()? - pair.first()?)).collect()
@@ -185,7 +183,6 @@ fn seconds(sample: &SpeedSample) -> f64 {
     sample.time_ms as f64 / 1000.0
 }
 
-/// Lowest, middle and highest.
 fn min_median_max(values: &mut [f64]) -> Option<[f64; 3]> {
     values.sort_by(f64::total_cmp);
     Some([*values.first()?, *values.get(values.len() / 2)?, *values.last()?])

@@ -1,4 +1,4 @@
-//! Columns as they fill: times that increase, values that are possible, and a count of what is neither.
+//! Columns under construction: increasing times, plausible values, and counts of all others.
 
 use std::path::Path;
 
@@ -6,22 +6,22 @@ use super::dropped::{DroppedItem, Omission};
 use super::error::{RecordingError, ValueProblem};
 use super::table::{CsvColumn, CsvRow};
 
-/// Largest magnitude of a time, in seconds: beyond any clock, and still exact to a millisecond.
+/// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;
-/// Largest gap within a platoon, in metres: a vehicle further behind is following none.
+/// Largest gap within a platoon, in metres; vehicles further apart do not follow.
 const MAX_GAP_M: f64 = 1000.0;
-/// Largest speed a scenario may hold, in m/s.
+/// Largest speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
-/// Shortest and longest vehicle that a scenario may hold, in metres.
+/// Shortest and longest vehicle of a scenario, in metres.
 const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
-/// To three decimals, what a scenario file shows: a millimetre, a millimetre a second, a millisecond.
+/// Rounds to three decimals, as scenario files do: a millimetre, a millimetre per second, a millisecond.
 pub(super) fn round_to_milli(value: f64) -> f64 {
     // Adding zero turns -0 into 0.
     (value * 1000.0).round() / 1000.0 + 0.0
 }
 
-/// The column of times: only rows at least a millisecond later than the last one kept count.
+/// Column of times; drops rows less than a millisecond later than the last valid row.
 pub(super) struct Clock {
     pub(super) column: CsvColumn,
     last_s: Option<f64>,
@@ -34,12 +34,11 @@ impl Clock {
         Self { column, last_s: None, not_later: 0, first: None }
     }
 
-    /// Forgets the last time, for a new event.
+    /// Discards the last time, for a new event.
     pub(super) fn restart(&mut self) {
         self.last_s = None;
     }
 
-    /// The row's time in seconds.
     pub(super) fn read(&self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
         match row.number(&self.column)? {
             None => row.reject(&self.column.name, ValueProblem::Missing),
@@ -50,7 +49,7 @@ impl Clock {
         }
     }
 
-    /// The row's time in seconds; none if it is not later than the last.
+    /// Returns the row's time in seconds; `None` if it is not later than the last.
     pub(super) fn tick(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
         let found_s = self.read(row)?;
         if let Some(before_s) = self.last_s
@@ -76,16 +75,15 @@ impl Clock {
     }
 }
 
-/// What a column of values holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ColumnQuantity {
     Speed,
-    /// Along the road, of either sign.
+    /// Speed along the road, of either sign.
     SignedSpeed,
     Gap,
-    /// Of a vehicle.
+    /// Length of a vehicle.
     Length,
-    /// Of either sign; nothing is impossible: a difference, or a place.
+    /// Unrestricted value: a difference or a position.
     Signed,
 }
 
@@ -94,13 +92,13 @@ impl ColumnQuantity {
         self.excess(value) == 0.0
     }
 
-    /// How far a value is outside what can be, 0 if it is possible.
+    /// Returns how far a value is out of range; 0 within it.
     fn excess(self, value: f64) -> f64 {
         match self {
             Self::Speed if round_to_milli(value) < 0.0 => -value,
             Self::Speed => (value - MAX_SPEED_MPS).max(0.0),
             Self::SignedSpeed => (value.abs() - MAX_SPEED_MPS).max(0.0),
-            // A gap that rounds to nothing would let two vehicles touch in the scenario.
+            // A gap that rounds to 0 would be a collision in the scenario.
             Self::Gap if round_to_milli(value) <= 0.0 => 1e-3 - value,
             Self::Gap => (value - MAX_GAP_M).max(0.0),
             Self::Length => (LENGTH_RANGE_M[0] - value).max(value - LENGTH_RANGE_M[1]).max(0.0),
@@ -109,7 +107,7 @@ impl ColumnQuantity {
     }
 }
 
-/// A column of values as it fills, with a count of what was missing or impossible.
+/// Column under construction, with counts of missing and impossible values.
 pub(super) struct Series {
     pub(super) column: CsvColumn,
     quantity: ColumnQuantity,
@@ -137,12 +135,12 @@ impl Series {
         }
     }
 
-    /// The row's value, if there is a possible one.
+    /// Returns the row's value, if there is a possible one.
     pub(super) fn read(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
         self.read_minus(row, 0.0)
     }
 
-    /// The row's value less something, such as a vehicle's length.
+    /// Returns the row's value minus `less`, such as a vehicle's length.
     pub(super) fn read_minus(&mut self, row: &CsvRow<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
         let Some(value) = row.number(&self.column)?.map(|value| value - less) else {
             self.missing += 1;
@@ -161,7 +159,7 @@ impl Series {
         Ok(None)
     }
 
-    /// Says what is missing from the values.
+    /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
         let column = || self.column.name.clone();
         if self.missing > 0 {
@@ -180,8 +178,7 @@ impl Series {
     }
 }
 
-/// Fills holes between two values that are at most so long, in seconds, by straight lines; says how many values that made, and
-/// the first sample among them.
+/// Interpolates holes of at most `longest_s` seconds. Returns the number of new values and the first such sample.
 pub(super) fn interpolate_holes(values: &mut [Option<f64>], time_s: &[f64], longest_s: f64) -> Option<(usize, usize)> {
     let (mut before, mut filled) = (None, None);
     for after in 0..values.len() {

@@ -1,4 +1,4 @@
-//! Rows of numbers out of a text file of any size: bounded memory, and every complaint names file, line and column.
+//! Rows of numbers from a text file of any size: bounded memory, and errors with file, line and column.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -9,15 +9,13 @@ use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError, ValueProblem};
 use super::map::{Delimiter, TimeSpec};
 
-/// Longest line, in bytes. 200 vehicles with all of OpenACC's columns take about 30 kB.
+/// Maximum line length, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
 const MAX_LINE_BYTES: usize = 1 << 20;
-/// Most rows of one file.
 pub(super) const MAX_ROWS: usize = 5_000_000;
-/// Most speeds and gaps of one file: 320 MB of them.
+/// Maximum number of speeds and gaps of a file: 320 MB.
 const MAX_VALUES: usize = 20_000_000;
 
-/// Ends every line with a line feed, the last one too, and refuses one longer than any recording has before it fills
-/// the memory.
+/// Adds a line feed to the last line, and rejects overlong lines before they fill the memory.
 struct LineLimitReader<R> {
     inner: R,
     since_line_feed: usize,
@@ -45,7 +43,6 @@ impl<R: Read> Read for LineLimitReader<R> {
     }
 }
 
-/// The rows of a file, one at a time.
 pub(super) struct RowReader<'a, R> {
     path: &'a Path,
     reader: csv::Reader<LineLimitReader<R>>,
@@ -63,9 +60,9 @@ impl<'a, R: Read> RowReader<'a, R> {
             .delimiter(delimiter)
             .has_headers(false)
             .flexible(true)
-            // No format quotes, and without quotes a row is a line, which bounds its length.
+            // No format has quotes; without them a row is a line, which bounds its length.
             .quoting(false)
-            // A carriage return before it is trimmed away. To end rows at either would count lines wrongly.
+            // Trimming removes carriage returns. Splitting rows at both characters would miscount lines.
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
             .from_reader(LineLimitReader { inner: from, since_line_feed: 0 });
@@ -76,12 +73,12 @@ impl<'a, R: Read> RowReader<'a, R> {
         self.path
     }
 
-    /// The next row that is not blank; none at the end of the file.
+    /// Returns the next row that is not blank; `None` at the end of the file.
     pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
         loop {
             match self.reader.read_record(&mut self.row.fields) {
                 Ok(true) => {
-                    // The row's own position lies before any blank lines ahead of it; the reader stands behind the row.
+                    // `row.position` precedes blank lines; the reader's position follows the row.
                     self.row.line = self.reader.position().line().saturating_sub(1);
                     if self.row.fields.len() > 1 || !self.row.text(0).is_empty() {
                         return Ok(Some(&self.row));
@@ -94,7 +91,7 @@ impl<'a, R: Read> RowReader<'a, R> {
     }
 
     fn read_error(&self, error: csv::Error) -> RecordingError {
-        // Text in UTF-8 is checked when the row has been read; whatever else fails does so inside the next row.
+        // UTF-8 is checked after the row is read; all other errors occur inside the next row.
         let line = match error.kind() {
             csv::ErrorKind::Utf8 { .. } => self.reader.position().line().saturating_sub(1),
             _ => self.reader.position().line(),
@@ -117,7 +114,6 @@ impl<'a, R: Read> RowReader<'a, R> {
     }
 }
 
-/// One row.
 #[derive(Clone)]
 pub(super) struct CsvRow<'a> {
     path: &'a Path,
@@ -130,7 +126,7 @@ impl CsvRow<'_> {
         self.fields.get(index).unwrap_or_default()
     }
 
-    /// The number of a field; none if it is empty or says NaN, which is how many tools write a missing value.
+    /// Returns the number of a field; `None` for an empty field or NaN, which many tools write for missing values.
     pub(super) fn number(&self, column: &CsvColumn) -> Result<Option<f64>, RecordingError> {
         let text = self.text(column.index);
         if text.is_empty() {
@@ -148,7 +144,6 @@ impl CsvRow<'_> {
         Err(RecordingError::Value { path, line: self.line, column, problem })
     }
 
-    /// For the row that names the columns.
     pub(super) fn reject_column<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
         let (path, column) = (self.path.to_owned(), column.to_owned());
         Err(RecordingError::Column { path, line: self.line, column, problem })
@@ -163,7 +158,7 @@ impl CsvRow<'_> {
     }
 }
 
-/// Enough of a text to recognise it by, on one line.
+/// Returns the beginning of a text, on one line.
 pub(super) fn excerpt(text: &str) -> String {
     const MAX_LENGTH: usize = 40;
     let visible = |letter: char| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter };
@@ -174,17 +169,15 @@ pub(super) fn excerpt(text: &str) -> String {
     excerpt
 }
 
-/// A column by name and place.
 #[derive(Debug, Clone)]
 pub(super) struct CsvColumn {
     pub(super) name: String,
     pub(super) index: usize,
-    /// How many seconds, metres or metres a second a number of it is.
+    /// Size of its unit in seconds, metres or metres per second.
     pub(super) factor: f64,
 }
 
 impl CsvColumn {
-    /// The one column of a name.
     pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
         let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
         match (found.next(), found.next()) {
@@ -197,7 +190,6 @@ impl CsvColumn {
         }
     }
 
-    /// The column of times.
     pub(super) fn find_time(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
         match time {
             TimeSpec::Clock(clock) => Self::find(names, &clock.column, clock.unit.factor()),
@@ -206,7 +198,7 @@ impl CsvColumn {
     }
 }
 
-/// Counts rows and values, and refuses a file before it fills the memory.
+/// Counts rows and values, and rejects a file before it fills the memory.
 pub(super) struct RowLimiter<'h> {
     names: &'h StringRecord,
     values_per_row: usize,
@@ -218,7 +210,7 @@ impl<'h> RowLimiter<'h> {
         Self { names, values_per_row, rows: 0 }
     }
 
-    /// Accepts a row that has a field for each column and still fits.
+    /// Accepts a row with a field for each column within the limits.
     pub(super) fn check_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
         let (expected, found) = (self.names.len(), row.fields.len());
         if found != expected {

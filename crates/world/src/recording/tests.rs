@@ -1,4 +1,4 @@
-//! Recordings written here, in the formats of the published ones.
+//! Synthetic recordings in the formats of the published ones.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -22,7 +22,7 @@ fn dropped_of(text: &str) -> Vec<String> {
     read_text(text).expect("readable").dropped.iter().map(DroppedItem::to_string).collect()
 }
 
-/// A platoon of which the leader brakes from 20 to 11 m/s from 5 s to 8 s.
+/// Writes a platoon whose leader brakes from 20 to 11 m/s between 5 s and 8 s.
 fn braking_platoon(vehicles: usize) -> String {
     let columns = |name: &str, count: usize| (1..=count).map(|k| format!(",{name}{k}")).collect::<String>();
     let mut text = format!("{HEADER}Time{}{}\n", columns("Speed", vehicles), columns("IVS", vehicles - 1));
@@ -45,7 +45,7 @@ fn a_braking_platoon_becomes_one_scenario() {
     let recording = read_text(&braking_platoon(3)).expect("well formed");
     assert_eq!(recording.dropped, []);
     let scenario = only_episode(&recording).scenario("a-01".to_owned(), "a.csv").expect("valid");
-    // The second from 4.5 s to 5.5 s loses 1.5 m/s, the one before loses less than 1.3; a second of lead-in before it.
+    // 4.5 s to 5.5 s loses 1.5 m/s, the second before less than 1.3; one second of lead-in precedes it.
     let Driver::Profile(LeadProfile::Recorded(lead)) = &scenario.vehicles()[0].driver else { panic!("no profile") };
     assert_eq!(lead.speed_at_mps(0.0), 20.0);
     assert!((lead.speed_at_mps(1.5) - 20.0).abs() < 1e-9 && (lead.speed_at_mps(2.5) - 17.0).abs() < 1e-9);
@@ -178,7 +178,7 @@ fn what_would_fill_the_memory_is_refused() {
     assert!(message.starts_with("a.csv:6: more than 200 vehicles"), "{message}");
 }
 
-/// Rows of one event at one time, for ever.
+/// An endless file of rows of one event at one time.
 struct EndlessRows(usize);
 
 impl Read for EndlessRows {
@@ -206,7 +206,7 @@ fn each_car_following_event_is_a_platoon_of_two() {
     assert!(said.contains("a.csv:6: gap_m: 1 impossible spacings"), "{said}");
 }
 
-/// Files put together of several count their events anew, from time 0 on.
+/// Concatenated files restart their events at time 0.
 #[test]
 fn an_event_that_begins_anew_is_another_one() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
@@ -234,7 +234,7 @@ fn a_byte_order_mark_and_carriage_returns_change_nothing() {
     }
 }
 
-/// Edits the fields of some rows of a recording, which begin on line 7.
+/// Edits the fields of some rows of a recording; rows begin on line 7.
 fn edited(text: &str, rows: std::ops::Range<usize>, edit: impl Fn(&mut Vec<String>)) -> String {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     for line in &mut lines[6 + rows.start..6 + rows.end] {
@@ -255,7 +255,7 @@ fn a_start_is_where_most_followers_are_known() {
     assert_eq!(line_at(&whole), (3.5, 4, None));
     // The last gap is unknown from 3.3 to 3.8 s: the nearest start with all four is at 3.9 s, not at 3.2 s.
     assert_eq!(line_at(&edited(&whole, 32..39, |fields| fields[7].clear())), (3.9, 4, None));
-    // Unknown throughout: three are left.
+    // Unknown throughout: three remain.
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
     // The first follower is never known: no vehicle follows.
     let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
@@ -281,7 +281,7 @@ fn the_first_recorded_vehicle_leads() {
     assert!(scenario.spec().about.contains("Vehicle 1, ahead of it, was not recorded at the time."));
 }
 
-/// A wave that grows: each car brakes a second after the one ahead, and harder.
+/// A growing wave: each car brakes a second after the one ahead, and harder.
 #[test]
 fn every_car_that_brakes_leads_those_behind_it() {
     let growing = edited(&braking_platoon(4), 0..300, |fields| {
@@ -304,7 +304,7 @@ fn every_car_that_brakes_leads_those_behind_it() {
 
 #[test]
 fn brakings_less_than_five_seconds_apart_are_one_episode() {
-    // The first braking is over at 8.5 s: until then the speed drops by more than 1.3 m/s within a second.
+    // The first braking ends at 8.5 s: until then the speed drops by more than 1.3 m/s within a second.
     let again_at = |at_s: f64| {
         let text = edited(&braking_platoon(2), 0..300, |fields| {
             let number = |text: &str| text.parse::<f64>().expect("a number");
@@ -326,7 +326,7 @@ fn a_leap_of_the_speed_is_no_braking() {
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
     assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle does"), "{said}");
-    // A hole of half a second is bridged; a longer one ends the run, and what is left of it is held.
+    // A hole of half a second is bridged; a longer one ends the run, and the last speed is held.
     let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
     assert_eq!(only_episode(&read_text(&bridged).expect("readable")).time_s.last(), Some(&15.0));
     let ended = edited(&braking_platoon(2), 100..105, |fields| fields[1].clear());

@@ -1,7 +1,6 @@
-//! Recordings of tracks: one row an instant of one vehicle among many, as in highD and NGSIM.
+//! Recordings of tracks, as in highD and NGSIM: each row holds one vehicle among many at one instant.
 //!
-//! Who follows whom is read off the rows: at each instant, the vehicles of a lane that drive one way stand in the order of their
-//! front bumpers.
+//! Neighbours follow from the rows: at each instant, the vehicles of a lane and direction are sorted by front bumper.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,41 +16,39 @@ use super::series::{Clock, ColumnQuantity, Series, interpolate_holes, round_to_m
 use super::table::{CsvColumn, CsvRow, MAX_ROWS, RowLimiter, RowReader, excerpt};
 use super::{Recording, RecordingFormat};
 
-/// Most vehicles behind a leader that become part of a scenario: further back, a wave has taken longer than an episode lasts.
+/// Maximum number of followers in a scenario: a braking wave reaches later ones after the end of the episode.
 const MAX_FOLLOWERS: usize = 9;
-/// Most lanes of a recording.
 const MAX_LANES: usize = 10_000;
 
-/// Vehicles that come, go and change their places.
+/// Vehicles with changing neighbours.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RecordedTraffic {
-    /// In order of vehicle, then of time.
+    /// Points sorted by vehicle, then by time.
     points: Vec<TrackPoint>,
 }
 
-/// One vehicle at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct TrackPoint {
     vehicle: u32,
     lane: u32,
     time_ms: i64,
     line: u64,
-    /// Along the road, as recorded, in metres.
+    /// Position along the road, as recorded, in metres.
     position_m: Option<f64>,
-    /// As recorded, of either sign, in m/s.
+    /// Speed as recorded, of either sign, in m/s.
     speed_mps: Option<f64>,
     length_m: Option<f64>,
-    /// Front bumper in the direction of driving, in metres; of no meaning where position or length are not known.
+    /// Front bumper in the direction of driving, in metres; meaningless if position or length is unknown.
     front_m: f64,
-    /// Whether positions fall as it drives.
+    /// True if positions decrease as the vehicle drives.
     position_decreases: bool,
-    /// Gap ahead, in metres, and the place of who is there.
+    /// Gap ahead, in metres, and index of the leader's point.
     ahead: Option<(f64, u32)>,
-    /// The place of who is behind.
+    /// Index of the follower's point.
     behind: Option<u32>,
 }
 
-/// Reads what follows the names of the columns.
+/// Reads the rows after the column names.
 pub(super) fn read<R: Read>(
     table: &mut RowReader<'_, R>,
     (map, tracks): (&RecordingMapSpec, &TracksSpec),
@@ -75,7 +72,7 @@ pub(super) fn read<R: Read>(
         let time_s = clock.read(row)?;
         let vehicle = read_whole_number(row, &vehicle)?;
         let lane = match &lane {
-            // Who is in no lane could be in any of them, between any two.
+            // A vehicle without a lane could be in any lane.
             Some(column) if row.text(column.index).is_empty() => {
                 return row.reject(&column.name, ValueProblem::Missing);
             }
@@ -91,7 +88,7 @@ pub(super) fn read<R: Read>(
         };
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(same_m)), |series| series.read(row))?;
-        // Kept even where it is not known: without it, who is behind would seem to follow who is ahead.
+        // Unknown vehicles stay in the list; without them, the follower would seem to follow their leader.
         places.push(TrackPoint {
             vehicle,
             lane,
@@ -142,7 +139,7 @@ pub(super) fn read<R: Read>(
     })
 }
 
-/// A whole number of a vehicle, which some tools write with a point.
+/// Reads a vehicle number, which some tools write with a decimal point.
 fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
     match row.number(column)? {
         Some(number) if number >= 0.0 && number <= f64::from(u32::MAX) && number.fract() == 0.0 => Ok(number as u32),
@@ -151,7 +148,7 @@ fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, Record
     }
 }
 
-/// Leaves each vehicle in one place at a time: the first, and how many others there were.
+/// Keeps the first of several points of a vehicle at one time. Returns the first duplicate and their number.
 fn remove_duplicates(places: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
     let mut twice: Option<(TrackPoint, usize)> = None;
     places.dedup_by(|later, first| {
@@ -164,12 +161,11 @@ fn remove_duplicates(places: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)
     twice
 }
 
-/// Numbers of a place that may be missing.
 const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
     [|place| &mut place.position_m, |place| &mut place.speed_mps, |place| &mut place.length_m];
 
-/// Fills what is missing for no longer than so long: numbers of places, and places between two of one vehicle in one lane that are further
-/// apart than usual. Says the line of the first and how many they are; an error is the line at which they become too many.
+/// Interpolates holes of at most `longest_s`: missing numbers, and points between two of one vehicle in one lane.
+/// Returns the first line and the number of values. The error is the line at which there are too many.
 fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
     let longest_ms = (longest_s * 1000.0).round() as i64;
     let steps = places.windows(2).filter_map(|pair| match pair {
@@ -197,7 +193,7 @@ fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u6
         if (a.vehicle, a.lane) != (b.vehicle, b.lane) || hole_ms > longest_ms {
             continue;
         }
-        // Frames are no whole milliseconds apart at some rates.
+        // Frame intervals are not whole milliseconds at some rates.
         let parts = (hole_ms + step_ms / 2) / step_ms;
         for part in 1..parts {
             let share = part as f64 / parts as f64;
@@ -222,7 +218,7 @@ fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u6
     Ok(found)
 }
 
-/// Finds out which way each vehicle drives, and where its front is.
+/// Determines the direction of each vehicle and its front bumper.
 fn orient(places: &mut [TrackPoint], of: ReferencePoint) {
     for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
         let mut known_m = track.iter().filter_map(|place| place.position_m);
@@ -233,7 +229,7 @@ fn orient(places: &mut [TrackPoint], of: ReferencePoint) {
             Some(order) => order == Ordering::Less,
         };
         for place in track {
-            // Vehicles do not overlap: without its length, a place still has its turn among those of its lane.
+            // Vehicles do not overlap, so a point without length still sorts correctly in its lane.
             let (position_m, length_m) = (place.position_m.unwrap_or(0.0), place.length_m.unwrap_or(0.0));
             let ahead_m = match of {
                 ReferencePoint::Front => 0.0,
@@ -249,16 +245,16 @@ fn orient(places: &mut [TrackPoint], of: ReferencePoint) {
     }
 }
 
-/// What keeps a place from being linked with its neighbour: the line of the first, and how many.
+/// Points that could not be linked: first line and number.
 struct LinkProblems {
-    /// They overlap.
+    /// Overlapping vehicles.
     overlapping: Option<(u64, usize)>,
-    /// Position or length are not known.
+    /// Unknown position or length.
     unknown_position: Option<(u64, usize)>,
 }
 
-/// Links each place with those ahead of it and behind it. Where a vehicle's position is not known, it may be between any two of its lane, and
-/// none of these are linked; where its length is not, it is linked with nobody.
+/// Links each point with its leader and follower. A vehicle with unknown position may be anywhere in its lane, so no
+/// point of that lane is linked; one with unknown length is not linked.
 fn link(places: &mut [TrackPoint]) -> LinkProblems {
     let mut order: Vec<u32> = (0..places.len() as u32).collect();
     let at = |places: &[TrackPoint], index: u32| places.get(index as usize).copied();
@@ -298,7 +294,7 @@ impl RecordedTraffic {
         self.points.get(index)
     }
 
-    /// Every vehicle: each may have another behind it at some time.
+    /// Returns every vehicle: each may have a follower at some time.
     pub(super) fn lead_vehicles(&self) -> impl Iterator<Item = Box<dyn LeadVehicle + '_>> {
         let mut from = 0;
         self.points.chunk_by(|a, b| a.vehicle == b.vehicle).map(move |track| {
@@ -309,10 +305,9 @@ impl RecordedTraffic {
     }
 }
 
-/// One vehicle of many.
 struct TrafficLead<'a> {
     traffic: &'a RecordedTraffic,
-    /// Index of its first place.
+    /// Index of its first point.
     first: usize,
     track: &'a [TrackPoint],
 }

@@ -1,5 +1,5 @@
-//! Controllers in files: policies, networks, and controller files, which say what a network or a process sees and what its answer
-//! means.
+//! Controllers in files: policies, networks, and controller files, which map observations to inputs and outputs to
+//! accelerations.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,10 +16,9 @@ use crate::control::{
 use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
 
-/// Version of the format of controller files that this release reads.
 pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 
-/// A controller file as it is written: `docs/controllers.md`.
+/// Content of a controller file (`docs/controllers.md`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(title = "crumple controller, version 1"))]
@@ -27,53 +26,53 @@ pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 pub struct ControllerFile {
     /// Version of the format: 1.
     pub version: u32,
-    /// The network, as a path from the folder of this file: ONNX, or a model of Stable-Baselines3. Either this, an FMU or a command.
+    /// Path of the network from the folder of this file: ONNX or a Stable-Baselines3 model. Excludes `fmu` and
+    /// `command`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<String>,
-    /// The FMU, as a path from the folder of this file: co-simulation, FMI 2.0 or 3.0.
+    /// Path of the FMU from the folder of this file: co-simulation, FMI 2.0 or 3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fmu: Option<String>,
-    /// What parameters of the FMU begin with; 0 or 1 for Booleans.
+    /// Initial values of FMU parameters; 0 or 1 for Booleans.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, f64>,
-    /// The command that drives: a program and its arguments. It runs in the folder of this file, without a shell.
+    /// Command of the controller: a program and its arguments. It runs in the folder of this file, without a shell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command: Option<Vec<String>>,
-    /// The files that decide how the command drives, as paths from the folder of this file. Without them nothing of it is kept or
-    /// certified.
+    /// Files that determine the behaviour of the command, as paths from the folder of this file. Without them no result
+    /// is cached or certified.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<String>,
-    /// Whether the command always answers the same to the same.
+    /// True if the command gives equal answers to equal queries.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deterministic: Option<bool>,
-    /// Time that the command has for its first answer, in seconds: 30 unless it is said.
+    /// Time limit of the command's first answer, in seconds. Default 30.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_within_s: Option<f64>,
-    /// Time that it has for each other answer, in seconds: 1 unless it is said.
+    /// Time limit of every other answer, in seconds. Default 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub answer_within_s: Option<f64>,
-    /// Time between decisions, in seconds; a command may say it itself.
+    /// Time between decisions, in seconds. A command may state it in its handshake.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision_interval_s: Option<f64>,
-    /// Decisions of which the controller sees the inputs: 1 for the present ones alone.
+    /// Number of decisions whose inputs the controller receives; 1 for only the current inputs.
     #[serde(default = "default_history")]
     pub history: usize,
-    /// What stands for the decisions before the first: what was seen first, unless it says `zeros`, as Stable-Baselines3's
-    /// `VecFrameStack` begins.
+    /// Padding before the first decision: the first inputs, or `zeros` as in Stable-Baselines3's `VecFrameStack`.
     #[serde(default, skip_serializing_if = "HistoryPadding::is_default")]
     pub history_padding: HistoryPadding,
-    /// Whether the present inputs come first; otherwise they come last.
+    /// True if the current inputs come first instead of last.
     #[serde(default)]
     pub newest_first: bool,
-    /// Whether the inputs hold what `VecNormalize` did to observations in training (means as `offset`, square roots of the variances
-    /// plus epsilon as `scale`, `clip_obs` as `low` and `high`); false says that it did nothing to them. A model that may have been trained
-    /// behind it needs the answer.
+    /// True if the inputs apply the `VecNormalize` of the training: means as `offset`, square roots of variance plus
+    /// epsilon as `scale`, `clip_obs` as `low` and `high`. False if observations were not normalised. Required for a
+    /// model that may have been trained with `VecNormalize`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub normalised: Option<bool>,
-    /// What the controller sees, in order; everything there is, for a command without them.
+    /// Inputs of the controller, in order; for a command by default all that exist.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inputs: Option<Vec<InputMapping>>,
-    /// What its answer means; an acceleration, for a command without it.
+    /// Meaning of the output; for a command by default an acceleration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<OutputMapping>,
 }
@@ -89,57 +88,58 @@ pub fn controller_file_schema() -> serde_json::Value {
     schemars::schema_for!(ControllerFile).to_value()
 }
 
-/// Why a controller in a file cannot be used.
+/// An error of a controller file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ControllerFileError {
-    /// The file cannot be read or parsed, or says something wrong.
+    /// The file cannot be read or parsed, or has an invalid field.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The policy cannot be used.
+    /// An unusable policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// The network cannot be used.
+    /// An unusable network.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// A command that cannot drive.
+    /// An unusable command.
     #[error("{0}")]
     Command(InvalidMapping),
     /// A program that the user did not name.
     #[error(transparent)]
     StartRefused(#[from] StartRefusal),
-    /// An FMU that cannot drive.
+    /// An unusable FMU.
     #[error("{path}: {problem}")]
     Fmu {
-        /// Its file.
+        /// File of the FMU.
         path: String,
-        /// What is wrong.
+        /// Reason.
         problem: FmuProblem,
     },
-    /// A network or an FMU without a controller file that needs one.
+    /// A network or an FMU that needs a controller file.
     #[error("{path}: {invalid}")]
     NeedsMapping {
-        /// Its file.
+        /// Path of the network or FMU.
         path: String,
-        /// What the mapping without one does not fit.
+        /// Mismatch with the default mapping.
         invalid: InvalidMapping,
     },
-    /// A model whose observations were normalised in training, and nothing says how.
+    /// A model with normalised observations whose normalisation is not stated.
     #[error(
         "{path}: {reason}: write a controller file whose inputs have the means as offsets and the deviations as scales, and that says \
          `normalised = true`, or `false` if observations were left alone (docs/controllers.md)"
     )]
     Normalised {
-        /// The model's file.
+        /// File of the model.
         path: String,
-        /// What tells it.
+        /// Evidence of the normalisation.
         reason: String,
     },
 }
 
-/// Reads a controller, and starts nothing. `named_by` says who named the file: runs of a process or an FMU start it. A name that
-/// ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in `.toml` a controller file. Any other
-/// file is a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
+/// Reads a controller without starting a program; runs start it. `named_by` states the origin of the path.
+///
+/// The extension decides: `.onnx` is a network, `.zip` a Stable-Baselines3 model, `.fmu` an FMU, `.toml` a controller
+/// file. Any other file is a Stable-Baselines3 model if it begins as a zip archive, and a policy otherwise.
 ///
 /// # Errors
 /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
@@ -155,10 +155,10 @@ pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
     }
 }
 
-/// A controller file and its network, by the names under which they make the same controller; the controller file first.
+/// Returns the controller file and its network, with names under which they load as the same controller.
 ///
 /// # Errors
-/// None in practice; the serializer's error is passed on rather than hidden.
+/// None in practice; passes on the error of the serializer.
 pub fn to_files(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
     let Mapping { decision_interval_s, history, history_padding, newest_first, inputs, output } =
         controller.mapping().clone();
@@ -178,19 +178,19 @@ pub fn to_files(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2]
     Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
 }
 
-/// The name that [`to_files`] gives the controller file.
+/// Returns the name that [`to_files`] gives the controller file.
 #[must_use]
 pub fn file_name(controller: &NetworkController) -> String {
     let identity = controller.identity();
     format!("{}.toml", identity.get(..16).unwrap_or(identity))
 }
 
-/// Whether there is an ordinary file: a scenario may name anything, and reading some things does not end.
+/// Returns true for a regular file: reading a device or a pipe may never end.
 pub(crate) fn is_regular_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|found| found.is_file())
 }
 
-/// A network in a file of its own, which sees and answers what crumple's own policies do.
+/// Loads a network without controller file, with the mapping of crumple's own policies.
 fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
@@ -199,14 +199,13 @@ fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     }
     let controller = NetworkController::with_native_mapping(file)
         .map_err(|invalid| ControllerFileError::NeedsMapping { path: shown(), invalid })?;
-    // Where the statistics beside it say that they left observations alone, a copy elsewhere still has to say so.
+    // Keeps `normalised = false` from the statistics file, which a copy elsewhere would lack.
     let is_behind = controller.file().saved_model().is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind);
     Ok(Arc::new(controller.with_normalised(is_behind.then_some(false)).with_file_path(path)).into())
 }
 
-/// Whether the inputs hold what the statistics beside a model say.
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
-    /// Numbers are often written with seven digits.
+    /// Files often hold seven digits.
     const TOLERANCE: f64 = 1e-5;
     let Some(VecNormalizeStats::Observations(theirs)) =
         VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
@@ -223,7 +222,8 @@ fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
         })
 }
 
-/// What tells that a model's observations were normalised in training: its own file, or statistics beside it.
+/// Returns the evidence that observations were normalised in training: the model itself, or a statistics file beside
+/// it.
 fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     let trace = file.saved_model()?.vec_normalize;
     if trace == VecNormalizeUse::None {
@@ -245,7 +245,6 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     }
 }
 
-/// The controller of a controller file.
 fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
@@ -301,7 +300,6 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
     }
 }
 
-/// Returns the process that the file at `path` sets up.
 fn process_controller(
     setup: ProcessSetup,
     path: &Path,
@@ -311,7 +309,7 @@ fn process_controller(
     Ok(Arc::new(ProcessController::new(setup, permission)?).into())
 }
 
-/// An FMU in a file of its own: its inputs are called like what can be seen.
+/// Loads an FMU without controller file; its variables must have the names of the inputs.
 fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default());
@@ -324,7 +322,6 @@ fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, Control
     process_controller(setup, path, permission).map_err(|invalid| failed(invalid.into()))
 }
 
-/// What a controller file says drives.
 enum ControllerFileSource {
     Network(String),
     Fmu(String),
@@ -332,7 +329,7 @@ enum ControllerFileSource {
 }
 
 impl ControllerFile {
-    /// What drives, if everything else that is said is for that.
+    /// Returns the source, unless a field belongs to another source.
     fn controller_source(&self) -> Result<ControllerFileSource, InvalidMapping> {
         let network = self.network.clone().map(|name| ("network", "a network", ControllerFileSource::Network(name)));
         let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
@@ -365,7 +362,7 @@ impl ControllerFile {
         }
     }
 
-    /// What a network sees and answers, all of which has to be said.
+    /// Returns the mapping of a network, whose fields are all required.
     fn into_network_mapping(self) -> Result<Mapping, InvalidMapping> {
         let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
         Ok(Mapping {
@@ -378,13 +375,11 @@ impl ControllerFile {
         })
     }
 
-    /// What an FMU is wired to.
     fn into_wiring(self) -> FmuConfig {
         let Self { inputs, output, parameters, decision_interval_s, .. } = self;
         FmuConfig { inputs, output, parameters, decision_interval_s }
     }
 
-    /// What a command is started with, sees and answers.
     fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
         let plain = ProcessSetup::new(command, folder);
         ProcessSetup {

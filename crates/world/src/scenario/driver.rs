@@ -1,4 +1,4 @@
-//! Who drives a vehicle: plain data. How each of them drives is in [`crate::control`] and [`super::profile`].
+//! Drivers of vehicles as plain data; [`crate::control`] and [`super::profile`] implement them.
 
 use std::path::{self, Path};
 
@@ -9,39 +9,39 @@ use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
 use crate::control::{self, BuiltIn, ControllerKind, ControllerSpec, NameOrigin, with_controllers};
 
-/// Who decides a vehicle's acceleration.
+/// The source of a vehicle's acceleration.
 ///
-/// In a file, either a bare name (`driver = "baseline"`) or one name with its settings
-/// (`driver.brake = { onset_s = 1.0, rate_mps2 = 3.0 }`).
+/// Files hold a bare name (`driver = "baseline"`) or a name with settings (`driver.brake = { onset_s = 1.0, rate_mps2 =
+/// 3.0 }`).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Driver {
-    /// The controller under test: whichever a run puts there.
+    /// Controller under test, which each run supplies.
     UnderTest,
-    /// Scripted motion that reacts to nobody.
+    /// Scripted motion, independent of other vehicles.
     Profile(LeadProfile),
-    /// A named controller, the same in every run.
+    /// Named controller, the same in every run.
     Controller(ControllerSpec),
-    /// A controller from a file.
+    /// Controller from a file.
     File(FileDriver),
 }
 
-/// A controller from a file, which drives a vehicle in every run.
+/// A driver that is a controller from a file, the same in every run.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(rename = "FileForm", description = "As a scenario file states it."))]
 #[serde(deny_unknown_fields)]
 pub struct FileDriver {
-    /// The file, from the folder of the scenario's: a policy, a network or a controller file.
+    /// Path from the folder of the scenario file: a policy, a network or a controller file.
     path: String,
     /// Identity that the controller must have.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sha256: Option<String>,
-    /// Controller, once it was read.
+    /// Controller, after it was read.
     #[serde(skip)]
     controller: Option<ControllerKind>,
 }
 
-/// Compares what the drivers state: a controller that was read states its identity.
+/// Compares paths and identities; reading the controller sets its identity.
 impl PartialEq for FileDriver {
     fn eq(&self, other: &Self) -> bool {
         (&self.path, &self.sha256) == (&other.path, &other.sha256)
@@ -49,7 +49,7 @@ impl PartialEq for FileDriver {
 }
 
 impl FileDriver {
-    /// Returns the controller, once it was read.
+    /// Returns the controller, if it was read.
     #[must_use]
     pub fn controller(&self) -> Option<&ControllerKind> {
         self.controller.as_ref()
@@ -61,8 +61,8 @@ impl FileDriver {
         &self.path
     }
 
-    /// Reads the controller, whose path starts at `folder`. From then on it states its identity and where it lies on this
-    /// machine, so that a scenario that is written elsewhere still finds it, and no other.
+    /// Reads the controller; its path is relative to `folder`. Then stores its identity and absolute path, so that a
+    /// scenario written to another folder finds the same controller.
     pub(super) fn read(&mut self, folder: &Path) -> Result<(), FieldProblem> {
         let unusable = |why: String| FieldProblem::DriverFile { reason: why };
         let path = path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
@@ -74,7 +74,7 @@ impl FileDriver {
             other => unusable(other.to_string()),
         })?;
         let Some(identity) = controller.identity() else {
-            // Runs with it could be told from runs with another by nothing that the scenario says.
+            // Without an identity, the scenario does not determine its runs.
             return Err(unusable(format!(
                 "{} states no identity: the driver of a scenario has to list its `files`, and be deterministic",
                 path.display()
@@ -93,29 +93,29 @@ impl FileDriver {
 
 macro_rules! define_form {
     (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }) => {
-        /// The flat form of [`Driver`] in files: one externally tagged name, which keeps line numbers in error messages.
+        /// Flat form of [`Driver`] in files: an externally tagged name, which keeps line numbers in error messages.
         #[derive(Serialize, Deserialize)]
         #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
         #[serde(rename_all = "kebab-case", rename = "Driver")]
         enum DriverForm {
-            /// The controller under test: whichever a run puts there.
+            /// Controller under test, which each run supplies.
             UnderTest {},
-            /// Scripted: hold the speed.
+            /// Scripted: constant speed.
             ConstantSpeed {},
-            /// Scripted: brake at a constant rate to standstill.
+            /// Scripted: constant braking to standstill.
             #[serde(rename = "brake")]
             Brake(super::profile::Brake),
-            /// Scripted: build the braking up within a time, hold it, ease off just before standstill.
+            /// Scripted: braking that builds up within a time, is held, and eases off just before standstill.
             RampBrake(super::profile::RampBrake),
-            /// Scripted: brake at a constant rate to a lower speed and hold that.
+            /// Scripted: constant braking to a lower speed, which is then held.
             BrakeToSpeed(super::profile::BrakeToSpeed),
             /// Scripted: piecewise constant acceleration.
             Pieces(super::profile::PiecewiseAcceleration),
-            /// Scripted: follow recorded speeds.
+            /// Scripted: recorded speeds.
             Recorded(super::profile::RecordedSpeeds),
             $($(#[$doc])* $rule(<control::$rule as BuiltIn>::Settings),)*
             $($(#[$policy_doc])* $policy(<control::$known_by as BuiltIn>::Settings),)*
-            /// A controller from a file.
+            /// Controller from a file.
             File(FileDriver),
         }
 
@@ -158,7 +158,7 @@ macro_rules! define_form {
 with_controllers!(define_form);
 
 impl Driver {
-    /// The driver's name in files: `under-test`, the profile's or the controller's, `file` for one from a file.
+    /// Returns the name in files: `under-test`, the profile's or the controller's; `file` for a controller from a file.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -169,7 +169,7 @@ impl Driver {
         }
     }
 
-    /// Whether the bare name says everything, so that a file need not spell out the settings.
+    /// Returns true if the bare name determines all settings.
     fn is_default(&self) -> bool {
         match self {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,

@@ -1,4 +1,4 @@
-//! Scenario files: TOML or JSON, told apart by their extension, with errors that name file, line and field.
+//! Scenario files in TOML or JSON, by extension, with errors that name file, line and field.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -11,60 +11,59 @@ use serde::de::DeserializeOwned;
 use super::named_fields::NamedFields;
 use super::{FieldProblem, InvalidField, Scenario, ScenarioSpec};
 
-/// Why a scenario file could not be read.
+/// An error of a scenario file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
     /// The file could not be opened or read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The extension says neither TOML nor JSON.
+    /// An extension other than `.toml` and `.json`.
     #[error("{}: a scenario file ends in .toml or .json", path.display())]
     Extension {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The text is not well formed, or a field is missing, unknown or of the wrong type.
+    /// Malformed text, or a missing, unknown or mistyped field.
     #[error("{}:{line}: {message}", path.display())]
     Syntax {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What is wrong, naming the field.
+        /// Message, with the field.
         message: String,
     },
-    /// A field is out of range or contradicts another.
+    /// A field out of range, or in contradiction to another.
     #[error("{}:{line}: {invalid}", path.display())]
     Invalid {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line of the field, from 1.
         line: usize,
-        /// The field and its problem.
+        /// Field and problem.
         invalid: InvalidField,
     },
 }
 
 impl FileError {
-    /// Returns the error that `field` of the TOML text of a file is wrong.
+    /// Creates the error for an invalid `field` in the TOML text of a file.
     pub(crate) fn from_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
         Self::Syntax { path: path.to_owned(), line: line_in_toml(text, field), message: format!("{field}: {problem}") }
     }
 
-    /// Returns true if the only fault of the file is that it names a program, which crumple may not start.
+    /// Returns true if the only error is a driver program that crumple may not start.
     #[must_use]
     pub fn is_start_refused(&self) -> bool {
         matches!(self, Self::Invalid { invalid: InvalidField { problem: FieldProblem::StartRefused(_), .. }, .. })
     }
 }
 
-/// The two file formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ScenarioFileFormat {
     Toml,
@@ -90,11 +89,12 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
     parse(&read(path)?, format, path)
 }
 
-/// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
+/// Reads the scenario file at `path`, or all scenario files of the folder `path`, in order of their names. Skips other
+/// extensions and [`LEGACY_EXPECTED_FILE_NAME`].
 ///
 /// # Errors
-/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than `MOST_FILES` of them
-/// or `MAX_FOLDER_BYTES`. Files of a folder that end in neither .toml nor .json are passed over, and so is [`LEGACY_EXPECTED_FILE_NAME`].
+/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder with more than
+/// `MAX_FILES` files or `MAX_FOLDER_BYTES` bytes.
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
@@ -115,37 +115,36 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
 
-/// Name of the file with the recorded verdicts of a folder of scenarios, in TOML. The ending keeps it out of `*.toml`.
+/// Name of the TOML file with the recorded verdicts of a folder of scenarios. The extension keeps it out of `*.toml`.
 pub const EXPECTED_FILE_NAME: &str = "expected.verdicts";
 
-/// Name of this file in version 0.1.0.
+/// Name of the file of verdicts in version 0.1.0.
 pub const LEGACY_EXPECTED_FILE_NAME: &str = "expected.toml";
 
-/// Most scenario files of a folder that are read at once.
 pub(crate) const MAX_FILES: usize = 10_000;
 
-/// Most bytes of a folder that is read at once.
 pub(crate) const MAX_FOLDER_BYTES: u64 = 64 << 20;
 
-/// Most bytes of a text file: ten times a minute of scripted motion at the finest step. As JSON that takes some 16 MB once parsed.
+/// Maximum number of bytes of a text file: ten times a minute of scripted motion at the finest step; 16 MB as parsed
+/// JSON.
 pub const MAX_BYTES: u64 = 8 << 20;
 
-/// Most bytes of TOML, of which a parsed one takes up to 80 in memory: 240 MB.
+/// Maximum number of bytes of TOML, which needs up to 80 times its size in memory: 240 MB.
 pub const MAX_TOML_BYTES: u64 = 3 << 20;
 
 /// Reads a text file.
 ///
 /// # Errors
-/// [`FileError::Read`] for one that cannot be read or holds more than [`MOST_BYTES`], and [`FileError::Syntax`] with the line for one that
-/// is not UTF-8.
+/// [`FileError::Read`] for a file that cannot be read or exceeds [`MAX_BYTES`]; [`FileError::Syntax`] with the line for
+/// text that is not UTF-8.
 pub fn read(path: &Path) -> Result<String, FileError> {
     read_at_most(path, MAX_BYTES)
 }
 
-/// Reads a text file of at most so many bytes.
+/// Reads a text file of at most `most` bytes.
 ///
 /// # Errors
-/// [`FileError`], likewise.
+/// [`FileError`], as for [`read`].
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let mut bytes = Vec::new();
@@ -193,7 +192,7 @@ fn parse(text: &str, format: ScenarioFileFormat, path: &Path) -> Result<Scenario
     })
 }
 
-/// Reads any type from TOML text, with errors that name line and field.
+/// Parses a value from TOML text, with errors that name line and field.
 pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let misread = |field: String, error: toml::de::Error| FileError::Syntax {
         path: path.to_owned(),
@@ -213,7 +212,7 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))
 }
 
-/// Reads any type from JSON text, with errors that name line and field.
+/// Parses a value from JSON text, with errors that name line and field.
 pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let mut parsed = serde_json::Deserializer::from_str(text);
     let misread = |field: String, error: serde_json::Error| FileError::Syntax {
@@ -227,19 +226,19 @@ pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     Ok(value)
 }
 
-/// The line, from 1, of a field in TOML text.
+/// Returns the line, from 1, of a field in TOML text.
 pub fn line_in_toml(text: &str, field: &str) -> usize {
     line_at(text, locate_in_toml(text, field).start)
 }
 
-/// What TOML text says of a field, as it was written; none where it does not say it.
+/// Returns the source text of a field's value in TOML; `None` if the text lacks the field.
 #[must_use]
 pub fn raw_toml_value<'t>(text: &'t str, field: &str) -> Option<&'t str> {
     let (span, is_whole) = find_in_toml(text, field);
     text.get(span).filter(|_| is_whole)
 }
 
-/// Messages of the parser that speak of its own workings, as somebody would say them who wrote the file.
+/// Rewrites messages of serde and toml in terms of the file.
 fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
     match message {
         "wanted exactly 1 element, more than 1 element" => "several kinds are given, and one is wanted".into(),
@@ -248,27 +247,27 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
         "invalid type: unit variant, expected newtype variant" => {
             "a name alone is not enough: its settings belong into a table".into()
         }
-        // Serde's word on what has nothing to set.
+        // Serde appends this for an item without settings.
         other => other.strip_suffix(", there are no fields").unwrap_or(other).into(),
     }
 }
 
-/// The message behind the field it is about, where the parser knows the field.
+/// Prefixes the message with its field, if the parser knows the field.
 fn prefix_field(field: &str, message: &str) -> String {
-    // What the parser had not named when the text broke off is the last of the path.
+    // `serde_path_to_error` ends the path with `?` where the text ends.
     let field = field.strip_suffix('?').map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
     if field.is_empty() || field == "." { message.to_owned() } else { format!("{field}: {message}") }
 }
 
-/// The scenario as TOML text.
+/// Serializes the scenario as TOML.
 ///
 /// # Errors
-/// None for a valid scenario; the serializer's error is passed on rather than hidden.
+/// None for a valid scenario; passes on the error of the serializer.
 pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
     toml::to_string(scenario.spec())
 }
 
-/// The line, from 1, of a byte offset.
+/// Returns the line, from 1, of a byte offset.
 fn line_at(text: &str, offset: usize) -> usize {
     line_at_byte(text.as_bytes(), offset)
 }
@@ -277,7 +276,7 @@ fn line_at_byte(bytes: &[u8], offset: usize) -> usize {
     1 + bytes.iter().take(offset).filter(|&&byte| byte == b'\n').count()
 }
 
-/// The steps of a path such as `vehicles[1].driver.brake`.
+/// Splits a path such as `vehicles[1].driver.brake` into steps.
 fn path_steps(field: &str) -> impl Iterator<Item = PathStep<'_>> {
     field.split('.').flat_map(|part| {
         let (name, indices) = part.split_once('[').map_or((part, ""), |(name, rest)| (name, rest));
@@ -291,12 +290,12 @@ enum PathStep<'a> {
     Index(usize),
 }
 
-/// Where a field stands in TOML text: as deep as the file spells the path out, for a default may be what is wrong.
+/// Returns the span of a field in TOML text, or of its deepest parent in the text: a default value may be invalid.
 fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
     find_in_toml(text, field).0
 }
 
-/// The same, and whether that is all of the path.
+/// Returns the span as [`locate_in_toml`] does, and true if it is that of the whole path.
 fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut span = 0..0;
     let Ok(root) = toml::de::DeTable::parse(text) else { return (span, false) };
@@ -315,7 +314,7 @@ fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     (span, true)
 }
 
-/// The same for JSON text.
+/// Returns the span of a field in JSON text, as [`locate_in_toml`] does for TOML.
 fn locate_in_json(text: &str, field: &str) -> Range<usize> {
     use jsonc_parser::common::Ranged;
     let parsed = jsonc_parser::parse_to_ast(text, &Default::default(), &Default::default());
@@ -404,7 +403,7 @@ driver = "under-test"
         assert!(message.starts_with(&format!("bad.json:{line}: vehicles[0].speed_mps: must be")), "{message}");
     }
 
-    /// A text that breaks off names the line, and no field that nobody can look for; one that is not UTF-8 names the line as well.
+    /// Truncated text and text that is not UTF-8 yield errors with a line, and without an invented field.
     #[test]
     fn errors_name_the_line_of_what_is_no_text_or_breaks_off() {
         let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
@@ -422,7 +421,7 @@ driver = "under-test"
         assert!(said.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"), "{said}");
     }
 
-    /// However deep or long a text is, it is refused in words, and no stack or memory runs out.
+    /// Deep or long texts yield an error, and no overflow of stack or memory.
     #[test]
     fn no_depth_or_length_is_too_much() {
         let times = |text: &str| text.repeat(100_000);
@@ -458,7 +457,7 @@ driver = "under-test"
         assert!(load_all(&many).unwrap_err().to_string().contains("more than 10000 scenario files"));
     }
 
-    /// Every structure of a scenario as a list of its fields' values, one at a time: never read.
+    /// Replaces every structure of a scenario by a list of its values, one at a time: all are rejected.
     #[test]
     fn a_list_is_no_structure_at_any_depth() {
         use serde_json::Value;

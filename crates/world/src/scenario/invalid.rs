@@ -1,156 +1,156 @@
-//! What can make a scenario invalid.
+//! Validation errors of scenarios.
 
 use std::fmt;
 
 use super::SCENARIO_VERSION;
 use crate::control::StartRefusal;
 
-/// A field that makes a scenario invalid: where it is and what is wrong with it.
+/// An invalid field of a scenario, with its path and its problem.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: {problem}")]
 pub struct InvalidField {
     /// Path of the field in the file, such as `vehicles[1].position_m`.
     pub field: String,
-    /// What is wrong.
+    /// Problem of the field.
     pub problem: FieldProblem,
 }
 
-/// What can be wrong with a field.
+/// A problem of a scenario field.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FieldProblem {
-    /// The file is of another format version.
+    /// Unsupported format version.
     #[error("version {found} is not supported: this release reads version {SCENARIO_VERSION}")]
     Version {
-        /// What the file says.
+        /// Version of the file.
         found: u32,
     },
-    /// Not a number, or infinite.
+    /// A number that is infinite or NaN.
     #[error("must be a finite number, found {}", format_compact(*found))]
     NotFinite {
-        /// What the file says.
+        /// Value of the file.
         found: f64,
     },
-    /// Outside its range.
+    /// A value outside its range.
     #[error("must be {range}, found {}", format_compact(*found))]
     OutOfRange {
-        /// The range it must be in.
+        /// Allowed range.
         range: AllowedRange,
-        /// What the file says.
+        /// Value of the file.
         found: f64,
     },
-    /// An empty text or list, or one too long.
+    /// A text or list that is empty or too long.
     #[error("must have {min} to {max} {what}, found {found}")]
     Length {
-        /// Fewest allowed.
+        /// Minimum length.
         min: usize,
-        /// Most allowed.
+        /// Maximum length.
         max: usize,
-        /// What is counted.
+        /// Unit of the length.
         what: &'static str,
-        /// How many there are.
+        /// Length of the text or list.
         found: usize,
     },
-    /// A name that would garble a terminal.
+    /// Control characters in a name, which would garble a terminal.
     #[error("must not hold control characters")]
     ControlCharacter,
     /// Times of a profile that do not increase.
     #[error("must increase, but {found} follows {before}")]
     NotIncreasing {
-        /// The earlier entry.
+        /// Earlier entry.
         before: f64,
-        /// The entry that is not later.
+        /// Entry that is not later.
         found: f64,
     },
-    /// Two lists that must be of one length are not.
+    /// Two lists with different lengths.
     #[error("must have as many entries as {other} ({expected}), found {found}")]
     LengthMismatch {
-        /// The other list.
+        /// Name of the other list.
         other: &'static str,
-        /// Its length.
+        /// Length of the other list.
         expected: usize,
-        /// The length found.
+        /// Length of this list.
         found: usize,
     },
-    /// A vehicle that starts inside or ahead of the one before it.
+    /// A vehicle that starts inside or ahead of its predecessor in the list.
     #[error("overlaps vehicle {ahead}: its rear bumper is at {rear_bumper_m} m, and this front bumper at {found} m")]
     Overlap {
         /// Index of the vehicle ahead.
         ahead: usize,
-        /// Where its rear bumper is, in metres.
+        /// Position of its rear bumper, in metres.
         rear_bumper_m: f64,
-        /// Where the front bumper is, in metres.
+        /// Position of the front bumper, in metres.
         found: f64,
     },
-    /// A profile that asks for more braking than the vehicle has.
+    /// A profile that brakes harder than the vehicle can.
     #[error("asks for {found} m/s² from a vehicle that can brake at {limit} m/s² at most: raise its max_brake_mps2")]
     BrakeBeyondLimit {
-        /// The limit of the vehicle, in m/s².
+        /// Limit of the vehicle, in m/s².
         limit: f64,
-        /// What the profile asks for, in m/s².
+        /// Braking of the profile, in m/s².
         found: f64,
     },
-    /// A profile that asks for more acceleration than the vehicle has.
+    /// A profile that accelerates harder than the vehicle can.
     #[error(
         "asks for {found} m/s² from a vehicle that can accelerate at {limit} m/s² at most: raise its max_accel_mps2"
     )]
     AccelBeyondLimit {
-        /// The limit of the vehicle, in m/s².
+        /// Limit of the vehicle, in m/s².
         limit: f64,
-        /// What the profile asks for, in m/s².
+        /// Acceleration of the profile, in m/s².
         found: f64,
     },
-    /// A delay, lag or jerk limit on a vehicle that follows a script.
+    /// A delay, lag or jerk limit of a scripted vehicle.
     #[error("has no place on a vehicle that follows a script: put the delay into the script")]
     DelayedScript,
-    /// A vehicle that decides for itself and is to change lanes.
+    /// A lane change of a vehicle that is not scripted.
     #[error("has no place on a vehicle that is driven by `{driver}`: only one that follows a script may change lanes")]
     LaneChangeNotScripted {
-        /// Who drives it.
+        /// Name of the driver.
         driver: &'static str,
     },
     /// A vehicle that leaves no later than it enters.
     #[error("must be later than it enters, at {enters_s} s, found {found} s")]
     LeavesBeforeEntering {
-        /// When it enters, in seconds.
+        /// Time of entering, in seconds.
         enters_s: f64,
-        /// When it leaves, in seconds.
+        /// Time of leaving, in seconds.
         found: f64,
     },
     /// A duration that is not a whole number of steps.
     #[error("must be a whole number of steps of {step_s} s, found {found} s")]
     NotWholeSteps {
-        /// The step, in seconds.
+        /// Step, in seconds.
         step_s: f64,
-        /// The duration found, in seconds.
+        /// Duration, in seconds.
         found: f64,
     },
-    /// More steps than can be simulated in memory.
+    /// More vehicle-steps than memory allows.
     #[error("asks for {found} vehicle-steps, and at most {limit} are allowed")]
     TooLong {
-        /// The limit.
+        /// Maximum number of vehicle-steps.
         limit: usize,
-        /// Steps times vehicles.
+        /// Number of steps times number of vehicles.
         found: usize,
     },
-    /// A driver from a file that cannot be read, or was not.
+    /// A driver from a file that could not be read, or was not read.
     #[error("{reason}")]
     DriverFile {
-        /// Why not.
+        /// Reason.
         reason: String,
     },
-    /// A driver that is a program.
+    /// A driver that starts a program.
     #[error(transparent)]
     StartRefused(#[from] StartRefusal),
-    /// A seed that a TOML file cannot hold, since its integers are signed.
+    /// A seed above the signed integers of TOML.
     #[error("must be at most {limit}, found {found}", limit = i64::MAX)]
     Seed {
-        /// What the file says.
+        /// Seed of the file.
         found: u64,
     },
 }
 
-/// A number as somebody would write it: with an exponent where its digits would fill a line.
+/// Formats a number, with an exponent below 1e-9 and from 1e16 on.
 pub fn format_compact(number: f64) -> String {
     let size = number.abs();
     if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
@@ -167,7 +167,7 @@ pub struct AllowedRange {
     pub min: f64,
     /// Upper end.
     pub max: f64,
-    /// Whether the lower end itself is excluded.
+    /// True if the lower end is excluded.
     pub excludes_min: bool,
 }
 

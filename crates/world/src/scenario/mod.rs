@@ -1,7 +1,7 @@
-//! What may happen: vehicles, their drivers, sensors and the road.
+//! Scenarios: vehicles, their drivers, sensors and the road.
 //!
-//! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
-//! else constructs one, so whoever holds a `Scenario` need not check it again.
+//! [`ScenarioSpec`] is the unchecked content of a file. [`Scenario`] is a valid spec; only a successful check creates
+//! one.
 
 pub mod controller_file;
 mod driver;
@@ -32,10 +32,10 @@ pub(crate) use validate::MAX_VEHICLE_STEPS;
 pub use validate::whole_multiple;
 pub use vehicle::{VehicleClass, VehicleSpec};
 
-/// The version of the scenario file format this release reads and writes.
+/// Scenario file version that this release reads and writes.
 pub const SCENARIO_VERSION: u32 = 1;
 
-/// A scenario as a file states it.
+/// Content of a scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a scenario: a table of fields")]
@@ -45,13 +45,13 @@ pub struct ScenarioSpec {
     pub version: u32,
     /// Short name, unique among the scenarios of a report.
     pub name: String,
-    /// Why this scenario exists, in a sentence or a few.
+    /// Purpose of this scenario, in a few sentences.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub about: String,
-    /// How long it lasts, in seconds; a whole number of steps.
+    /// Duration, in seconds; a whole number of steps.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
     pub duration_s: f64,
-    /// Period at which controllers act, sensors measure and noise changes, in seconds. Default 0.01.
+    /// Period of controllers, sensors and noise, in seconds. Default 0.01.
     #[serde(default = "paper_step_s")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1e-4, max = 1.0)))]
     pub step_s: f64,
@@ -61,10 +61,10 @@ pub struct ScenarioSpec {
     /// Road.
     #[serde(default, skip_serializing_if = "is_default")]
     pub environment: Environment,
-    /// What the vehicles under test can measure.
+    /// Sensors of the vehicles under test.
     #[serde(default, skip_serializing_if = "is_default")]
     pub sensors: Sensors,
-    /// The line of vehicles, front to rear; 2 to 1000 of them.
+    /// Vehicles, front to rear; 2 to 1000.
     #[cfg_attr(feature = "schema", schemars(length(min = 2, max = 1000)))]
     pub vehicles: Vec<VehicleSpec>,
 }
@@ -82,8 +82,8 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Environment {
-    /// Share of its dry-road braking that every vehicle can use, scripted ones included: 1 is dry, about 0.3 is snow, 0.1
-    /// to 0.2 is ice.
+    /// Share of dry-road braking that every vehicle, scripted ones included, can use: 1 dry, about 0.3 snow, 0.1 to 0.2
+    /// ice.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.01, max = 1.0)))]
     pub friction: f64,
 }
@@ -94,11 +94,11 @@ impl Default for Environment {
     }
 }
 
-/// Sensors of the vehicles under test: own position and the two bumper gaps, once a step, with independent normal noise.
+/// Sensors of the vehicles under test: own position and two bumper gaps, once a step, with independent normal noise.
 ///
-/// The defaults are what a series-production sensor set delivers at highway gaps. Range noise 0.03 m is the precision of
-/// automotive lidar (0.02 to 0.03 m, one sigma); radar alone has 0.1 m or more, which a file can say. Position noise
-/// 0.02 m is real-time kinematic satellite positioning with inertial aiding. Nothing is lost by default.
+/// The defaults correspond to a series-production sensor set at highway gaps. Range noise of 0.03 m is the precision of
+/// automotive lidar (0.02 to 0.03 m, one sigma); radar alone has 0.1 m or more. Position noise of 0.02 m is real-time
+/// kinematic satellite positioning with inertial aiding. No measurement is lost by default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -109,7 +109,7 @@ pub struct Sensors {
     /// Standard deviation of each measured gap, in metres.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub gap_noise_m: f64,
-    /// Probability that a measurement is lost, each sensor and step by itself.
+    /// Probability that a measurement is lost, independent for each sensor and step.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub dropout: f64,
 }
@@ -122,13 +122,12 @@ impl Default for Sensors {
 
 /// A valid scenario.
 ///
-/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again. Clones share the data, so runs and
-/// episodes own their scenario.
+/// [`Scenario::edited`] returns a changed, valid copy. Clones share the data.
 ///
 /// ```
-/// use crumple_world::scenario::built_in;
+/// use crumple_world::scenario::built_in_scenario;
 ///
-/// let paper = built_in("paper-1").unwrap();
+/// let paper = built_in_scenario("paper-1").unwrap();
 /// let wet = paper.edited(|spec| spec.environment.friction = 0.6).unwrap();
 /// assert_eq!(wet.usable_brake_mps2(1), 4.5);
 /// assert!(paper.edited(|spec| spec.environment.friction = -1.0).is_err());
@@ -140,11 +139,11 @@ pub struct Scenario {
 }
 
 impl ScenarioSpec {
-    /// Reads the controllers that drive from files, whose paths start at `folder`. A scenario whose drivers were not read
-    /// is not valid.
+    /// Reads the controllers of drivers from files; paths are relative to `folder`. A scenario with unread drivers is
+    /// invalid.
     ///
     /// # Errors
-    /// [`InvalidField`] names the first that cannot be read, or that is a program: a scenario starts none unless
+    /// [`InvalidField`] names the first driver that cannot be read, or that is a program unless
     /// [`allow_external`](crate::control::allow_external) was called.
     pub fn read_drivers(&mut self, folder: &Path) -> Result<(), InvalidField> {
         for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
@@ -167,13 +166,13 @@ impl Scenario {
         Ok(Self { spec: Arc::new(spec), steps })
     }
 
-    /// The data of the scenario.
+    /// Returns the data of the scenario.
     #[must_use]
     pub fn spec(&self) -> &ScenarioSpec {
         &self.spec
     }
 
-    /// A changed copy, checked again.
+    /// Returns a changed copy if it is valid.
     ///
     /// # Errors
     /// [`InvalidField`] if the change makes the scenario invalid.
@@ -183,46 +182,45 @@ impl Scenario {
         Self::new(spec)
     }
 
-    /// The vehicles, front to rear.
+    /// Returns the vehicles, front to rear.
     #[must_use]
     pub fn vehicles(&self) -> &[VehicleSpec] {
         &self.spec.vehicles
     }
 
-    /// Whether every vehicle is in the lane throughout, so that everybody's neighbours stay the same.
+    /// Returns true if no vehicle changes lanes, so that all neighbours stay the same.
     #[must_use]
     pub fn keeps_lanes(&self) -> bool {
         self.spec.vehicles.iter().all(VehicleSpec::keeps_lane)
     }
 
-    /// Whether some vehicle's driver is left to the run.
+    /// Returns true if a vehicle is driven by the controller under test.
     #[must_use]
     pub fn has_vehicle_under_test(&self) -> bool {
         (0..self.spec.vehicles.len()).any(|index| self.is_under_test(index))
     }
 
-    /// Whether vehicle `index` is driven by the controller under test; false if there is no such vehicle.
+    /// Returns true if the controller under test drives vehicle `index`; false for a vehicle that does not exist.
     #[must_use]
     pub fn is_under_test(&self, index: usize) -> bool {
         self.spec.vehicles.get(index).is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
     }
 
-    /// The number of steps of `step_s` in `duration_s`.
+    /// Returns the number of steps of `step_s` in `duration_s`.
     #[must_use]
     pub fn steps(&self) -> usize {
         self.steps
     }
 
-    /// Hardest braking of vehicle `index` on this road, in m/s², positive: its own limit scaled by friction.
-    ///
-    /// 0 for a vehicle that does not exist.
+    /// Returns the hardest braking of vehicle `index` on this road, in m/s², positive; 0 for a vehicle that does not
+    /// exist.
     #[must_use]
     pub fn usable_brake_mps2(&self, index: usize) -> f64 {
         self.spec.vehicles.get(index).map_or(0.0, |v| v.max_brake_mps2() * self.spec.environment.friction)
     }
 
-    /// Bumper gap ahead of vehicle `index` at the start, in metres, to the one listed before it; none for the first. It may be
-    /// negative where one of the two is beside the lane.
+    /// Returns the initial bumper gap of vehicle `index` to the vehicle listed before it, in metres; `None` for the
+    /// first. The gap may be negative if one of them is in the adjacent lane.
     #[must_use]
     pub fn initial_gap_m(&self, index: usize) -> Option<f64> {
         let ahead = self.spec.vehicles.get(index.checked_sub(1)?)?;
@@ -239,7 +237,7 @@ impl TryFrom<ScenarioSpec> for Scenario {
     }
 }
 
-/// The JSON Schema of scenario files.
+/// Returns the JSON Schema of scenario files.
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {

@@ -1,8 +1,8 @@
-//! Fields have names: a deserializer that takes no list for a structure, at any depth.
+//! A deserializer that rejects lists in place of structures, at any depth.
 //!
-//! What serde derives for a structure also accepts a list of its fields' values in the order in which the program happens to declare
-//! them. In a file that somebody writes that is a mistake which would go unseen, so everything read from files passes through
-//! [`NamedFields`]. It hands all else on as it is, errors with their lines included.
+//! Derived serde implementations accept a structure as a list of its values in declaration order, which would hide
+//! mistakes in files. All files pass through [`NamedFields`], which forwards everything else, including errors with
+//! lines.
 
 use std::fmt;
 
@@ -10,10 +10,9 @@ use serde::de::{
     DeserializeSeed, Deserializer, EnumAccess, Error, MapAccess, SeqAccess, Unexpected, VariantAccess, Visitor,
 };
 
-/// A deserializer, visitor, seed or access around another one.
+/// A wrapper around a deserializer, visitor, seed or access.
 pub(super) struct NamedFields<T>(pub(super) T);
 
-/// A visitor of a structure, which has named fields.
 struct StructVisitor<V>(V);
 
 macro_rules! forward_deserialize {

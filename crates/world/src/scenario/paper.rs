@@ -1,9 +1,8 @@
-//! The paper's three scenarios and the distribution it trains on.
+//! The three scenarios of the paper and its training distribution.
 //!
 //! Fixed numbers are from the section "Design of scenarios", distributions from "Implementation", paragraph "Scenario
-//! Parameters". The paper writes `N(36, 0.5)` without saying whether the second number is a variance or a standard
-//! deviation; it is taken as a standard deviation throughout. It does not give the number of middle vehicles of scenario 3;
-//! ours is three.
+//! Parameters". The second number of the paper's `N(36, 0.5)` is taken as a standard deviation; the paper does not say.
+//! Nor does it state the number of middle vehicles of scenario 3, which is three here.
 
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
@@ -15,22 +14,20 @@ use super::{
 use crate::control::{AebSettings, ControllerSpec};
 use crate::random::{self, Purpose};
 
-/// The paper's time step, in seconds.
+/// Time step of the paper, in seconds.
 pub const PAPER_STEP_S: f64 = 0.01;
-/// 1500 steps.
+/// Duration: 1500 steps.
 const DURATION_S: f64 = 15.0;
-/// 90 km/h.
+/// Initial speed: 90 km/h.
 const SPEED_MPS: f64 = 25.0;
-/// Bumper to bumper, in metres.
 const GAP_M: f64 = 16.0;
-/// The leader brakes from step 100 on.
+/// Braking onset of the leader: step 100.
 const ONSET_S: f64 = 1.0;
-/// Deceleration of the leader, in m/s².
 const LEAD_BRAKE_MPS2: f64 = 3.0;
 /// Middle vehicles of scenario 3.
 const MIDDLE_VEHICLES: usize = 3;
 
-/// Name and one-line description of every built-in scenario.
+/// Returns name and one-line description of every built-in scenario.
 #[must_use]
 pub fn built_in_scenario_names() -> [(&'static str, &'static str); 3] {
     [
@@ -40,7 +37,7 @@ pub fn built_in_scenario_names() -> [(&'static str, &'static str); 3] {
     ]
 }
 
-/// The built-in scenario of that name.
+/// Returns the built-in scenario `name`.
 #[must_use]
 pub fn built_in_scenario(name: &str) -> Option<Scenario> {
     use VehicleClass::{Heavy, Light};
@@ -83,7 +80,7 @@ fn baseline() -> Driver {
     Driver::Controller(ControllerSpec::Baseline(AebSettings::default()))
 }
 
-/// The distribution the paper trains on: scenario 1 or 2 with random start, lead braking and noise.
+/// The training distribution of the paper: scenario 1 or 2 with random start, lead braking and noise.
 ///
 /// Positions N(36, 0.5), N(18, 0.5), N(0, 0.5) m; lead deceleration N(3, 0.2) m/s²; onset U(1, 1.5) s; acceleration
 /// noise N(0, 0.01) m/s² each step on leader and follower. "The deceleration of the following vehicles is also normally
@@ -91,15 +88,15 @@ fn baseline() -> Driver {
 /// is heavy or light with equal probability.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaperDistribution {
-    /// Decides every draw.
+    /// Seed of all samples.
     pub seed: u64,
 }
 
 impl PaperDistribution {
-    /// The `index`-th draw. The same seed and index give the same scenario, in any order.
+    /// Draws sample `index`. Equal seed and index give an equal scenario, in any order.
     ///
     /// # Errors
-    /// None in practice: a normal number would have to fall 15 standard deviations from its mean.
+    /// None in practice: a normal number would have to be 15 standard deviations from its mean.
     pub fn draw(&self, index: u64) -> Result<Scenario, InvalidField> {
         let mut stream = random::stream(self.seed, Purpose::ScenarioSampling, index);
         let follower = if stream.random::<bool>() { VehicleClass::Heavy } else { VehicleClass::Light };

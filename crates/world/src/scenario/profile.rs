@@ -1,35 +1,35 @@
-//! Lead profiles: scripted motion that reacts to nobody.
+//! Lead profiles: scripted motion, independent of other vehicles.
 //!
-//! A profile is asked once a step for the acceleration to hold over that step. Where the script changes inside a step,
-//! the answer is its mean over the step, so that speeds at step boundaries are those of the script. Profiles that end
-//! at a speed look at the vehicle's own speed, which keeps them true under noise. A vehicle that follows a script has
-//! neither delay nor lag; on a slippery road it brakes as hard as the script says and the road allows.
+//! A profile returns the acceleration to hold over a step. If the script changes within a step, the acceleration is the
+//! mean over the step, so that speeds at step boundaries match the script. Profiles with a final speed read the
+//! vehicle's speed, which corrects for noise. Scripted vehicles have neither delay nor lag, and brake at most as
+//! friction allows.
 
 use serde::{Deserialize, Serialize};
 
 /// Scripted motion of a vehicle, usually the leader.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LeadProfile {
-    /// Hold the speed.
+    /// Constant speed.
     ConstantSpeed,
-    /// Brake at a constant rate to standstill.
+    /// Constant braking to standstill.
     Brake(Brake),
-    /// Build the braking up within a time, hold it, ease off just before standstill.
+    /// Braking that builds up within a time, is held, and eases off just before standstill.
     RampBrake(RampBrake),
-    /// Brake at a constant rate to a lower speed and hold that.
+    /// Constant braking to a lower speed, which is then held.
     BrakeToSpeed(BrakeToSpeed),
     /// Piecewise constant acceleration.
     Pieces(PiecewiseAcceleration),
-    /// Follow recorded speeds.
+    /// Recorded speeds.
     Recorded(RecordedSpeeds),
 }
 
-/// Brake at a constant rate from `onset_s` to standstill.
+/// Constant braking from `onset_s` to standstill.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Brake {
-    /// When braking starts, in seconds.
+    /// Start of braking, in seconds.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
     pub onset_s: f64,
     /// Deceleration in m/s², positive.
@@ -37,41 +37,41 @@ pub struct Brake {
     pub rate_mps2: f64,
 }
 
-/// Build the braking up linearly within `ramp_s`, hold it, and ease off over the last `release_s` before standstill:
-/// "0.5 g within 1.5 s, held until 250 ms before standstill" is `rate 4.905, ramp 1.5, release 0.25`.
+/// Braking that builds up linearly within `ramp_s`, is held, and falls linearly to zero in the last `release_s` before
+/// standstill.
 ///
-/// While easing off, deceleration falls linearly to zero as the vehicle comes to rest.
+/// "0.5 g within 1.5 s, held until 250 ms before standstill" is `rate 4.905, ramp 1.5, release 0.25`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RampBrake {
-    /// When braking starts, in seconds.
+    /// Start of braking, in seconds.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
     pub onset_s: f64,
-    /// Deceleration that is reached and held, in m/s², positive.
+    /// Held deceleration, in m/s², positive.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
     pub rate_mps2: f64,
-    /// Time from no braking to the full rate, in seconds.
+    /// Time from zero to the full rate, in seconds.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub ramp_s: f64,
-    /// Time before standstill at which braking starts to ease off, in seconds.
+    /// Time before standstill at which easing off starts, in seconds.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub release_s: f64,
 }
 
-/// Brake at a constant rate from `onset_s` until `final_speed_mps` is reached, then hold that speed.
+/// Constant braking from `onset_s` until `final_speed_mps`, which is then held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BrakeToSpeed {
-    /// When braking starts, in seconds.
+    /// Start of braking, in seconds.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e5)))]
     pub onset_s: f64,
     /// Deceleration in m/s², positive.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
     pub rate_mps2: f64,
-    /// Speed to end at, in m/s.
+    /// Final speed, in m/s.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub final_speed_mps: f64,
 }
@@ -87,7 +87,7 @@ pub struct PiecewiseAcceleration {
     pub accel_mps2: Vec<f64>,
 }
 
-/// Follow recorded speeds, linear between samples, as closely as the vehicle's limits allow; the last speed is held.
+/// Recorded speeds, linear between samples, followed within the vehicle's limits; the last speed is held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -99,7 +99,7 @@ pub struct RecordedSpeeds {
 }
 
 impl LeadProfile {
-    /// The name used in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -112,7 +112,7 @@ impl LeadProfile {
         }
     }
 
-    /// Acceleration to hold from `from_s` to `to_s`, in m/s², for a vehicle at `speed_mps`.
+    /// Returns the acceleration to hold from `from_s` to `to_s`, in m/s², for a vehicle at `speed_mps`.
     #[must_use]
     #[inline]
     pub fn acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
@@ -122,8 +122,8 @@ impl LeadProfile {
         }
     }
 
-    /// The acceleration to hold over every step that begins at `from_s` or later and ends at the second number or before,
-    /// whatever the speed: so the script need not be asked at each. Nothing where it depends on the speed.
+    /// Returns the constant acceleration of all steps from `from_s` until a time, and this time, so that callers can
+    /// skip those steps; `None` if the acceleration depends on the speed.
     #[must_use]
     pub(crate) fn constant_acceleration_until(&self, from_s: f64) -> Option<[f64; 2]> {
         match self {
@@ -140,7 +140,7 @@ impl LeadProfile {
         }
     }
 
-    /// Kept apart, so that the usual profile is small enough to be part of a loop.
+    /// Separate function, so that [`Self::acceleration_mps2`] is small enough to be inlined.
     fn other_acceleration_mps2(&self, from_s: f64, to_s: f64, speed_mps: f64) -> f64 {
         match self {
             Self::ConstantSpeed => 0.0,
@@ -156,9 +156,9 @@ impl LeadProfile {
         }
     }
 
-    /// Lowest and highest acceleration the script asks for, in m/s².
+    /// Returns the lowest and highest acceleration of the script, in m/s².
     ///
-    /// A recording asks for speeds: it is followed as closely as the vehicle's limits allow, and counts as `[0, 0]`.
+    /// Recorded speeds count as `[0, 0]`: they are followed only within the vehicle's limits.
     #[must_use]
     pub fn acceleration_range_mps2(&self) -> [f64; 2] {
         match self {
@@ -175,17 +175,15 @@ impl LeadProfile {
 }
 
 impl Brake {
-    /// Acceleration to hold from `from_s` to `to_s`, in m/s².
     #[inline(always)]
     pub(crate) fn acceleration_mps2(&self, from_s: f64, to_s: f64) -> f64 {
         -self.rate_mps2 * share_after(self.onset_s, from_s, to_s)
     }
 }
 
-/// The share of `[from, to]` that lies after `onset`.
 #[inline(always)]
 fn share_after(onset_s: f64, from_s: f64, to_s: f64) -> f64 {
-    // In nearly all steps all of it or nothing, and then nothing need be divided.
+    // Most steps take the first two branches, which need no division.
     if onset_s <= from_s {
         1.0
     } else if onset_s >= to_s {
@@ -201,7 +199,7 @@ impl RampBrake {
         -mean_build_up.min(self.easing_mps2(to_s - from_s, speed_mps))
     }
 
-    /// Integral of the build-up and the held rate from the onset to `at_s`, in m/s.
+    /// Integrates build-up and held rate from the onset to `at_s`, in m/s.
     fn speed_lost_mps(&self, at_s: f64) -> f64 {
         let braking_s = (at_s - self.onset_s).max(0.0);
         if braking_s < self.ramp_s {
@@ -211,8 +209,8 @@ impl RampBrake {
         }
     }
 
-    /// Mean deceleration over a step for a vehicle that eases off: with deceleration falling linearly from `rate` to
-    /// zero over `release`, it is `sqrt(2 rate v / release)` at speed v, so the square root of the speed falls linearly.
+    /// Returns the mean deceleration over a step while easing off. Deceleration that falls linearly from `rate` to zero
+    /// over `release` is `sqrt(2 rate v / release)` at speed v, so the square root of the speed falls linearly.
     fn easing_mps2(&self, step_s: f64, speed_mps: f64) -> f64 {
         if self.release_s == 0.0 {
             return self.rate_mps2;
@@ -238,14 +236,14 @@ impl PiecewiseAcceleration {
         mean
     }
 
-    /// Acceleration over the piece before the one that is `next`, in m/s².
+    /// Returns the acceleration of the piece before `next`, in m/s².
     fn piece_before_mps2(&self, next: usize) -> f64 {
         next.checked_sub(1).and_then(|current| self.accel_mps2.get(current)).copied().unwrap_or(0.0)
     }
 }
 
 impl RecordedSpeeds {
-    /// Speed at a time, in m/s: linear between samples, the first and the last one held outside them.
+    /// Returns the speed at a time, in m/s: linear between samples, constant outside them.
     #[must_use]
     pub fn speed_at_mps(&self, at_s: f64) -> f64 {
         let next = self.time_s.partition_point(|&t| t <= at_s);
@@ -262,7 +260,7 @@ impl RecordedSpeeds {
 mod tests {
     use super::*;
 
-    /// Speeds at the step boundaries when the profile drives alone from `speed_mps`.
+    /// Returns the speeds at step boundaries for a vehicle that starts at `speed_mps`.
     fn drive(profile: &LeadProfile, mut speed_mps: f64, step_s: f64, steps: usize) -> Vec<f64> {
         let mut speeds = vec![speed_mps];
         for k in 0..steps {
@@ -289,7 +287,7 @@ mod tests {
             let mut steps_held = 0;
             for from in 0..300 {
                 let [held_mps2, until_s] = profile.constant_acceleration_until(f64::from(from) * 0.01).unwrap();
-                // Every later step that ends in time, not only the next.
+                // All later steps that end in time, not only the next.
                 for step in from..300 {
                     let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
                     if to_s <= until_s {

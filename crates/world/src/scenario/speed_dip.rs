@@ -1,27 +1,26 @@
-//! The standard experiment of string stability: a leader slows down a little and recovers.
+//! The standard experiment of string stability: a leader slows down briefly and recovers.
 
 use super::{
     Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, PiecewiseAcceleration, SCENARIO_VERSION, Scenario,
     ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
-/// When the leader of [`speed_dip`] begins to slow down, in seconds: until then the line settles to its own time gaps.
+/// Start of the leader's dip in [`speed_dip`], in seconds; the line first settles to its time gaps.
 pub const SPEED_DIP_ONSET_S: f64 = 60.0;
-/// The leader's speed: 72 km/h.
+/// Speed of the leader: 72 km/h.
 const SPEED_MPS: f64 = 20.0;
-/// How much faster the others start, so that a cruise control, which does not want to go faster than it did, closes up to the
-/// time gap at which it follows.
+/// Initial excess speed of the followers, so that a cruise control closes up to its time gap.
 const CLOSING_MPS: f64 = 2.0;
-/// From the onset on: 2 m/s² for 2 s, which takes 4 m/s off; then back at 1 m/s².
+/// Dip from the onset on: 2 m/s² for 2 s, which takes 4 m/s off; then back at 1 m/s².
 const DIP: [(f64, f64); 3] = [(0.0, -2.0), (2.0, 1.0), (6.0, 0.0)];
-/// Long enough for the dip to arrive at the last of many vehicles.
+/// Duration, in seconds; the dip reaches the last of many vehicles.
 const DURATION_S: f64 = 120.0;
 
-/// A leader at 20 m/s that slows down to 16 m/s and recovers, and `followers` cars behind it, all under test, that start at
-/// `time_gap_s` seconds and a little faster. By the time of the dip each should follow at the time gap it likes.
+/// Creates a leader that slows down from 20 m/s to 16 m/s and recovers, and `followers` cars under test behind it. They
+/// start `time_gap_s` seconds apart and slightly faster, and settle to their own time gaps before the dip.
 ///
 /// # Errors
-/// [`InvalidField`] for no followers, too many, or a time gap that is no room.
+/// [`InvalidField`] for no followers, too many, or a time gap that leaves no room.
 pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidField> {
     let class = VehicleClass::Light;
     let pieces = PiecewiseAcceleration {

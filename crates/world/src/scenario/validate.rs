@@ -1,4 +1,4 @@
-//! The one place that says which scenarios are valid.
+//! Validation of scenarios.
 
 use super::invalid::{AllowedRange, FieldProblem, InvalidField};
 use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
@@ -12,10 +12,9 @@ const fn range_above(min: f64, max: f64) -> AllowedRange {
     AllowedRange { min, max, excludes_min: true }
 }
 
-/// Steps times vehicles beyond which a scenario is refused: a trace of 120 MB, and some 300 MB as text.
+/// Maximum number of steps times vehicles: a trace of 120 MB, and about 300 MB as text.
 pub(crate) const MAX_VEHICLE_STEPS: usize = 5_000_000;
 
-/// Checks a spec and returns its number of steps.
 pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     let root = FieldPath::ROOT;
     if spec.version != SCENARIO_VERSION {
@@ -71,7 +70,7 @@ fn count_steps(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     }
 }
 
-/// How often `part` goes into `whole`, if a whole number of times up to rounding.
+/// Returns `whole / part` if it is a whole number up to rounding.
 pub fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     let times = (whole / part).round();
     let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
@@ -108,7 +107,7 @@ fn check_vehicle(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), Inv
     }
 }
 
-/// Who decides by what is seen would have to see both lanes.
+/// Rejects lane changes of vehicles that are not scripted: their controllers would have to observe both lanes.
 fn check_lane_changes(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     for (field, change) in [("enters", vehicle.enters), ("leaves", vehicle.leaves)] {
         let Some(change) = change else { continue };
@@ -131,7 +130,7 @@ fn check_lane_changes(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<()
     Ok(())
 }
 
-/// A script that the vehicle could not follow on a dry road is a mistake, not a scenario.
+/// Rejects scripts that the vehicle cannot follow on a dry road.
 fn check_within_limits(
     driver: &FieldPath<'_>,
     vehicle: &VehicleSpec,
@@ -148,7 +147,7 @@ fn check_within_limits(
     Ok(())
 }
 
-/// A script says when a vehicle does what: a delay or lag on top would make the script untrue.
+/// Rejects delays and lags of scripted vehicles, which would contradict the script.
 fn check_no_delays(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {
     let delays = [
         ("reaction_delay_s", vehicle.reaction_delay_s > 0.0),
@@ -200,8 +199,7 @@ fn check_controller(place: &FieldPath<'_>, controller: &ControllerSpec) -> Resul
     })
 }
 
-/// A place in the file, from which its fields are checked. Its path is put together only if something is wrong there:
-/// searches check millions of scenarios that are right.
+/// A location in the file. Its path is formatted only for errors: searches check millions of valid scenarios.
 #[derive(Clone, Copy)]
 struct FieldPath<'a> {
     parent: Option<&'a Self>,
@@ -258,7 +256,7 @@ impl<'a> FieldPath<'a> {
         }
     }
 
-    /// Two lists of one length: increasing times, and values in a range.
+    /// Checks two lists of equal length: increasing times, and values in a range.
     fn check_series(
         &self,
         (times_name, times): (&'static str, &[f64]),

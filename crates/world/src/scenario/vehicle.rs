@@ -1,11 +1,10 @@
-//! Vehicles: class presets, what a file may override, and the resolved numbers the simulation uses.
+//! Vehicles: class presets, overrides in files, and the resulting numbers.
 
 use serde::{Deserialize, Serialize};
 
 use super::driver::Driver;
 use super::lane_change::LaneChange;
 
-/// What a vehicle of a class has unless its scenario says otherwise.
 struct ClassPreset {
     name: &'static str,
     length_m: f64,
@@ -14,7 +13,7 @@ struct ClassPreset {
     max_accel_mps2: f64,
 }
 
-/// Declares the classes, a row each. Files, the schema, spaces, logs, drawings and fuzzing strategies follow from it.
+/// Declares the classes, a row each. Files, schema, spaces, logs, figures and fuzzing strategies use this list.
 macro_rules! classes {
     ($(#[$about:meta])* $name:ident { $($(#[$doc:meta])* $class:ident: $preset:expr;)* }) => {
         $(#[$about])*
@@ -26,7 +25,7 @@ macro_rules! classes {
         }
 
         impl $name {
-            /// All classes, in the order of their numbers.
+            /// All classes, in order of their numbers.
             pub const ALL: &'static [Self] = &[$(Self::$class),*];
 
             const fn preset(self) -> ClassPreset {
@@ -41,8 +40,8 @@ macro_rules! classes {
 classes! {
     /// The two vehicle classes of the paper (section "Design of scenarios").
     ///
-    /// The paper fixes length and largest deceleration. It gives neither largest acceleration nor mass: those are ours,
-    /// typical of a passenger car and of a loaded rigid truck.
+    /// The paper states length and largest deceleration. Largest acceleration and mass are typical of a passenger car
+    /// and of a loaded rigid truck.
     VehicleClass {
         /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
         Light: ClassPreset { name: "light", length_m: 2.0, mass_kg: 1_500.0, max_brake_mps2: 7.5, max_accel_mps2: 3.0 };
@@ -52,65 +51,65 @@ classes! {
 }
 
 impl VehicleClass {
-    /// The class of a recorded vehicle by its length, in metres: heavy from 7.5 m on, for no car is as long with room to spare.
+    /// Returns the class of a recorded vehicle: heavy from 7.5 m on, which exceeds any car.
     #[must_use]
     pub fn from_length(length_m: f64) -> Self {
         if length_m >= 7.5 { Self::Heavy } else { Self::Light }
     }
 
-    /// Its number, by which spaces and logs hold it.
+    /// Returns the number of the class in spaces and logs.
     #[must_use]
     pub fn number(self) -> u8 {
         self as u8
     }
 
-    /// The name used in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.preset().name
     }
 
-    /// Bumper to bumper, in metres.
+    /// Returns the length from bumper to bumper, in metres.
     #[must_use]
     pub fn length_m(self) -> f64 {
         self.preset().length_m
     }
 
-    /// Mass in kilograms.
+    /// Returns the mass in kilograms.
     #[must_use]
     pub fn mass_kg(self) -> f64 {
         self.preset().mass_kg
     }
 
-    /// Largest deceleration on a dry road, in m/s², positive.
+    /// Returns the largest deceleration on a dry road, in m/s², positive.
     #[must_use]
     pub fn max_brake_mps2(self) -> f64 {
         self.preset().max_brake_mps2
     }
 
-    /// Largest acceleration in m/s².
+    /// Returns the largest acceleration in m/s².
     #[must_use]
     pub fn max_accel_mps2(self) -> f64 {
         self.preset().max_accel_mps2
     }
 }
 
-/// One vehicle as a scenario file states it: a class, where it starts, who drives it, and what differs from the class.
+/// Vehicle of a scenario file: class, initial state, driver, and overrides of the class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct VehicleSpec {
     /// Preset for every limit that is not overridden.
     pub class: VehicleClass,
-    /// Front bumper at the start, in metres along the road. Vehicles are listed front to rear.
+    /// Initial position of the front bumper along the road, in metres. Vehicles are listed front to rear.
     #[cfg_attr(feature = "schema", schemars(range(min = -1e6, max = 1e6)))]
     pub position_m: f64,
-    /// Speed at the start, in m/s.
+    /// Initial speed, in m/s.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub speed_mps: f64,
-    /// Who drives: a lead profile, a controller, or the controller under test.
+    /// Driver: a lead profile, a controller, or the controller under test.
     pub driver: Driver,
-    /// Bumper to bumper, in metres. Default: the class's.
+    /// Length from bumper to bumper, in metres. Default: the class's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 100.0)))]
     pub length_m: Option<f64>,
@@ -130,7 +129,7 @@ pub struct VehicleSpec {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub acceleration_noise_mps2: f64,
-    /// Time from what the driver sees to the command it gives, in seconds. Default 0.
+    /// Time from an observation to the driver's command, in seconds. Default 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub reaction_delay_s: f64,
@@ -146,12 +145,12 @@ pub struct VehicleSpec {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 1e4)))]
     pub jerk_limit_mps3: Option<f64>,
-    /// When it enters the lane. Until then it drives in the lane beside: nobody in the lane minds it, and it touches nobody. It
-    /// enters only if it is clear of the vehicles before and after it in the list at that moment, and stays beside otherwise.
-    /// Only a scripted vehicle may. Default: it is in the lane from the start.
+    /// Trigger for entering the lane. Until then the vehicle is in the adjacent lane, where it neither influences other
+    /// vehicles nor collides. It enters only if it then overlaps neither neighbour in the list. Only for scripted
+    /// vehicles. Default: in the lane from the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub enters: Option<LaneChange>,
-    /// When it leaves the lane, once it is in it. Only a scripted vehicle may. Default: never.
+    /// Trigger for leaving the lane once it is in it. Only for scripted vehicles. Default: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leaves: Option<LaneChange>,
 }
@@ -161,7 +160,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl VehicleSpec {
-    /// A vehicle with nothing overridden.
+    /// Creates a vehicle without overrides.
     #[must_use]
     pub fn new(class: VehicleClass, position_m: f64, speed_mps: f64, driver: Driver) -> Self {
         Self {
@@ -183,31 +182,31 @@ impl VehicleSpec {
         }
     }
 
-    /// Whether it is in the lane throughout.
+    /// Returns true if the vehicle stays in the lane throughout.
     #[must_use]
     pub fn keeps_lane(&self) -> bool {
         self.enters.is_none() && self.leaves.is_none()
     }
 
-    /// Bumper to bumper, in metres: the override, or the class's.
+    /// Returns the length from bumper to bumper, in metres: the override, or the class's.
     #[must_use]
     pub fn length_m(&self) -> f64 {
         self.length_m.unwrap_or(self.class.length_m())
     }
 
-    /// Mass in kilograms: the override, or the class's.
+    /// Returns the mass in kilograms: the override, or the class's.
     #[must_use]
     pub fn mass_kg(&self) -> f64 {
         self.mass_kg.unwrap_or(self.class.mass_kg())
     }
 
-    /// Largest deceleration on a dry road in m/s²: the override, or the class's.
+    /// Returns the largest deceleration on a dry road in m/s²: the override, or the class's.
     #[must_use]
     pub fn max_brake_mps2(&self) -> f64 {
         self.max_brake_mps2.unwrap_or(self.class.max_brake_mps2())
     }
 
-    /// Largest acceleration in m/s²: the override, or the class's.
+    /// Returns the largest acceleration in m/s²: the override, or the class's.
     #[must_use]
     pub fn max_accel_mps2(&self) -> f64 {
         self.max_accel_mps2.unwrap_or(self.class.max_accel_mps2())

@@ -1,4 +1,4 @@
-//! From the acceleration a driver commands to the one the vehicle has.
+//! Conversion of commanded accelerations to those of the vehicle.
 
 use std::collections::VecDeque;
 
@@ -6,37 +6,34 @@ use crate::control::clamp_command;
 use crate::random::{self, NormalSampler, Purpose, Stream};
 use crate::scenario::Scenario;
 
-/// A vehicle's limits, delays and lag, all counted in the scenario's own steps so that they do not depend on how finely
-/// motion is integrated.
+/// Limits, delays and lag of a vehicle, in steps of the scenario, independent of the integration step.
 #[derive(Debug, Clone)]
 pub(super) struct Actuator {
     pub(super) max_brake_mps2: f64,
     pub(super) max_accel_mps2: f64,
-    /// None for a vehicle that responds at once and fully.
+    /// `None` for a vehicle that responds at once and fully.
     dynamics: Option<Box<ActuatorDynamics>>,
 }
 
 #[derive(Debug, Clone)]
 struct ActuatorDynamics {
-    /// Commands on their way, oldest first.
     pending_mps2: VecDeque<f64>,
-    /// Share of the way to the command covered in a step: 1 - exp(-step / lag).
+    /// Share of the difference to the command that a step covers: 1 - exp(-step / lag).
     response_fraction: f64,
-    /// Largest change of acceleration in a step, in m/s²; infinite without a jerk limit.
+    /// Maximum change of acceleration per step, in m/s²; infinite without a jerk limit.
     max_change_mps2: f64,
     response_mps2: f64,
 }
 
 impl Actuator {
-    /// The actuator of vehicle `index`.
+    /// Creates the actuator of vehicle `index`.
     ///
-    /// Reaction delay and actuator delay add up: a controller answers what it sees in the same way at any time, so seeing
-    /// late and acting late are one thing.
+    /// Reaction delay and actuator delay are added: late observation and late action are equivalent.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Self {
         let vehicle = &scenario.vehicles()[index];
         let step_s = scenario.spec().step_s;
         let delay_steps = ((vehicle.reaction_delay_s + vehicle.actuator_delay_s) / step_s).round() as usize;
-        // What is still under way when the scenario ends need not be kept.
+        // Commands that are still pending at the end of the scenario need no space.
         let delay_steps = delay_steps.min(scenario.steps());
         let lag_s = vehicle.actuator_lag_s;
         let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some();
@@ -59,7 +56,6 @@ impl Actuator {
         self.dynamics.is_none()
     }
 
-    /// The acceleration over the next step, in m/s².
     #[inline]
     pub(super) fn respond(&mut self, command_mps2: f64) -> f64 {
         match &mut self.dynamics {
@@ -76,17 +72,16 @@ impl Actuator {
     }
 }
 
-/// A vehicle that stands and does not want to move is held by its brakes: nothing, noise included, moves it. Nor does noise
-/// brake one that stands and wants to move.
+/// Adds noise to an acceleration, but not at rest: a vehicle that stands and does not command motion is held by its
+/// brakes, and noise does not brake one that stands and commands motion.
 ///
-/// Not for vehicles that stick to others: what such a group does is decided on their summed forces.
+/// Not for vehicles that are locked together; their motion depends on their summed forces.
 #[inline]
 pub(super) fn add_noise_unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
     let disturbed_mps2 = acceleration_mps2 + noise_mps2;
     if speed_mps == 0.0 && (acceleration_mps2 <= 0.0 || disturbed_mps2 < 0.0) { 0.0 } else { disturbed_mps2 }
 }
 
-/// Normal noise on a vehicle's acceleration.
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
     stream: Stream,
@@ -95,7 +90,7 @@ pub(super) struct Disturbance {
 }
 
 impl Disturbance {
-    /// The noise of vehicle `index`; none if it has none.
+    /// Creates the noise of vehicle `index`; `None` for a vehicle without noise.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
         (deviation_mps2 > 0.0).then(|| Self {
@@ -110,10 +105,10 @@ impl Disturbance {
         self.deviation_mps2 * self.normals.sample(&mut self.stream)
     }
 
-    /// The numbers of the next steps.
+    /// Returns the noise of the next `N` steps, in m/s².
     #[inline]
     pub(super) fn next_n_mps2<const N: usize>(&mut self) -> [f64; N] {
-        // A copy, which stays in registers.
+        // A local copy stays in registers.
         let mut stream = self.stream.clone();
         let some_mps2 = std::array::from_fn(|_| self.deviation_mps2 * self.normals.sample(&mut stream));
         self.stream = stream;

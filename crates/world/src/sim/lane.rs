@@ -1,24 +1,23 @@
-//! Who drives in the lane, and who is still to enter or leave it.
+//! Lane membership of vehicles, and planned lane changes.
 
 use super::motion::{Motion, first_zero};
 use super::trace::Track;
 use crate::scenario::{LaneChange, VehicleSpec};
 
-/// Instants this close to the end of a step, in seconds, are its end: sums of steps are rounded.
+/// Tolerance around the end of a step, in seconds: sums of steps are rounded.
 pub(crate) const TIME_TOLERANCE_S: f64 = 1e-9;
 
-/// The lane of one run.
 #[derive(Debug, Clone)]
 pub(super) struct LaneState {
     vehicles: usize,
-    /// None where nobody ever enters or leaves, as in most runs.
+    /// `None` if no vehicle ever enters or leaves, as in most runs.
     changes: Option<Box<LaneChangeState>>,
 }
 
 #[derive(Debug, Clone)]
 struct LaneChangeState {
     is_inside: Vec<bool>,
-    /// From when until when each vehicle is in the lane, in seconds; from infinity on where it has not entered.
+    /// Times of entry and exit of each vehicle, in seconds; infinite before its entry.
     in_lane_s: Vec<[f64; 2]>,
     planned: Vec<PlannedLaneChange>,
 }
@@ -28,33 +27,30 @@ struct PlannedLaneChange {
     vehicle: usize,
     is_entry: bool,
     trigger: LaneChange,
-    /// Whether the gap was larger than the one that is waited for, when it was first looked at.
+    /// True if the gap exceeded the trigger when it was first evaluated.
     was_gap_larger: Option<bool>,
 }
 
-/// Vehicles as bodies, front to rear: motion and length.
+/// Motion and length of vehicles, front to rear.
 #[derive(Clone, Copy)]
 pub(super) struct Bodies<'a> {
     pub(super) motion: &'a [Motion],
     pub(super) length_m: &'a [f64],
 }
 
-/// A part of a step in which nobody enters or leaves.
+/// A part of a step without lane changes.
 pub(super) struct LaneInterval {
-    /// From when, in seconds since the start of the step.
+    /// Start, in seconds since the start of the step.
     pub(super) from_s: f64,
-    /// Until when.
     pub(super) to_s: f64,
     pub(super) lane: LaneState,
 }
 
 impl LaneState {
-    /// A lane in which `vehicles` are from the start and stay.
     pub(super) fn with_all(vehicles: usize) -> Self {
         Self { vehicles, changes: None }
     }
 
-    /// The lane at the start of a scenario.
     pub(super) fn new(vehicles: &[VehicleSpec], bodies: Bodies<'_>) -> Self {
         if vehicles.iter().all(VehicleSpec::keeps_lane) {
             return Self::with_all(vehicles.len());
@@ -68,7 +64,7 @@ impl LaneState {
             [of(false, spec.leaves), of(true, spec.enters)].into_iter().flatten()
         });
         let mut planned: Vec<PlannedLaneChange> = planned.collect();
-        // Who leaves at an instant makes room for who enters at the same one. Among each the order is that of the line.
+        // Exits come before simultaneous entries, for which they make room. Otherwise the order is front to rear.
         planned.sort_by_key(|planned| planned.is_entry);
         let changes = LaneChangeState {
             is_inside: inside.clone().collect(),
@@ -78,19 +74,16 @@ impl LaneState {
         Self { vehicles: vehicles.len(), changes: Some(Box::new(changes)) }.after(bodies, 0.0, 0.0)
     }
 
-    /// Whether everybody is in the lane throughout.
     #[inline]
     pub(super) fn is_constant(&self) -> bool {
         self.changes.is_none()
     }
 
-    /// Whether nobody enters or leaves any more.
     #[inline]
     pub(super) fn has_no_pending_changes(&self) -> bool {
         self.changes.as_ref().is_none_or(|changes| changes.planned.is_empty())
     }
 
-    /// Whether a vehicle is in the lane.
     #[inline]
     pub(super) fn contains(&self, vehicle: usize) -> bool {
         match &self.changes {
@@ -99,12 +92,12 @@ impl LaneState {
         }
     }
 
-    /// Who is ahead of a vehicle in the lane; none for its first, and for a vehicle beside it.
+    /// Returns the leader of a vehicle; `None` for the first, and for a vehicle outside the lane.
     pub(super) fn ahead(&self, vehicle: usize) -> Option<usize> {
         self.nearest_ahead(vehicle).filter(|_| self.contains(vehicle))
     }
 
-    /// Who is behind a vehicle in the lane; none for its last, and for a vehicle beside it.
+    /// Returns the follower of a vehicle; `None` for the last, and for a vehicle outside the lane.
     pub(super) fn behind(&self, vehicle: usize) -> Option<usize> {
         self.nearest_behind(vehicle).filter(|_| self.contains(vehicle))
     }
@@ -117,20 +110,18 @@ impl LaneState {
         (vehicle + 1..self.vehicles).find(|&rear| self.contains(rear))
     }
 
-    /// From when until when a vehicle was in the lane, in seconds.
     pub(super) fn in_lane_s(&self, vehicle: usize) -> [f64; 2] {
         let changed = self.changes.as_ref().and_then(|changes| changes.in_lane_s.get(vehicle));
         changed.copied().unwrap_or(Track::THROUGHOUT_S)
     }
 
-    /// A vehicle that has touched another one stays where it is.
     pub(super) fn cancel_changes(&mut self, vehicle: usize) {
         if let Some(changes) = &mut self.changes {
             changes.planned.retain(|planned| planned.vehicle != vehicle);
         }
     }
 
-    /// The parts of the next `within_s` seconds from `now_s` on, in order; nobody touches meanwhile.
+    /// Splits the `within_s` seconds after `now_s` at lane changes. Requires that no collision occurs in them.
     pub(super) fn intervals(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Vec<LaneInterval> {
         let (mut lane, mut from_s, mut stints) = (self.clone(), 0.0, Vec::new());
         while let Some((to_s, places)) = lane.next_changes(bodies, now_s, from_s, within_s) {
@@ -142,16 +133,14 @@ impl LaneState {
         stints
     }
 
-    /// The lane after the next `within_s` seconds.
     pub(super) fn after(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Self {
         self.intervals(bodies, now_s, within_s).pop().map_or_else(|| self.clone(), |last| last.lane)
     }
 
-    /// The next changes between `from_s` and `within_s` seconds from now, all of one instant: when, and their places among what is
-    /// planned.
+    /// Returns time and indices of the next simultaneous changes between `from_s` and `within_s` seconds from now.
     ///
-    /// What comes by the clock comes before anybody looks who is ahead: who is there for no time is nobody's neighbour. All whose
-    /// moment it then is change together, so that it does not matter of whom it is asked first.
+    /// Time-triggered changes are applied before neighbours are looked up: a vehicle that is in the lane for zero time
+    /// is no neighbour. Simultaneous changes are applied together, so that their order has no effect.
     fn next_changes(
         &mut self,
         bodies: Bodies<'_>,
@@ -171,7 +160,7 @@ impl LaneState {
         }
     }
 
-    /// Those of what is planned, by the clock or by a distance, that come first, and when.
+    /// Returns the earliest planned changes, either time-triggered or distance-triggered, and their time.
     fn earliest_changes(
         &mut self,
         by_clock: bool,
@@ -195,7 +184,7 @@ impl LaneState {
         first
     }
 
-    /// When what is planned comes, between `from_s` and `to_s` seconds from now.
+    /// Returns the time of a planned change, between `from_s` and `to_s` seconds from now.
     fn change_time_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
         let [from_s, to_s] = span_s;
         let PlannedLaneChange { vehicle, is_entry: enters, trigger: when, was_gap_larger: was_larger } =
@@ -242,8 +231,7 @@ impl LaneState {
         found_s.map(|in_s| (from_s + in_s).min(to_s))
     }
 
-    /// Does what is planned at places in increasing order, `in_s` seconds from now: those who leave before those who enter, and these
-    /// front to rear. Who is to enter and finds no room stays beside.
+    /// Applies planned changes at increasing indices. A vehicle without room to enter stays outside.
     fn apply_changes(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
         let Some(changes) = &mut self.changes else { return };
         let due: Vec<PlannedLaneChange> =
@@ -265,7 +253,7 @@ impl LaneState {
         }
     }
 
-    /// Whether a vehicle is clear of those before and after it in the lane, `in_s` seconds from now.
+    /// True if a vehicle overlaps neither neighbour in the lane, `in_s` seconds from now.
     fn has_room(&self, vehicle: usize, bodies: Bodies<'_>, in_s: f64) -> bool {
         let position_m = |vehicle: usize| bodies.motion[vehicle].after(in_s).position_m;
         let is_clear = |front: usize, rear: usize| position_m(front) - bodies.length_m[front] > position_m(rear);

@@ -1,4 +1,4 @@
-//! How it happens: exact motion, contact by root finding, and two engines with one meaning.
+//! Simulation: exact motion, collisions by root finding, and two engines with identical results.
 
 mod actuator;
 mod lane;

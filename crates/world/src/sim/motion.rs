@@ -1,21 +1,20 @@
-//! Exact motion under an acceleration that is held over a step, and where two vehicles meet inside one.
+//! Exact motion under an acceleration that is constant over a step, and collisions inside a step.
 //!
-//! x += v dt + a dt²/2 and v += a dt, unless v would become negative: then the vehicle stops inside the step, having
-//! covered v²/(2|a|), and stays at rest. No vehicle reverses.
+//! x += v dt + a dt²/2 and v += a dt, unless v would become negative. Then the vehicle stops for good after v²/(2|a|).
 
-/// One vehicle's motion at the start of a step.
+/// Motion of a vehicle at the start of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
-    /// Front bumper, in metres.
+    /// Position of the front bumper, in metres.
     pub position_m: f64,
     /// Speed in m/s, not negative.
     pub speed_mps: f64,
-    /// Acceleration held over the step, in m/s².
+    /// Acceleration over the step, in m/s².
     pub acceleration_mps2: f64,
 }
 
 impl Motion {
-    /// The same vehicle `dt_s` seconds later.
+    /// Returns the motion after `dt_s` seconds.
     #[must_use]
     #[inline]
     pub fn after(self, dt_s: f64) -> Self {
@@ -23,43 +22,42 @@ impl Motion {
         Self { position_m, speed_mps, ..self }
     }
 
-    /// The motion from `from_s` on, up to the next change of the piece it is in: no acceleration once the vehicle stands.
+    /// Returns the motion at `from_s`, valid until the vehicle stops; without acceleration if it stands.
     ///
-    /// Whether it stands is asked of the time, since at the very instant of the stop rounding can leave a speed.
+    /// Time decides if it stands: at the instant of the stop, rounding can leave a positive speed.
     fn piece_from(self, from_s: f64) -> Self {
         let later = self.after(from_s);
         if from_s < self.stopping_time_s() { later } else { Self { speed_mps: 0.0, acceleration_mps2: 0.0, ..later } }
     }
 
-    /// When the vehicle comes to rest, in seconds from now; infinite if it does not.
+    /// Returns the time until the vehicle stops, in seconds; infinite if it does not.
     #[must_use]
     pub(crate) fn stopping_time_s(self) -> f64 {
         if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
     }
 }
 
-/// Position and speed after `dt`.
 #[inline]
 pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
     let v_end = v + a * dt;
     if v_end < 0.0 { (x + v * v / (-2.0 * a), 0.0) } else { (x + v * dt + 0.5 * a * dt * dt, v_end) }
 }
 
-/// Whether a step needs [`first_contact`] and [`closest_gap_m`]: the vehicles could touch in it, or are closest inside it.
+/// True if a step needs [`first_contact`] and [`closest_gap_m`]: the vehicles could collide, or are closest inside it.
 ///
-/// The vehicle ahead never reverses, so the gap shrinks by at most what the one behind covers at its higher end speed.
+/// The gap shrinks by at most the distance that the follower covers at its higher end speed.
 #[inline]
 pub(super) fn needs_contact_check(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
     may_collide(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
 }
 
-/// Whether a step needs [`first_contact`], from the speeds of the vehicle behind at its start and its end.
+/// True if a step needs [`first_contact`], given the speeds of the rear vehicle at both ends.
 #[inline]
 pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
     gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0
 }
 
-/// The first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less; none if there is none.
+/// Returns the first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less, if any.
 ///
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
 #[must_use]
@@ -71,9 +69,9 @@ pub(crate) fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt
     first_zero(front, rear, gap, dt_s)
 }
 
-/// The first instant in `[0, dt_s]` at which the size of something between two vehicles is zero or less; none if there is none.
+/// Returns the first instant in `[0, dt_s]` at which a quantity of two vehicles is zero or less, if any.
 ///
-/// `size` gives value, rate and second derivative from how the two, front and rear, move; it is a quadratic until a vehicle stops.
+/// `size` returns value, rate and second derivative; it is quadratic until a vehicle stops.
 #[inline]
 pub(super) fn first_zero(
     front: Motion,
@@ -97,13 +95,13 @@ pub(super) fn first_zero(
     None
 }
 
-/// The smallest gap between two vehicles at any instant after now and up to `dt_s`, in metres.
+/// Returns the minimum gap between two vehicles at any instant after now and up to `dt_s`, in metres.
 #[must_use]
 pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
     closest_gap_given_ends_m([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
 }
 
-/// The same where it is known how both vehicles, front and rear, move at the end.
+/// Returns the minimum gap as [`closest_gap_m`] does, given the motions of front and rear vehicle at the end.
 #[inline]
 pub(super) fn closest_gap_given_ends_m(
     [front, rear]: [Motion; 2],
@@ -112,7 +110,7 @@ pub(super) fn closest_gap_given_ends_m(
     dt_s: f64,
 ) -> f64 {
     let at_end = end[0].position_m - front_length_m - end[1].position_m;
-    // At the end both may stand, the rear one first: then the gap was smallest before.
+    // If both stand at the end and the rear one stopped first, the gap was smallest before.
     if rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0 {
         at_end.min(gap_at_equal_speed_m(front, rear, front_length_m, dt_s).unwrap_or(at_end))
     } else {
@@ -120,12 +118,12 @@ pub(super) fn closest_gap_given_ends_m(
     }
 }
 
-/// The gap where two vehicles that close in at first stop doing so, in metres.
+/// Returns the gap at which two vehicles stop closing in, in metres.
 #[inline(never)]
 fn gap_at_equal_speed_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
     let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
-    // The closing speed is piecewise linear and continuous: where it changes sign the gap is smallest.
+    // The closing speed is piecewise linear and continuous: the gap is smallest where it changes sign.
     for [from_s, to_s] in split_at_stops(front, rear, dt_s) {
         let (before, after) = (closing_at(from_s), closing_at(to_s));
         if before > 0.0 && after <= 0.0 {
@@ -136,21 +134,20 @@ fn gap_at_equal_speed_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: 
     None
 }
 
-/// `[0, dt]` cut where a vehicle stops.
 fn split_at_stops(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
     let (a, b) = (front.stopping_time_s().min(dt), rear.stopping_time_s().min(dt));
     let (first, second) = (a.min(b), a.max(b));
     [[0.0, first], [first, second], [second, dt]]
 }
 
-/// The smallest t >= 0 with g + r t + a t²/2 = 0, for g > 0.
+/// Returns the smallest t >= 0 with g + r t + a t²/2 = 0, for g > 0.
 fn first_root(g: f64, r: f64, a: f64) -> Option<f64> {
     let discriminant = r * r - 2.0 * a * g;
     if discriminant < 0.0 {
         return None;
     }
     let root = discriminant.sqrt();
-    // Each form adds numbers of one sign, so that nothing cancels.
+    // Each form adds numbers of one sign, so that no cancellation occurs.
     if r < 0.0 {
         Some(2.0 * g / (root - r))
     } else if a < 0.0 {
@@ -178,14 +175,14 @@ mod tests {
 
     #[test]
     fn contact_with_a_vehicle_that_stops_first() {
-        // Front stops after 0.5 s having covered 0.5 m; rear covers 1.5 m of gap plus that at 4 m/s in 0.5 s.
+        // The front vehicle stops after 0.5 s and 0.5 m; the rear one covers 1.5 m of gap plus that at 4 m/s in 0.5 s.
         let time = first_contact(motion(3.5, 2.0, -4.0), motion(0.0, 4.0, 0.0), 2.0, 1.0);
         assert!((time.unwrap() - 0.5).abs() < 1e-12, "{time:?}");
     }
 
     #[test]
     fn a_near_miss_inside_a_step_is_seen() {
-        // Gap 1 - 2t + 2t² is smallest at t = 0.5, where it is 0.5.
+        // The gap 1 - 2t + 2t² has its minimum 0.5 at t = 0.5.
         let (front, rear) = (motion(3.0, 10.0, 0.0), motion(0.0, 12.0, -4.0));
         assert!((closest_gap_m(front, rear, 2.0, 1.0) - 0.5).abs() < 1e-12);
         assert_eq!(first_contact(front, rear, 2.0, 1.0), None);
@@ -200,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_vehicle_that_stops_inside_the_step_stands_whatever_rounding_says() {
-        // Here v - b (v / b) is a rounding error above zero.
+        // The computed v - b (v / b) is a rounding error above zero.
         let (v, b) = (0.109_350_472_814_391, 9.586_679_427_354_404);
         let speed_mps = (1..1000).map(|k| v * f64::from(k)).find(|&v| v - b * (v / b) > 0.0).expect("common");
         let front = motion(2.5, speed_mps, -b);
@@ -211,7 +208,7 @@ mod tests {
 
     #[test]
     fn two_that_stop_in_one_step_were_closest_when_they_were_equally_fast() {
-        // Rear: 3 m/s braking at 8; front: 2 m/s braking at 4. Equally fast after 0.25 s, 1 + 0.5 * (2 - 3) * 0.25 apart.
+        // Rear: 3 m/s braking at 8; front: 2 m/s braking at 4. Equal speeds after 0.25 s: 1 + 0.5 * (2 - 3) * 0.25.
         let (front, rear) = (motion(3.0, 2.0, -4.0), motion(0.0, 3.0, -8.0));
         let closest_m = closest_gap_m(front, rear, 2.0, 1.0);
         assert!((closest_m - 0.875).abs() < 1e-12, "{closest_m}");
@@ -227,7 +224,6 @@ mod tests {
     }
 
     proptest! {
-        /// Brute force over a fine grid brackets the root and the smallest gap.
         #[test]
         fn contact_and_closest_gap_agree_with_brute_force((front, rear, dt) in any_pair()) {
             let gap_at = |t: f64| front.after(t).position_m - 2.0 - rear.after(t).position_m;
@@ -251,7 +247,6 @@ mod tests {
             prop_assert!(closest >= brute - 20.0 * (dt / 2000.0).powi(2) - 1e-12, "{closest} {brute}");
         }
 
-        /// A step that screening waves through has no contact and is closest at one of its ends.
         #[test]
         fn screening_never_hides_a_contact((front, rear, dt) in any_pair()) {
             let gap = front.position_m - 2.0 - rear.position_m;

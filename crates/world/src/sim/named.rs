@@ -1,4 +1,4 @@
-//! What can be put under test, by name.
+//! Controllers under test, by name.
 
 use std::fmt;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::policy::{Policy, PolicyError};
 use crate::scenario::controller_file::{self, ControllerFileError, is_regular_file};
 use crate::scenario::file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 
-/// A controller to put under test, and what it is called.
+/// A controller under test and its name.
 ///
 /// ```
 /// use std::path::Path;
@@ -25,19 +25,18 @@ use crate::scenario::file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 /// ```
 #[derive(Clone)]
 pub struct NamedController {
-    /// A built-in name, or the path of a file as it was given.
+    /// Built-in name, or path as given by the user.
     pub name: String,
-    /// What drives.
+    /// Source of the controller.
     pub kind: ControllerKind,
 }
 
-/// Most shields before one controller: one within another may assume another vehicle ahead, and a name has an end.
+/// Maximum number of nested `shield:` prefixes; bounds the recursion.
 const MAX_SHIELDS: usize = 8;
 
-/// What stands before a command.
 const EXEC_PREFIX: &str = "exec:";
 
-/// Why a name stands for no controller.
+/// Reason why a name does not identify a controller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UnknownController {
@@ -47,38 +46,38 @@ pub enum UnknownController {
          commands after `exec:`, and `shield:` before any of them"
     )]
     UnknownName {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// Built-in names.
         built_in_names: String,
     },
-    /// A file's name without its ending.
+    /// A file name without its extension.
     #[error("there is no controller `{name}`; did you mean the file `{file}`?")]
     MissingExtension {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// The file that is there.
+        /// The existing file.
         file: String,
     },
-    /// A shield that is set wrongly.
+    /// A wrong setting of a shield.
     #[error(
         "`{setting}` is no setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each with a \
          number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
     )]
     ShieldSetting {
-        /// What was found.
+        /// The setting.
         setting: String,
     },
-    /// More shields than anybody needs.
+    /// Too many nested shields.
     #[error("at most {MAX_SHIELDS} shields may stand before a controller")]
     TooManyShields,
-    /// A command that is no list of words.
+    /// A command with invalid quoting.
     #[error("`{command}` is no command: a quotation mark or a backslash has nothing after it")]
     CommandSyntax {
-        /// What was found.
+        /// The command.
         command: String,
     },
-    /// A file of a kind that is no controller.
+    /// A file that is not a controller.
     #[error(
         "{path} is no controller, but {what}: a program is asked as `exec:{command}`, or by a controller file, F.toml, with \
          `command` (docs/controllers.md){hint}"
@@ -86,42 +85,42 @@ pub enum UnknownController {
     NotAController {
         /// The file.
         path: String,
-        /// What it looks like.
+        /// Description of the file.
         what: &'static str,
-        /// How a command names what would be run.
+        /// Example of a command.
         command: String,
-        /// What else there is to do about it.
+        /// Further advice.
         hint: &'static str,
     },
-    /// A process that cannot be started, or does not introduce itself.
+    /// A process whose start or handshake failed.
     #[error("{location}{failure}")]
     NotStarted {
-        /// Where it is said, if that is a file: with its line and field.
+        /// Location of the command in a file, as a message prefix (`acc.toml:12: command: `); empty without a file.
         location: String,
-        /// Why not.
+        /// The failure.
         failure: ControllerFailure,
     },
     /// A program that the user did not name.
     #[error(transparent)]
     StartRefused(#[from] StartRefusal),
-    /// A setting of a built-in controller that is wrong.
+    /// A wrong setting of a built-in controller.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
-    /// A file that is no policy.
+    /// An invalid policy file.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// A network or a controller file that cannot be used.
+    /// An unusable network or controller file.
     #[error(transparent)]
     File(ControllerFileError),
 }
 
-/// A controller that contradicted itself, or cannot be started any more: what was found with it would not come out again.
+/// A controller that contradicted itself or cannot be started any more, so that its results are not reproducible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("the controller `{controller}` was refused on the way, and nothing that was found with it counts: {failure}")]
 pub struct RefusedController {
-    /// Its name.
+    /// Name of the controller.
     pub controller: String,
-    /// Why.
+    /// The failure.
     pub failure: ControllerFailure,
 }
 
@@ -136,27 +135,27 @@ impl From<ControllerFileError> for UnknownController {
 }
 
 impl NamedController {
-    /// A controller from outside, under a name of one's own.
+    /// Creates a controller from an external source, under a given name.
     #[must_use]
     pub fn from_source(name: &str, source: Arc<dyn ControllerSource>) -> Self {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// Finds the controller that a file names: a built-in one, or the one in another file; a relative path starts at `folder`
-    /// ([`controller_file::load`]). For names that the user gives there is [`Self::find_for_user`].
+    /// Finds the controller that a file names: a built-in one, or one in another file relative to `folder`
+    /// ([`controller_file::load`]). For names from the user there is [`Self::find_for_user`].
     ///
-    /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
+    /// A built-in name may have settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
-    /// `exec:COMMAND ARGUMENTS` is a process that runs in `folder`, its words as a shell would split them; none is started here.
+    /// `exec:COMMAND ARGUMENTS` is a process that runs in `folder`, split into words as in a shell; not started here.
     ///
-    /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the vehicle ahead never brakes harder than
-    /// A m/s² on a dry road, instead of its own limit; `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s) bound what
-    /// is seen, and those that are not given are then 0.
+    /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the leader never brakes harder than
+    /// A m/s² on a dry road, instead of its own limit. `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s)
+    /// bound observation errors; if any is given, the others are 0.
     ///
     /// # Errors
-    /// [`UnknownController`] if there is neither, or the file holds no usable controller;
-    /// [`UnknownController::StartRefused`] for a process or an FMU, unless [`allow_external`](crate::control::allow_external)
-    /// was called.
+    /// [`UnknownController`] for an unknown name, or a file without a usable controller;
+    /// [`UnknownController::StartRefused`] for a process or an FMU, unless
+    /// [`allow_external`](crate::control::allow_external) was called.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::File)
     }
@@ -168,8 +167,7 @@ impl NamedController {
         Self::find(name, Path::new("")).ok()
     }
 
-    /// Finds the controller that the user names, in an argument or in a configuration that an argument names, as
-    /// [`Self::find`] does. Runs of a process or an FMU start it.
+    /// Finds a controller as [`Self::find`] does, for a name from the user, which permits processes and FMUs.
     ///
     /// # Errors
     /// [`UnknownController`], as for [`Self::find`].
@@ -177,18 +175,17 @@ impl NamedController {
         Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::User)
     }
 
-    /// Finds the controller that the user names ([`Self::find_for_user`]), and starts its program once as a trial: a missing
-    /// program is an error of the user, not a failure of a controller.
+    /// Finds a controller as [`Self::find_for_user`] does and starts its program once as a trial.
     ///
     /// # Errors
-    /// As [`Self::find_for_user`], and [`UnknownController::NotStarted`].
+    /// [`UnknownController`], as for [`Self::find_for_user`], and [`UnknownController::NotStarted`].
     pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         let found = Self::find_for_user(name, folder)?;
         found.try_start()?;
         Ok(found)
     }
 
-    /// Starts its program once as a trial.
+    /// Starts the program once as a trial.
     ///
     /// # Errors
     /// [`UnknownController::NotStarted`].
@@ -204,8 +201,7 @@ impl NamedController {
         self.kind.try_start().map_err(|failure| UnknownController::NotStarted { location: place(), failure })
     }
 
-    /// Returns file and line of a field, as a prefix of a message (`acc.toml:12: `); empty without a file that states a mapping or
-    /// a command.
+    /// Returns file and line of a field as a message prefix (`acc.toml:12: `); empty without a controller file.
     #[must_use]
     pub fn field_location(&self, field: &str) -> String {
         let Some(path) = self.kind.file() else { return String::new() };
@@ -215,10 +211,10 @@ impl NamedController {
         }
     }
 
-    /// Whether its runs so far say something of it: to be asked before anything that was found is told.
+    /// Fails if the controller contradicted itself or can no longer be started; call before reporting any result.
     ///
     /// # Errors
-    /// [`RefusedController`] if it was asked the same twice in some run, and answered otherwise, or cannot be started any more.
+    /// [`RefusedController`] if the controller answered the same query differently, or cannot be started any more.
     pub fn ensure_trusted(&self) -> Result<(), RefusedController> {
         match self.kind.refusal() {
             None => Ok(()),
@@ -226,14 +222,14 @@ impl NamedController {
         }
     }
 
-    /// The controller of that name, which says at most so many shields.
+    /// Parses a name with at most `shields` nested shields.
     fn parse_nested(
         shields: usize,
         name: &str,
         folder: &Path,
         named_by: NameOrigin,
     ) -> Result<Self, UnknownController> {
-        // Its name in version 0.1.0.
+        // `hardened` is the name of this policy in version 0.1.0.
         let name = &match name.strip_prefix("hardened") {
             Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
             _ => name.to_owned(),
@@ -271,20 +267,19 @@ impl NamedController {
         Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
     }
 
-    /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
-    /// another name than its own.
+    /// Returns the identity if name and policy do not determine it: for external controllers, and under other names.
     #[must_use]
     pub fn disambiguating_hash(&self) -> Option<String> {
         if is_identified_by_name(&self.kind, &self.name) { None } else { self.kind.identity() }
     }
 
-    /// What counts as a failure of it, in words: only what comes from outside can fail otherwise than by contact.
+    /// Describes a failure of a run; only external controllers can fail without a collision.
     #[must_use]
     pub fn failure_description(&self) -> &'static str {
         if self.kind.is_external() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
     }
 
-    /// The policy, if it is one of crumple's own.
+    /// Returns the policy of a policy controller.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
@@ -296,7 +291,6 @@ fn is_toml(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "toml")
 }
 
-/// Returns the name of the controller behind all shields.
 fn strip_shields(name: &str) -> &str {
     let mut inner = name;
     while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
@@ -305,14 +299,14 @@ fn strip_shields(name: &str) -> &str {
     inner
 }
 
-/// The file that a name without its ending may mean.
+/// Returns the file that a name without extension may mean.
 fn file_with_extension(place: &Path, name: &str) -> Option<String> {
     const EXTENSIONS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
     let is_there = |ending: &&str| place.with_extension(ending).is_file();
     EXTENSIONS.into_iter().find(is_there).map(|ending| format!("{name}.{ending}"))
 }
 
-/// Whether a name stands for what drives; of a policy, beside its digest.
+/// True if a name identifies the controller, together with the digest of a policy.
 fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
     match kind {
         ControllerKind::BuiltIn(spec) => name == spec.to_arg(),
@@ -327,7 +321,7 @@ fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
     }
 }
 
-/// What to say of a name that is that of a program, or of something that one is made of.
+/// Returns the error for a name of a program, a library or a source file.
 fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     const LIBRARIES: [&str; 3] = ["so", "dll", "dylib"];
     const SOURCES: [&str; 10] = ["c", "h", "cc", "cpp", "cxx", "rs", "py", "m", "java", "sh"];
@@ -347,29 +341,29 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     };
     let command = match extension.as_deref() {
         Some("py") => format!("python3 {name}"),
-        // A script is run as it is; of a source or a library, what is made of it.
+        // A script runs as it is; source or library files stand for their program.
         Some("sh") => command_path(Path::new(name)),
         _ => command_path(&Path::new(name).with_extension("")),
     };
     Some(UnknownController::NotAController { path: path.display().to_string(), what, command, hint })
 }
 
-/// A program as a command names it: one in this folder begins with `./`.
+/// Returns a program as a command names it; `./` marks one in this folder.
 fn command_path(program: &Path) -> String {
     let name = program.display();
     if program.components().count() > 1 { name.to_string() } else { format!("./{name}") }
 }
 
-/// The words of a command as a shell would split them; none for one that does not end.
+/// Splits a command into words as a shell does; `None` for invalid quoting.
 fn split_command(command: &str) -> Option<Vec<String>> {
     #[cfg(feature = "process")]
     return shlex::split(command);
-    // Where no process starts, it is one word as well.
+    // Without processes, one word suffices.
     #[cfg(not(feature = "process"))]
     Some(vec![command.to_owned()])
 }
 
-/// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.
+/// Parses the settings between `shield` and the colon, each after a comma.
 fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
     let mut settings = ShieldSettings::default();
     let mut parts = text.split(',');

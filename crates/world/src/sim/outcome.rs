@@ -1,4 +1,4 @@
-//! How a run ended.
+//! Results of runs.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::control::ControllerFailure;
 
-/// How a run ended, and which vehicles touched first.
+/// Outcome of a run, with the first collision.
 ///
 /// ```
 /// use crumple_world::sim::Outcome;
@@ -18,12 +18,11 @@ use crate::control::ControllerFailure;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Outcome {
-    /// No vehicle touched another before the scenario's duration was over.
+    /// No collision within the duration of the scenario.
     NoCollision,
-    /// The first contact.
+    /// The first collision.
     Collision(Contact),
-    /// A controller gave no usable answer, and the run ended there. Contacts before that, in a run that goes on after
-    /// them, are among its impacts.
+    /// A controller gave no usable answer, and the run ended there. Earlier collisions are among the impacts.
     ControllerFailed(FailedController),
 }
 
@@ -31,11 +30,11 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailedController {
-    /// When, in seconds: the start of the step that it was to decide for.
+    /// Start of the step that it had to decide for, in seconds.
     pub time_s: f64,
     /// Index of its vehicle.
     pub vehicle: usize,
-    /// Why.
+    /// The failure.
     pub failure: ControllerFailure,
 }
 
@@ -46,24 +45,24 @@ impl fmt::Display for FailedController {
     }
 }
 
-/// Runs that ended because a controller gave no answer. They are failures of that controller, and say nothing of what it would have done.
+/// Runs that ended because a controller gave no answer. They count as failures of the controller.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FailedControllerRuns {
-    /// How many.
+    /// Number of runs.
     pub runs: u64,
-    /// Why the first of them ended, and when.
+    /// Time and reason of the first of them.
     pub because: String,
 }
 
 impl FailedControllerRuns {
-    /// One more run, after those that are known.
+    /// Adds one run, after the known ones.
     pub fn add(known: &mut Option<Self>, failed: &FailedController) {
         Self::merge(known, Some(Self { runs: 1, because: failed.reason() }));
     }
 
-    /// So many more, which come after those that are known.
+    /// Adds runs that come after the known ones.
     pub fn merge(known: &mut Option<Self>, later: Option<Self>) {
         match (known.as_mut(), later) {
             (Some(known), Some(later)) => known.runs = known.runs.saturating_add(later.runs),
@@ -72,7 +71,7 @@ impl FailedControllerRuns {
         }
     }
 
-    /// What there is to say of it, of so many runs in all.
+    /// Describes the failed runs; `of` is the number of all runs.
     #[must_use]
     pub fn describe(&self, of: u64) -> String {
         format!("gave no answer in {} of {of}: {}", self.runs, self.because)
@@ -80,7 +79,7 @@ impl FailedControllerRuns {
 }
 
 impl FailedController {
-    /// Why and when it failed.
+    /// Returns time and reason of the failure.
     #[must_use]
     pub fn reason(&self) -> String {
         format!("at {:.2} s, {}", self.time_s, self.failure)
@@ -88,7 +87,7 @@ impl FailedController {
 }
 
 impl Outcome {
-    /// The first contact, if there was one.
+    /// Returns the first collision, if any.
     #[must_use]
     pub fn contact(&self) -> Option<&Contact> {
         match self {
@@ -97,7 +96,7 @@ impl Outcome {
         }
     }
 
-    /// The controller that failed, if one did.
+    /// Returns the controller that failed, if any.
     #[must_use]
     pub fn failed_controller(&self) -> Option<&FailedController> {
         match self {
@@ -106,57 +105,57 @@ impl Outcome {
         }
     }
 
-    /// Whether the run was safe to its end: no contact, and no controller that failed.
+    /// True if the run ended without a collision and without a failed controller.
     #[must_use]
     pub fn is_safe(&self) -> bool {
         *self == Self::NoCollision
     }
 }
 
-/// A contact between two successive vehicles.
+/// A collision between two successive vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Contact {
-    /// When, in seconds: the root of the gap inside the step.
+    /// Time of the collision, in seconds: the root of the gap inside the step.
     pub time_s: f64,
-    /// Index of the vehicle that is hit.
+    /// Index of the front vehicle.
     pub front_vehicle: usize,
-    /// Index of the vehicle that hits it.
+    /// Index of the rear vehicle.
     pub rear_vehicle: usize,
-    /// Speed of the front vehicle just before, in m/s.
+    /// Speed of the front vehicle just before the collision, in m/s.
     pub front_speed_mps: f64,
-    /// Speed of the rear vehicle just before, in m/s.
+    /// Speed of the rear vehicle just before the collision, in m/s.
     pub rear_speed_mps: f64,
-    /// Their difference, in m/s.
+    /// Relative speed, in m/s.
     pub impact_speed_mps: f64,
 }
 
-/// A contact and what it does: a perfectly inelastic impact between two vehicles and whatever already sticks to them.
+/// A collision and its effect: a perfectly inelastic impact between two vehicles and all vehicles locked to them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Impact {
-    /// The contact.
+    /// The collision.
     #[serde(flatten)]
     pub contact: Contact,
-    /// Speed of all involved just after, in m/s: momentum over mass.
+    /// Common speed just after the impact, in m/s: momentum over mass.
     pub common_speed_mps: f64,
     /// Foremost vehicle involved.
     pub first_involved: usize,
     /// Rearmost vehicle involved.
     pub last_involved: usize,
-    /// Vehicles listed between these that were beside the lane.
+    /// Vehicles between these that were outside the lane.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beside: Vec<usize>,
 }
 
 impl Impact {
-    /// Whether vehicle `index` is involved.
+    /// True if vehicle `index` is involved.
     #[must_use]
     pub fn involves(&self, index: usize) -> bool {
         (self.first_involved..=self.last_involved).contains(&index) && !self.beside.contains(&index)
     }
 
-    /// Change of speed of vehicle `index` in this impact, in m/s, never negative; 0 if it is not involved.
+    /// Returns the change of speed of vehicle `index`, in m/s, never negative; 0 if it is not involved.
     #[must_use]
     pub fn delta_v_mps(&self, index: usize) -> f64 {
         match self.involves(index) {
@@ -167,49 +166,49 @@ impl Impact {
     }
 }
 
-/// What to do when vehicles touch.
+/// Continuation of a run after a collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum AfterContact {
-    /// End the run at the instant of contact.
+    /// The run ends at the instant of the collision.
     #[default]
     Stop,
-    /// Let the two stick together with common momentum and go on, so that a pile-up can be counted.
+    /// The vehicles continue as one body with common momentum, so that a pile-up can be counted.
     Continue,
 }
 
-/// What one vehicle went through.
+/// Summary of the motion of one vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct VehicleSummary {
-    /// Smallest bumper gap to the vehicle ahead at any instant, in metres, 0 at contact; none for the leader.
+    /// Minimum gap to the leader at any instant, in metres, 0 at a collision; `None` without a leader.
     pub min_gap_m: Option<f64>,
-    /// Smallest time to collision with the vehicle ahead at any sample, in seconds; none if it never closed in.
+    /// Minimum time to collision with the leader at any sample, in seconds; `None` if it never closed in.
     pub min_ttc_s: Option<f64>,
-    /// Hardest deceleration in m/s², positive.
+    /// Maximum deceleration in m/s², positive.
     pub max_brake_mps2: f64,
-    /// Whether it stood still at the end.
+    /// True if the vehicle stands at the end.
     pub stopped: bool,
 }
 
-/// The result of one run.
+/// Result of one run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationResult {
-    /// Whether and how vehicles first touched.
+    /// The first collision, or the end of the run without one.
     pub outcome: Outcome,
-    /// Every impact in order of time; at most one unless the run goes on after contact.
+    /// Impacts in order of time; at most one unless the run continues after a collision.
     pub impacts: Vec<Impact>,
-    /// One entry a vehicle, front to rear.
+    /// Summaries, one per vehicle, front to rear.
     pub vehicles: Vec<VehicleSummary>,
-    /// When shields braked instead of their controllers, by vehicle and time.
+    /// Interventions of shields, by vehicle and time.
     pub interventions: Vec<super::Intervention>,
-    /// The recorded motion, where it was asked for.
+    /// Recorded motion, if requested.
     pub trace: Option<super::Trace>,
 }
 
 impl SimulationResult {
-    /// How many vehicles were involved in some impact.
+    /// Returns the number of vehicles with at least one impact.
     #[must_use]
     pub fn vehicles_involved(&self) -> usize {
         (0..self.vehicles.len()).filter(|&index| self.impacts.iter().any(|impact| impact.involves(index))).count()

@@ -1,31 +1,29 @@
-//! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
+//! A lane of vehicles as bodies: joint motion through a step, and impacts.
 
 use super::lane::{Bodies, LaneInterval, LaneState};
 use super::motion::{Motion, closest_gap_given_ends_m, first_contact, needs_contact_check};
 use super::{AfterContact, Contact, Impact};
 
-/// Lines of at most so many vehicles are moved at once.
 const MAX_SHORT_LINE_VEHICLES: usize = 8;
 
 /// The bodies of one run.
 ///
-/// After an impact vehicles stick together: perfectly inelastic, by mass. A group that sticks together moves as one body
-/// under the sum of its members' forces, so its acceleration is the mean of theirs weighted by mass.
+/// Impacts are perfectly inelastic: vehicles stay locked together and move as one body under their summed forces.
 #[derive(Debug, Clone)]
 pub(super) struct PlatoonState {
     pub(super) motion: Vec<Motion>,
     pub(super) length_m: Vec<f64>,
     pub(super) mass_kg: Vec<f64>,
-    /// Who is in the lane; whoever is beside it touches nobody.
+    /// Lane membership; a vehicle outside the lane does not collide.
     pub(super) lane: LaneState,
-    /// Whether each vehicle sticks to the one ahead of it in the lane.
+    /// True for each vehicle that is locked to its leader.
     pub(super) locked_to_front: Vec<bool>,
-    /// Smallest gap ahead of each vehicle so far, in metres; infinite for the leader.
+    /// Minimum gap ahead of each vehicle so far, in metres; infinite without a leader.
     pub(super) min_gap_m: Vec<f64>,
 }
 
 impl PlatoonState {
-    /// Bumper gap ahead of a vehicle, in metres; none if nobody is ahead of it in the lane.
+    /// Returns the gap ahead of a vehicle, in metres; `None` without a leader.
     pub(super) fn gap_m(&self, rear: usize) -> Option<f64> {
         self.lane.ahead(rear).map(|front| self.gap_between_m(front, rear))
     }
@@ -34,13 +32,11 @@ impl PlatoonState {
         self.motion[front].position_m - self.length_m[front] - self.motion[rear].position_m
     }
 
-    /// Whether a vehicle sticks to another one.
     pub(super) fn is_locked(&self, index: usize) -> bool {
         self.locked_to_front.get(index).is_some_and(|&sticks| sticks)
             || self.lane.behind(index).is_some_and(|rear| self.locked_to_front[rear])
     }
 
-    /// Notes the gaps at this instant.
     pub(super) fn track_gaps(&mut self) {
         for rear in 0..self.motion.len() {
             if let Some(gap_m) = self.gap_m(rear) {
@@ -49,10 +45,9 @@ impl PlatoonState {
         }
     }
 
-    /// Moves everybody by `dt_s`, through whatever contacts happen on the way, which are added to `impacts`.
+    /// Advances all vehicles by `dt_s`, through any collisions, and appends these to `impacts`.
     ///
-    /// Accelerations must have been shared among vehicles that stick together. Returns how much of the step was done: all
-    /// of it, unless the run ends at a contact.
+    /// Requires that locked vehicles share their acceleration. Returns the completed part of the step, in seconds.
     pub(super) fn advance(
         &mut self,
         from_s: f64,
@@ -89,8 +84,8 @@ impl PlatoonState {
         dt_s
     }
 
-    /// Moves everybody by `dt_s` where that needs no care, which is nearly always: nobody enters or leaves, sticks to another one, can touch
-    /// or is closest inside. To the bit what [`Self::drift`] does then, with each vehicle moved once. Does nothing elsewhere.
+    /// Advances all vehicles by `dt_s` if no lane change, lock, possible collision or minimum gap inside the step needs
+    /// [`Self::advance_and_track_gaps`], to which it is bit-identical. Otherwise returns false without an effect.
     #[inline]
     fn advance_contact_free(&mut self, dt_s: f64) -> bool {
         let mut ends = [Motion { position_m: 0.0, speed_mps: 0.0, acceleration_mps2: 0.0 }; MAX_SHORT_LINE_VEHICLES];
@@ -110,7 +105,7 @@ impl PlatoonState {
             }
         }
         for (least_m, gap_m) in self.min_gap_m.iter_mut().zip(gaps_m) {
-            // By hand, since `f64::min` spends time on NaN, of which there is none here.
+            // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
             if gap_m < *least_m {
                 *least_m = gap_m;
             }
@@ -123,12 +118,11 @@ impl PlatoonState {
         Bodies { motion: &self.motion, length_m: &self.length_m }
     }
 
-    /// The parts of the next `within_s` seconds, if somebody is still to enter or leave the lane.
     fn lane_intervals(&self, now_s: f64, within_s: f64) -> Option<Vec<LaneInterval>> {
         (!self.lane.has_no_pending_changes()).then(|| self.lane.intervals(self.bodies(), now_s, within_s))
     }
 
-    /// The earliest contact within `within_s` seconds of these parts: when, and who. The foremost of simultaneous ones.
+    /// Returns the earliest, foremost collision within `within_s` seconds: time, front and rear vehicle.
     fn next_contact(&self, stints: Option<&[LaneInterval]>, within_s: f64) -> Option<(f64, [usize; 2])> {
         match stints {
             None => self.first_contact_between(&self.lane, [0.0, within_s]),
@@ -138,7 +132,7 @@ impl PlatoonState {
         }
     }
 
-    /// The earliest contact between two instants in which nobody enters or leaves.
+    /// Returns the earliest collision between two instants without lane changes between them.
     fn first_contact_between(&self, lane: &LaneState, [from_s, to_s]: [f64; 2]) -> Option<(f64, [usize; 2])> {
         let within_s = to_s - from_s;
         let mut first: Option<(f64, [usize; 2])> = None;
@@ -172,13 +166,12 @@ impl PlatoonState {
         if in_s == 0.0 { self.motion[vehicle] } else { self.motion[vehicle].after(in_s) }
     }
 
-    /// Moves everybody by `dt_s`, of these parts, in which nobody touches, and notes how close they came.
     fn advance_and_track_gaps(&mut self, stints: Option<Vec<LaneInterval>>, dt_s: f64) {
         match stints {
             None => self.advance_without_lane_changes(dt_s),
             Some(mut stints) => {
                 for (place, stint) in stints.iter().enumerate() {
-                    // Who enters and leaves at one instant was never there.
+                    // A vehicle that enters and leaves at one instant was never in the lane.
                     if stint.from_s < stint.to_s || place + 1 == stints.len() {
                         self.track_closest_gaps(&stint.lane, [stint.from_s, stint.to_s]);
                     }
@@ -192,9 +185,9 @@ impl PlatoonState {
         self.snap_locked_vehicles();
     }
 
-    /// Whoever sticks together touches, exactly.
+    /// Sets the gap between locked vehicles to exactly zero.
     fn snap_locked_vehicles(&mut self) {
-        // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
+        // An emergency brake that tests the sign of the gap must not depend on rounding.
         for rear in 1..self.motion.len() {
             if self.locked_to_front[rear]
                 && let Some(front) = self.lane.ahead(rear)
@@ -204,7 +197,6 @@ impl PlatoonState {
         }
     }
 
-    /// What a step without changes of lanes does: each motion is worked out once.
     fn advance_without_lane_changes(&mut self, dt_s: f64) {
         let mut before: Option<(usize, Motion, Motion)> = None;
         for rear in 0..self.motion.len() {
@@ -225,7 +217,6 @@ impl PlatoonState {
         }
     }
 
-    /// Notes how close vehicles come between two instants in which nobody enters or leaves, the first of them included.
     fn track_closest_gaps(&mut self, lane: &LaneState, [from_s, to_s]: [f64; 2]) {
         for rear in 0..self.motion.len() {
             let Some(front) = lane.ahead(rear).filter(|_| !self.locked_to_front[rear]) else { continue };
@@ -238,7 +229,6 @@ impl PlatoonState {
         }
     }
 
-    /// What the contact between `rear` and the vehicle ahead of it does.
     fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
         let mut first_involved = front;
         while let Some(ahead) = self.lane.ahead(first_involved).filter(|_| self.locked_to_front[first_involved]) {
@@ -264,7 +254,7 @@ impl PlatoonState {
         Impact { contact, common_speed_mps: momentum / mass_kg, first_involved, last_involved, beside }
     }
 
-    /// Gives every group that sticks together the acceleration of its summed forces.
+    /// Gives each locked group the acceleration of its summed forces.
     pub(super) fn share_acceleration(&mut self) {
         for first in (0..self.motion.len()).filter(|&vehicle| !self.locked_to_front[vehicle]).collect::<Vec<_>>() {
             let mut members = vec![first];
@@ -286,7 +276,7 @@ impl PlatoonState {
     }
 }
 
-/// The gap between two vehicles, front and rear, at the end of `dt_s` seconds, in metres; none where they could touch or come closer inside.
+/// Returns the gap after `dt_s` seconds, in metres; `None` if the vehicles could collide or be closest inside the step.
 #[inline]
 fn contact_free_end_gap_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
@@ -321,7 +311,7 @@ mod tests {
 
     #[test]
     fn a_chain_of_impacts_in_one_step_keeps_momentum_and_order() {
-        // The rear one hits the middle one (gap 1 m at 10 m/s), and both then hit the front one (gap 0.5 m).
+        // The rear vehicle hits the middle one (gap 1 m at 10 m/s), and both then hit the front one (gap 0.5 m).
         let mut platoon = platoon(&[(10.0, 0.0, 0.0, 1000.0), (7.5, 0.0, 0.0, 1000.0), (4.5, 10.0, 0.0, 2000.0)]);
         let mut impacts = Vec::new();
         let done_s = platoon.advance(0.0, 0.5, AfterContact::Continue, &mut impacts);
@@ -339,7 +329,6 @@ mod tests {
     }
 
     proptest! {
-        /// Where the short way is taken it leads to the same bits as the long one.
         #[test]
         fn contact_free_advance_equals_the_full_one(
             line in prop::collection::vec((0.0..4.0_f64, 0.0..40.0_f64, -9.0..4.0_f64), 1..10),

@@ -1,4 +1,4 @@
-//! Scenarios ready to run: drivers, estimators and integration steps.
+//! Runs: scenarios with their controllers, estimators and integration steps.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,32 +16,32 @@ use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 use crate::scenario::{Driver, LeadProfile, MAX_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
-/// How to run a scenario.
+/// Options of a run.
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
 /// use crumple_world::observation::EstimatorKind;
 /// use crumple_world::sim::{AfterContact, RunOptions};
 ///
-/// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap())
+/// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap())
 ///     .with_estimator(EstimatorKind::Truth)
 ///     .with_after_contact(AfterContact::Continue);
 /// assert_eq!(options.dt_s, None);
 /// ```
 #[derive(Clone)]
 pub struct RunOptions {
-    /// What drives the vehicles under test.
+    /// Controller of the vehicles under test.
     pub controller: ControllerKind,
-    /// What the vehicles under test look through. All others see the truth.
+    /// Estimator of the vehicles under test. All others observe the true state.
     pub estimator: EstimatorKind,
-    /// Integration step in seconds, a whole fraction of the scenario's step; none for the scenario's step itself.
+    /// Integration step in seconds, a whole fraction of the scenario's step; `None` for the scenario's step.
     pub dt_s: Option<f64>,
-    /// What happens at a contact.
+    /// Continuation after a collision.
     pub after_contact: AfterContact,
 }
 
 impl RunOptions {
-    /// Runs of a controller with the Kalman filter, at the scenario's step, that end at contact.
+    /// Creates options with the Kalman filter, the scenario's step, and an end at the first collision.
     #[must_use]
     pub fn new(controller: impl Into<ControllerKind>) -> Self {
         Self {
@@ -52,21 +52,21 @@ impl RunOptions {
         }
     }
 
-    /// The same with another estimator.
+    /// Sets the estimator.
     #[must_use]
     pub fn with_estimator(mut self, estimator: EstimatorKind) -> Self {
         self.estimator = estimator;
         self
     }
 
-    /// The same with another integration step, in seconds.
+    /// Sets the integration step, in seconds.
     #[must_use]
     pub fn with_dt_s(mut self, dt_s: f64) -> Self {
         self.dt_s = Some(dt_s);
         self
     }
 
-    /// The same with another rule for contacts.
+    /// Sets the continuation after a collision.
     #[must_use]
     pub fn with_after_contact(mut self, after_contact: AfterContact) -> Self {
         self.after_contact = after_contact;
@@ -74,65 +74,65 @@ impl RunOptions {
     }
 }
 
-/// Why a scenario cannot be run as asked.
+/// Reason why a scenario cannot be run with given options.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunError {
     /// The integration step does not divide the scenario's.
     #[error("an integration step of {dt_s} s does not divide the scenario's step of {step_s} s into whole parts")]
     IntegrationStep {
-        /// The integration step asked for, in seconds.
+        /// Requested integration step, in seconds.
         dt_s: f64,
         /// The scenario's step, in seconds.
         step_s: f64,
     },
-    /// The run would record more than memory should hold.
+    /// The run would record too much data.
     #[error("an integration step of {dt_s} s makes {found} vehicle-samples, and at most {limit} are allowed")]
     TooFine {
-        /// The integration step asked for, in seconds.
+        /// Requested integration step, in seconds.
         dt_s: f64,
-        /// The limit.
+        /// Maximum number.
         limit: usize,
         /// Integration steps times vehicles.
         found: usize,
     },
-    /// A controller wants to decide at instants that are not the scenario's.
+    /// The decision interval of a controller is not a multiple of the scenario's step.
     #[error(
         "the controller decides every {interval_s} s, which is not a multiple of the scenario's step of {step_s} s"
     )]
     DecisionInterval {
-        /// The controller's interval, in seconds.
+        /// Decision interval of the controller, in seconds.
         interval_s: f64,
         /// The scenario's step, in seconds.
         step_s: f64,
     },
-    /// The controller cannot drive a vehicle without a neighbour that is not there.
+    /// The controller cannot drive a vehicle because a neighbour is missing.
     #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it that stays in the lane")]
     MissingNeighbour {
         /// Index of the vehicle.
         vehicle: usize,
-        /// Where there is none: `ahead of` or `behind`.
+        /// Side without a neighbour: `ahead of` or `behind`.
         missing: &'static str,
     },
-    /// A shield cannot vouch for a vehicle under test.
+    /// A shield gives no guarantee for a vehicle under test.
     #[error("a shield cannot vouch for vehicle {vehicle}: {refusal}")]
     Shield {
         /// Index of the vehicle.
         vehicle: usize,
-        /// Why.
+        /// Reason of the refusal.
         refusal: ShieldRefusal,
     },
 }
 
-/// A scenario ready to run.
+/// A scenario with the options of its run, ready to be simulated.
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::scenario::built_in;
+/// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 ///
-/// let scenario = built_in("paper-1").unwrap();
-/// let idm = ControllerSpec::named("idm").unwrap();
+/// let scenario = built_in_scenario("paper-1").unwrap();
+/// let idm = ControllerSpec::from_name("idm").unwrap();
 /// let run = Run::new(&scenario, RunOptions::new(idm)).unwrap();
 /// assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
 /// ```
@@ -140,11 +140,10 @@ pub struct Run {
     scenario: Scenario,
     options: RunOptions,
     substeps: usize,
-    /// Integration step, in seconds.
     dt_s: f64,
-    /// Made when the first vehicle needs it: most runs with the true state never do.
+    /// Created on demand: most runs with the true state never need it.
     tuning: OnceLock<Arc<EgoTuning>>,
-    /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
+    /// Assumptions of shields, one per vehicle; `None` without a shield.
     shield_params: Vec<Option<ShieldParams>>,
 }
 
@@ -152,7 +151,7 @@ impl Run {
     /// Prepares a run, which shares the data of the scenario.
     ///
     /// # Errors
-    /// [`RunError`] if steps do not fit each other, or there would be too many.
+    /// [`RunError`] if steps do not fit or are too many, a neighbour is missing, or a shield gives no guarantee.
     pub fn new(scenario: &Scenario, options: RunOptions) -> Result<Self, RunError> {
         let step_s = scenario.spec().step_s;
         let substeps = match options.dt_s {
@@ -182,7 +181,7 @@ impl Run {
                 whole_multiple(interval_s, step_s).ok_or(RunError::DecisionInterval { interval_s, step_s })?;
             }
             let needs = kind.required_neighbours();
-            // Whoever enters or leaves is not always there.
+            // A vehicle that enters or leaves is not always a neighbour.
             let (ahead, behind) = (&vehicles[..vehicle], &vehicles[vehicle + 1..]);
             if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
                 return Err(RunError::MissingNeighbour { vehicle, missing: "ahead of" });
@@ -194,36 +193,35 @@ impl Run {
         Ok(run)
     }
 
-    /// The scenario.
+    /// Returns the scenario.
     #[must_use]
     pub fn scenario(&self) -> &Scenario {
         &self.scenario
     }
 
-    /// How it is run.
+    /// Returns the options.
     #[must_use]
     pub fn options(&self) -> &RunOptions {
         &self.options
     }
 
-    /// Integration steps in each step of the scenario.
+    /// Returns the number of integration steps per step of the scenario.
     #[must_use]
     pub fn substeps(&self) -> usize {
         self.substeps
     }
 
-    /// The integration step, in seconds.
+    /// Returns the integration step, in seconds.
     #[must_use]
     pub fn dt_s(&self) -> f64 {
         self.dt_s
     }
 
-    /// Integration steps times vehicles.
     pub(super) fn vehicle_samples(&self) -> usize {
         self.scenario.steps().saturating_mul(self.scenario.vehicles().len()).saturating_mul(self.substeps)
     }
 
-    /// The instant `substep` integration steps after the start of step `step`, in seconds.
+    /// Returns the time `substep` integration steps after the start of step `step`, in seconds.
     pub(super) fn time_s(&self, step: usize, substep: usize) -> f64 {
         step as f64 * self.scenario.spec().step_s + substep as f64 * self.dt_s()
     }
@@ -259,7 +257,7 @@ impl Run {
         }
     }
 
-    /// Whether it can be made in lockstep with others.
+    /// True if the run can be simulated in lockstep with others.
     pub(super) fn supports_lockstep(&self) -> bool {
         self.scenario.vehicles().iter().enumerate().all(|(index, vehicle)| match &vehicle.driver {
             Driver::Profile(_) | Driver::Controller(_) => true,
@@ -270,7 +268,6 @@ impl Run {
         })
     }
 
-    /// Starts the driver of vehicle `index`.
     pub(super) fn start_driver(&self, index: usize) -> VehicleController<&LeadProfile> {
         match &self.scenario.vehicles()[index].driver {
             Driver::Profile(profile) => VehicleController::Profile(profile),
@@ -313,7 +310,7 @@ impl Run {
         }
     }
 
-    /// Sensors and filters of vehicle `index`; none if it sees the truth.
+    /// Creates sensors and filters of vehicle `index`; `None` if it observes the true state.
     pub(super) fn estimator(&self, index: usize, platoon: &PlatoonState) -> Option<EgoEstimator> {
         let vehicle = &self.scenario.vehicles()[index];
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
@@ -331,7 +328,7 @@ impl Run {
         Disturbance::new(&self.scenario, index)
     }
 
-    /// Everybody at the start.
+    /// Returns all vehicles in their initial state.
     pub(super) fn initial_platoon(&self) -> PlatoonState {
         let vehicles = self.scenario.vehicles();
         let mut platoon = PlatoonState {
@@ -357,7 +354,7 @@ pub(super) enum VehicleController<P> {
     Controller(AnyController),
 }
 
-/// What is true of vehicle `index` and its neighbours.
+/// Returns the true state of vehicle `index` and its neighbours.
 pub(super) fn true_state(platoon: &PlatoonState, index: usize) -> TrueState {
     let own = platoon.motion[index];
     let neighbour = |other: usize, [front, rear]: [usize; 2]| {

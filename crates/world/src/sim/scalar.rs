@@ -1,18 +1,18 @@
-//! The engine to read: one run, step by step.
+//! The scalar engine: simulates one run, step by step. Written for readability.
 //!
-//! The lockstep engine means exactly the same and agrees with this one to the last bit.
+//! The lockstep engine gives bit-identical results.
 
 use super::{RecordingLevel, Run, SimulationResult, Stepper};
 
-/// Runs a scenario.
+/// Simulates a run.
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::scenario::built_in;
+/// use crumple_world::scenario::built_in_scenario;
 /// use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 ///
-/// let scenario = built_in("paper-1").unwrap();
-/// let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("baseline").unwrap())).unwrap();
+/// let scenario = built_in_scenario("paper-1").unwrap();
+/// let run = Run::new(&scenario, RunOptions::new(ControllerSpec::from_name("baseline").unwrap())).unwrap();
 /// let result = simulate(&run, RecordingLevel::Trace);
 /// assert_eq!(result.trace.unwrap().vehicles.len(), 3);
 /// ```

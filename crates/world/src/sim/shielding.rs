@@ -1,4 +1,4 @@
-//! What a shield may take for granted in a scenario, and what it did.
+//! Assumptions of a shield in a scenario, and its interventions.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,62 +10,61 @@ use crate::control::{
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
-/// Standard deviations of noise that a shield counts on: exceeded once in 10⁹ draws.
+/// Standard deviations of noise that a shield assumes as a bound; exceeded once in 10⁹ samples.
 const NOISE_SIGMAS: f64 = 6.0;
 
-/// Why a shield cannot vouch for a vehicle.
+/// Reason why a shield gives no guarantee for a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ShieldRefusal {
-    /// Full braking cannot be had at a known rate.
+    /// Full braking is not available at a known rate.
     #[error("it has a jerk limit, which the kernel does not cover")]
     JerkLimit,
-    /// The kernel takes for granted that the vehicle ahead stays the same.
+    /// The kernel assumes that the leader stays the same vehicle.
     #[error("vehicles enter or leave the lane, which the kernel does not cover")]
     LaneChanges,
     /// Noise on the own acceleration may cancel the brake.
     #[error("noise on its acceleration may take away all of its brake, {brake_mps2} m/s² on this road")]
     Noise {
-        /// What it can brake at, in m/s².
+        /// Maximum deceleration on this road, in m/s².
         brake_mps2: f64,
     },
-    /// The Kalman filter's error has no bound when measurements may be lost.
+    /// The error of the Kalman filter is unbounded if measurements may be lost.
     #[error(
         "its sensors lose measurements, so the error of what it sees has no bound: give bounds, as in `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
     )]
     Dropout,
-    /// Rounding may take more of the gap than a margin should make up for.
+    /// Rounding may decrease the gap by more than the margin covers.
     #[error(
         "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin of at most {max_margin_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
         crumple_core::digits::format_rounded(*position_m, 3)
     )]
     Rounding {
-        /// What rounding may take, in metres.
+        /// Maximum effect of rounding, in metres.
         rounding_m: f64,
-        /// How far from the origin the run may lead, in metres.
+        /// Maximum distance of the run from the origin, in metres.
         position_m: f64,
-        /// The largest margin, in metres.
+        /// Maximum margin, in metres.
         max_margin_m: f64,
     },
 }
 
-/// A time in which a shield braked instead of doing what its controller wanted.
+/// A period in which a shield braked instead of the controller's command.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Intervention {
     /// Index of the vehicle.
     pub vehicle: usize,
-    /// From when, in seconds.
+    /// Start, in seconds.
     pub from_s: f64,
-    /// Until when, in seconds; the end of a step that a contact may have cut short.
+    /// End, in seconds: the end of a step, which a collision may have cut short.
     pub to_s: f64,
-    /// Whether the state was outside the kernel meanwhile: contact could then no longer be ruled out.
+    /// True if the state was outside the kernel: a collision could no longer be excluded.
     pub outside_kernel: bool,
-    /// Whether the vehicle behind could not avoid the braking vehicle meanwhile: no action suited both.
+    /// True if the follower could not avoid the braking vehicle: no command was safe for both.
     pub rear_conflict: bool,
 }
 
-/// What shields did for one vehicle.
 pub(super) fn interventions(controller: &AnyController, vehicle: usize, step_s: f64) -> Vec<Intervention> {
     let AnyController::Shielded(shield) = controller else { return Vec::new() };
     let told = |done: &Override| Intervention {
@@ -79,10 +78,10 @@ pub(super) fn interventions(controller: &AnyController, vehicle: usize, step_s: 
 }
 
 impl Run {
-    /// What a shield of vehicle `index` may take for granted.
+    /// Returns the assumptions of a shield of vehicle `index`.
     ///
     /// # Errors
-    /// [`ShieldRefusal`] if that is not enough.
+    /// [`ShieldRefusal`] if no guarantee is possible.
     pub(super) fn shield_params(&self, index: usize, settings: &ShieldSettings) -> Result<ShieldParams, ShieldRefusal> {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
@@ -131,7 +130,7 @@ impl Run {
             }),
             margin_m: MIN_MARGIN_M,
         };
-        // With nothing ahead nothing is asked of the margin.
+        // Without a leader the margin has no effect.
         if let Some(front) = index.checked_sub(1) {
             let travel = self.motion_bounds(front, &frame);
             frame.margin_m = travel.margin_m(&frame);
@@ -143,16 +142,16 @@ impl Run {
         Ok(frame)
     }
 
-    /// How far and how fast vehicle `front` and the one behind it may travel in this run, nobody having touched.
+    /// Returns bounds of the motion of vehicle `front` and its follower in this run, without collisions.
     ///
-    /// Nobody overtakes, so the first vehicle bounds all positions; and a vehicle in the kernel of the one ahead is no faster than
-    /// D <= g allows: v²/2b - w²/2c is at most the road between them.
+    /// No vehicle overtakes, so the first vehicle bounds all positions. A vehicle in the kernel of its leader is at
+    /// most as fast as D <= g allows: v²/2b - w²/2c is at most the road between them.
     fn motion_bounds(&self, front: usize, frame: &ShieldParams) -> MotionBounds {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let fastest_mps = |vehicle: &VehicleSpec| {
             let accel_mps2 = match &vehicle.driver {
-                // A recording is followed as closely as the vehicle can.
+                // A vehicle follows a recording as closely as its limits allow.
                 Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
                     profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
                 }
@@ -161,7 +160,7 @@ impl Run {
             vehicle.speed_mps + (accel_mps2 + noise_bound_mps2(vehicle)) * spec.duration_s
         };
         let (first, ahead, own) = (&vehicles[0], &vehicles[front], &vehicles[front + 1]);
-        // A step's way to spare, and a vehicle's length.
+        // Distance of a step, and the length of a vehicle.
         let spare_m = (100.0 + 60.0 * frame.step_s) * frame.step_s + ahead.length_m();
         let farthest_m = first.position_m + fastest_mps(first) * spec.duration_s + spare_m;
         let ahead_mps = fastest_mps(ahead);

@@ -1,4 +1,4 @@
-//! The scalar engine: one run, one step at a time. A caller may decide for a vehicle in place of its driver.
+//! The stepwise scalar engine: one run, one step at a time. A caller may command a vehicle in place of its driver.
 
 mod short_line;
 
@@ -16,16 +16,15 @@ use crate::estimate::EgoEstimator;
 use crate::observation::Observation;
 use crate::scenario::LeadProfile;
 
-/// A run under way.
+/// A run in progress.
 ///
-/// [`step`](Self::step) lets everybody decide and move. Before it, [`observe`](Self::observe) says what a vehicle sees and
-/// [`command`](Self::command) decides for it: its own driver is then not asked.
+/// [`step`](Self::step) lets all vehicles decide and move. Before it, [`observe`](Self::observe) returns the
+/// observation of a vehicle and [`command`](Self::command) commands it in place of its driver.
 pub struct Stepper {
     time_grid: TimeGrid,
     platoon: PlatoonState,
     loops: Vec<VehicleLoop>,
     next_acceleration_mps2: Vec<f64>,
-    /// One a vehicle; none of them where nobody wants summaries.
     extremes: Vec<VehicleExtremes>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
@@ -34,20 +33,20 @@ pub struct Stepper {
     ended: bool,
 }
 
-/// A run after a step that somebody from outside drove in.
+/// State of a run after a step of [`Stepper::drive`].
 #[derive(Debug, Clone, Copy)]
 pub struct StepView<'a> {
-    /// Where every vehicle is, front to rear.
+    /// Motion of every vehicle, front to rear.
     pub motion: &'a [Motion],
-    /// Bumper gap ahead of the vehicle driven, in metres; none if nobody is ahead of it in the lane.
+    /// Gap ahead of the driven vehicle, in metres; `None` without a leader.
     pub gap_m: Option<f64>,
-    /// Whether vehicles have touched.
+    /// True after a collision.
     pub has_collided: bool,
-    /// Whether the run is over.
+    /// True if the run has ended.
     pub has_ended: bool,
 }
 
-/// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
+/// Constants that every step needs, copied out of `Run` to save a pointer access per step.
 #[derive(Debug, Clone, Copy)]
 struct TimeGrid {
     step_s: f64,
@@ -68,14 +67,13 @@ impl TimeGrid {
         }
     }
 
-    /// Returns the same as [`Run::time_s`].
     fn time_s(self, step: usize, substep: usize) -> f64 {
         step as f64 * self.step_s + substep as f64 * self.dt_s
     }
 }
 
 impl Stepper {
-    /// The run at its start.
+    /// Creates a run in its initial state.
     #[must_use]
     pub fn new(run: &Run, keep: RecordingLevel) -> Self {
         let platoon = run.initial_platoon();
@@ -97,58 +95,58 @@ impl Stepper {
         }
     }
 
-    /// The same for somebody who looks at each step, as a learner does: smallest times to collision and hardest brakings are not
-    /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
+    /// Creates a stepper without per-vehicle summaries (minimum TTC, maximum deceleration). RL uses it, because it
+    /// reads every step itself. [`finish`](Self::finish) returns no vehicle summaries.
     #[must_use]
     pub fn without_summaries(run: &Run) -> Self {
         Self { extremes: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
     }
 
-    /// Steps of the scenario that were made, the one that ended in a contact included.
+    /// Returns the number of completed steps of the scenario, including one that ended in a collision.
     #[must_use]
     pub fn step_count(&self) -> usize {
         self.step
     }
 
-    /// Whether the scenario's time is over, or a contact or a controller that failed ended it.
+    /// True if the duration is over, or a collision or a failed controller ended the run.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.ended
     }
 
-    /// Whether vehicles have touched.
+    /// True after a collision.
     #[must_use]
     pub fn has_collided(&self) -> bool {
         !self.impacts.is_empty()
     }
 
-    /// Where every vehicle is, front to rear.
+    /// Returns the motion of every vehicle, front to rear.
     #[must_use]
     pub fn motion(&self) -> &[Motion] {
         &self.platoon.motion
     }
 
-    /// Bumper gap ahead of vehicle `index`, in metres; none if nobody is ahead of it in the lane, and for a vehicle that does not exist.
+    /// Returns the gap ahead of vehicle `index`, in metres; `None` without a leader or without such a vehicle.
     #[must_use]
     pub fn gap_m(&self, index: usize) -> Option<f64> {
         self.platoon.gap_m(index)
     }
 
-    /// What vehicle `index` sees now; none for a vehicle that does not exist.
+    /// Returns the current observation of vehicle `index`; `None` without such a vehicle.
     pub fn observe(&mut self, index: usize) -> Option<Observation> {
         let vehicle = self.loops.get_mut(index)?;
         Some(vehicle.observe(&self.platoon, index))
     }
 
-    /// Decides the acceleration that vehicle `index` wants in the next step, in m/s².
+    /// Commands an acceleration of vehicle `index` for the next step, in m/s².
     pub fn command(&mut self, index: usize, acceleration_mps2: f64) {
         if let Some(vehicle) = self.loops.get_mut(index) {
             vehicle.command_mps2 = Some(acceleration_mps2);
         }
     }
 
-    /// Drives vehicle `index` by `command` for up to `steps` steps, from its observation to an acceleration in m/s². Ends early
-    /// when the run ends or `after`, called after each step, breaks.
+    /// Drives vehicle `index` by `command`, from its observation to an acceleration in m/s², for up to `steps` steps.
+    /// Ends early if the run ends or `after`, called after each step, breaks.
     pub fn drive(
         &mut self,
         index: usize,
@@ -188,7 +186,7 @@ impl Stepper {
         }
     }
 
-    /// Makes one step of the scenario; does nothing once the run has ended.
+    /// Simulates one step of the scenario; does nothing after the end of the run.
     pub fn step(&mut self) {
         if !self.ended {
             self.decide();
@@ -196,15 +194,13 @@ impl Stepper {
         }
     }
 
-    /// The instants between which the next step lies, in seconds.
     fn span_s(&self) -> [f64; 2] {
         [self.time_grid.time_s(self.step, 0), self.time_grid.time_s(self.step + 1, 0)]
     }
 
-    /// Lets everybody decide.
     fn decide(&mut self) {
         let span_s = self.span_s();
-        // Everybody decides on the state at the start of the step; only then does anybody move.
+        // All vehicles decide on the state at the start of the step, before any vehicle moves.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.next_acceleration_mps2).enumerate()
         {
             match vehicle.decide(&self.platoon, index, span_s) {
@@ -217,7 +213,6 @@ impl Stepper {
         }
     }
 
-    /// Lets everybody move as was decided.
     fn move_vehicles(&mut self) {
         if self.failed.is_some() {
             self.ended = true;
@@ -258,7 +253,7 @@ impl Stepper {
         }
     }
 
-    /// What became of the run.
+    /// Returns the result of the run.
     #[must_use]
     pub fn finish(mut self) -> SimulationResult {
         if let Some(trace) = &mut self.trace
@@ -288,13 +283,13 @@ impl Stepper {
 fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
     let see = |tally: &mut VehicleExtremes, gap_m: f64, closing_mps: f64| {
         let ttc_s = ttc_s(gap_m, closing_mps);
-        // By hand, since `f64::min` spends time on NaN, of which there is none here.
+        // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
         if ttc_s < tally.min_ttc_s {
             tally.min_ttc_s = ttc_s;
         }
     };
     if platoon.lane.is_constant() {
-        // Most runs, and most steps: whoever is ahead is the one before in the list.
+        // In most runs the leader is the previous vehicle in the list.
         let pairs = platoon.motion.windows(2).zip(&platoon.length_m);
         for (tally, (pair, length_m)) in tallies.iter_mut().skip(1).zip(pairs) {
             let [front, rear] = pair else { continue };
@@ -310,18 +305,17 @@ fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
     }
 }
 
-/// The control loop of one vehicle: from what is true to the acceleration the vehicle has.
 struct VehicleLoop {
     driver: VehicleController<LeadProfile>,
-    /// Apart, and nothing where the truth is seen: of a thousand runs under way what every step needs should lie close together.
+    /// Boxed, and `None` with the true state: keeps `VehicleLoop` small when thousands of runs are stepped in turn.
     estimator: Option<Box<EgoEstimator>>,
     actuator: Actuator,
     disturbance: Option<Disturbance>,
-    /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
+    /// Observation of this step, if it was requested: filters accept one measurement per step.
     observation: Option<Observation>,
-    /// Whom the filters follow: ahead and behind.
+    /// Leader and follower that the filters track.
     tracked_neighbours: [Option<usize>; 2],
-    /// What somebody else decided for this step.
+    /// External command for this step.
     command_mps2: Option<f64>,
 }
 
@@ -367,7 +361,7 @@ impl VehicleLoop {
         index: usize,
         [from_s, to_s]: [f64; 2],
     ) -> Result<f64, ControllerFailure> {
-        // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
+        // An estimator must be fed at every step. Without one the observation is computed on demand.
         if self.estimator.is_some() {
             self.observe(platoon, index);
         }
@@ -384,7 +378,6 @@ impl VehicleLoop {
         Ok(self.actuate(command_mps2, speed_mps, platoon.is_locked(index)))
     }
 
-    /// The acceleration that the vehicle has of a command, in m/s².
     #[inline]
     fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_stuck: bool) -> f64 {
         let acceleration_mps2 = self.actuator.respond(command_mps2);
@@ -431,7 +424,6 @@ mod tests {
         }
     }
 
-    /// Without summaries a run ends as with them.
     #[test]
     fn summaries_change_nothing_else() {
         let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());

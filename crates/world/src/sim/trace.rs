@@ -1,42 +1,39 @@
-//! What happened, sample by sample.
+//! Recorded motion, sample by sample.
 
 use std::ops::Range;
 
 use super::lane::TIME_TOLERANCE_S;
 use super::motion::Motion;
 
-/// The recorded motion of all vehicles of one run.
+/// Recorded motion of all vehicles of one run.
 ///
-/// Samples are taken at the start, after every integration step, and at the instant of first contact where the run
-/// ends there. A run that goes on after contact has no samples at the contacts themselves: those are in its impacts. All
-/// tracks have one length.
+/// Samples are at the start, after every integration step, and at a first collision that ends the run. A run that
+/// continues has no samples at collisions; its impacts describe them. All tracks have the same length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
     /// Time of each sample in seconds, increasing.
     pub time_s: Vec<f64>,
-    /// One track a vehicle, front to rear.
+    /// Tracks, one per vehicle, front to rear.
     pub vehicles: Vec<Track>,
 }
 
-/// The motion of one vehicle.
+/// Motion of one vehicle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
-    /// Bumper to bumper, in metres.
+    /// Length from bumper to bumper, in metres.
     pub length_m: f64,
     /// Mass in kilograms.
     pub mass_kg: f64,
-    /// Front bumper at each sample, in metres.
+    /// Position of the front bumper at each sample, in metres.
     pub position_m: Vec<f64>,
     /// Speed at each sample in m/s, never negative.
     pub speed_mps: Vec<f64>,
-    /// Acceleration held from each sample to the next, in m/s²; the last entry repeats the one before, or is
-    /// what an impact in between made of it.
+    /// Acceleration from each sample to the next, in m/s². The last entry repeats the one before or follows an impact.
     ///
-    /// In a step in which the vehicle stops it is the acceleration until it stops; it is 0 from the next step on while the
-    /// vehicle stands, whatever is commanded. Changes of speed in impacts are not part of it.
+    /// Before the stop in a step with a stop, and 0 while the vehicle stands. Impacts are not included.
     pub acceleration_mps2: Vec<f64>,
-    /// From when until when it was in the lane, in seconds: [`THROUGHOUT_S`](Self::THROUGHOUT_S), unless it entered or left. From
-    /// infinity on where it never was. Beside the lane it has no neighbours.
+    /// Times of entry and exit, in seconds: [`THROUGHOUT_S`](Self::THROUGHOUT_S) without lane changes, infinite if the
+    /// vehicle never entered. Outside the lane a vehicle has no neighbours.
     pub in_lane_s: [f64; 2],
 }
 
@@ -44,14 +41,13 @@ impl Track {
     /// In the lane from before the start until after the end.
     pub const THROUGHOUT_S: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
-    /// Whether it was in the lane at a time in seconds; at the instant of a change it is where it then is.
+    /// True if the vehicle is in the lane at a time in seconds, after any change at that instant.
     #[must_use]
     pub fn is_in_lane(&self, time_s: f64) -> bool {
         let [from_s, to_s] = self.in_lane_s;
         from_s - TIME_TOLERANCE_S <= time_s && time_s < to_s - TIME_TOLERANCE_S
     }
 
-    /// How it moved at a sample, and from there on.
     pub(crate) fn motion(&self, sample: usize) -> Option<Motion> {
         Some(Motion {
             position_m: *self.position_m.get(sample)?,
@@ -60,7 +56,7 @@ impl Track {
         })
     }
 
-    /// How it moved at a time in seconds, by the last of `times_s` that is not later; none before the first.
+    /// Returns the motion at a time in seconds, from the latest of `times_s` up to it; `None` before the first.
     fn motion_at(&self, times_s: &[f64], time_s: f64) -> Option<Motion> {
         let sample = times_s.partition_point(|&sampled_s| sampled_s <= time_s).checked_sub(1)?;
         Some(self.motion(sample)?.after(time_s - times_s.get(sample)?))
@@ -68,20 +64,19 @@ impl Track {
 }
 
 impl Trace {
-    /// The number of samples.
+    /// Returns the number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
-    /// Whether there are no samples.
+    /// True if there are no samples.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
 
-    /// The pairs of a vehicle and whoever was ahead of it in the lane, in order of time: none for the leader, one where nobody
-    /// enters or leaves.
+    /// Returns the pairs of a vehicle and its successive leaders, in order of time.
     #[must_use]
     pub fn pairs(&self, rear: usize) -> Vec<VehiclePair<'_>> {
         let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else { return Vec::new() };
@@ -89,7 +84,7 @@ impl Trace {
         changes_s.extend(Track::THROUGHOUT_S);
         changes_s.sort_by(f64::total_cmp);
         changes_s.dedup();
-        // Who leaves at the start was never there.
+        // A vehicle that leaves at the start was never in the lane.
         let before_s = self.time_s.first().map_or(f64::NEG_INFINITY, |first_s| first_s + TIME_TOLERANCE_S);
         let mut pairs: Vec<VehiclePair<'_>> = Vec::new();
         for (&from_s, &to_s) in changes_s.iter().zip(changes_s.iter().skip(1)).filter(|(_, to_s)| **to_s > before_s) {
@@ -116,7 +111,7 @@ impl Trace {
         pairs
     }
 
-    /// Bumper gap ahead of a vehicle in metres at each sample; none where nobody is ahead of it in the lane.
+    /// Returns the gap ahead of a vehicle in metres at each sample; `None` without a leader.
     #[must_use]
     pub fn gaps_m(&self, rear: usize) -> Vec<Option<f64>> {
         let mut gaps_m = vec![None; self.len()];
@@ -128,7 +123,7 @@ impl Trace {
         gaps_m
     }
 
-    /// Who is ahead of a vehicle in the lane at each sample.
+    /// Returns the leader of a vehicle at each sample.
     pub fn leaders(&self, rear: usize) -> impl Iterator<Item = Option<&Track>> {
         let own = self.vehicles.get(rear);
         self.time_s.iter().map(move |&time_s| {
@@ -138,23 +133,23 @@ impl Trace {
     }
 }
 
-/// Two successive vehicles of a trace, as long as nobody was between them.
+/// Two successive vehicles of a trace, while no vehicle is between them.
 #[derive(Debug, Clone, Copy)]
 pub struct VehiclePair<'a> {
     /// Time of each sample in seconds.
     pub time_s: &'a [f64],
-    /// Index of the vehicle ahead.
+    /// Index of the leader.
     pub front_vehicle: usize,
-    /// The vehicle ahead.
+    /// The leader.
     pub front: &'a Track,
-    /// The vehicle behind.
+    /// The follower.
     pub rear: &'a Track,
-    /// From when until when, in seconds; without end where neither entered or left.
+    /// Start and end of that time, in seconds; infinite without lane changes.
     pub span_s: [f64; 2],
 }
 
 impl<'a> VehiclePair<'a> {
-    /// Bumper gap in metres at each sample of that time, with the sample's number.
+    /// Returns the gap in metres at each sample of that time, with the index of the sample.
     pub fn gaps_m(&self) -> impl Iterator<Item = (usize, f64)> + use<'a> {
         let Self { front, rear, .. } = *self;
         self.samples().filter_map(move |sample| {
@@ -163,7 +158,7 @@ impl<'a> VehiclePair<'a> {
         })
     }
 
-    /// The samples of that time, both ends included.
+    /// Returns the samples of that time, including both ends.
     pub(crate) fn samples(&self) -> Range<usize> {
         let [from_s, to_s] = self.span_s;
         let first = self.time_s.partition_point(|&time_s| time_s < from_s - TIME_TOLERANCE_S);
@@ -171,7 +166,7 @@ impl<'a> VehiclePair<'a> {
         first..end
     }
 
-    /// How the two, front and rear, moved at a time in seconds.
+    /// Returns the motions of front and rear vehicle at a time in seconds.
     pub(crate) fn motion_at(&self, time_s: f64) -> Option<[Motion; 2]> {
         Some([self.front.motion_at(self.time_s, time_s)?, self.rear.motion_at(self.time_s, time_s)?])
     }

@@ -1,10 +1,10 @@
-//! Lines against what is computed, and against closed forms.
+//! Comparisons of lines with computed values and closed forms.
 
 use super::*;
 use num_traits::Float;
 use proptest::prelude::*;
 
-/// What it makes of a number: in single precision, as a network computes it, or in double for real numbers.
+/// Evaluates a function in single precision, as a network does, or in double for real numbers.
 fn evaluate<F: Float>(each: &Activation, x: F) -> F {
     let number_of = |number: f64| F::from(number).unwrap();
     let of = |operands: &[f64]| number_of(operands[0]);
@@ -43,7 +43,7 @@ fn any_activation() -> impl Strategy<Value = Activation> {
     ]
 }
 
-/// Where a function less a line of this slope may be extreme, besides at the ends.
+/// Returns the inner points at which a function less a line of this slope may be extreme.
 fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
     let either = |x: f64| vec![-x, x];
     match each {
@@ -56,7 +56,7 @@ fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
     }
 }
 
-/// What rounding to single precision may add to results between two ends, by the table above.
+/// Bounds the single-precision rounding between two ends, by the list in the module documentation.
 fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
     let u = 2.0_f64.powi(-24);
     let largest = [low, high].map(|x| evaluate(each, x).abs()).into_iter().fold(0.0, f64::max);
@@ -64,7 +64,7 @@ fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
         Activation::LeakyRelu(slope) if low < 0.0 => u * slope.abs() * -low,
         Activation::Elu(alpha) if low < 0.0 => 8.0 * u * alpha.abs(),
         Activation::Tanh | Activation::Sigmoid => 4.0 * u,
-        // Of operands that may be of either sign, the sizes are added.
+        // For operands of either sign the magnitudes are added.
         Activation::Add(operands) => u * (low.abs().max(high.abs()) + operands[0].abs()),
         Activation::Multiply(_) | Activation::Divide(_) => u * largest,
         _ => 0.0,
@@ -74,8 +74,8 @@ fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
-    /// Whatever the range: what is computed lies on the line but for what is off it and for rounding; and what is off it is what it is
-    /// at the ends, at kinks, and where the function is as steep as the line.
+    /// Checks that lines enclose computed values tightly: extremes are at ends, kinks, and points with the line's
+    /// slope.
     #[test]
     fn lines_hold_what_is_computed_and_little_else(
         each in any_activation(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
@@ -104,7 +104,6 @@ proptest! {
         }
     }
 
-    /// A narrower range is of use exactly where the function is not straight in it; ends that are kinks are none.
     #[test]
     fn what_bends_has_a_kink_inside(
         low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32, slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
@@ -125,7 +124,6 @@ proptest! {
         prop_assert!(!Activation::Add(vec![1.0]).is_nonlinear_on(0, low, high) && !Activation::Divide(vec![2.0]).is_nonlinear_on(0, low, high));
     }
 
-    /// Of far numbers on both sides of 0, no function makes larger ones than it is said to, and each makes as large ones.
     #[test]
     fn the_largest_is_reached(each in any_activation()) {
         let bound = 50.0;
@@ -134,7 +132,6 @@ proptest! {
         prop_assert!((largest - reached).abs() <= 1e-12 * reached, "{each:?}: {largest} {reached}");
     }
 
-    /// As a function of a form: the same slope, and beside it what is off the line and what rounding adds.
     #[test]
     fn what_is_made_of_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
         let x = AffineForm::symbol(0, Interval::new(low, low + width).unwrap());
@@ -149,7 +146,7 @@ proptest! {
     }
 }
 
-/// Where nothing is uncertain nothing is added: what is passed on stays the same to the bit, and what is cut is one number.
+/// Checks that lines without excess change nothing, to the bit.
 #[test]
 fn what_is_straight_stays_as_it_is() {
     let one = |number: f64| vec![number];
@@ -205,7 +202,7 @@ fn numbers_have_as_many_operands_as_there_are() {
     }
 }
 
-/// exp takes ten times what a product does; a rectifier is taken together with the layer before it.
+/// exp costs ten times as much as a product; a ReLU is free, as it is merged with the layer before it.
 #[test]
 fn what_is_curved_costs_most() {
     assert_eq!(
@@ -214,7 +211,7 @@ fn what_is_curved_costs_most() {
     );
 }
 
-/// Products of small numbers lose more than in proportion, and a quotient is off its line by rounding on either side.
+/// Small products lose more than in proportion; a quotient rounds on either side of its line.
 #[test]
 fn what_is_small_may_be_lost() {
     let least = f64::from(f32::from_bits(1));

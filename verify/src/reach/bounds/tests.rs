@@ -1,11 +1,10 @@
-//! What rounding adds, against the formulas written out, closer than it is itself.
+//! Comparisons of rounding bounds with the formulas.
 
 use super::*;
 use proptest::prelude::*;
 
 const NUMBERS: usize = 3;
 
-/// Inputs that share two symbols.
 fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [AffineForm; NUMBERS] {
     std::array::from_fn(|i| {
         let mut form = AffineForm::constant(Interval::point(centres[i]));
@@ -14,7 +13,6 @@ fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64;
     })
 }
 
-/// Bounds of as many numbers as there are inputs, with slopes, two columns of their own, and ρ.
 fn network_bounds(
     centre: [f64; NUMBERS],
     columns: [[f64; NUMBERS]; NUMBERS + 2],
@@ -46,8 +44,8 @@ fn rows<const N: usize, const M: usize>(most: f64) -> impl Strategy<Value = [[f6
 proptest! {
     #![proptest_config(crumple_cases::with_cases(200))]
 
-    /// A rectifier makes of each number c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ the chord of its range. What inputs have in common cancels in it,
-    /// and double precision adds a billionth of a thousandth of all sizes to ρ.
+    /// Checks a ReLU of c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ against the chord; double precision adds 10⁻¹² of all
+    /// sizes to ρ.
     #[test]
     fn what_a_function_makes_of_numbers_is_the_formula(
         centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
@@ -71,7 +69,7 @@ proptest! {
                 (centre[number] - radius, centre[number] + radius)
             };
             let (low, high) = if bent(apart).0 < 0.0 && bent(apart).1 > 0.0 { bent(together) } else { bent(apart) };
-            // Nearer to 0 it takes more than double precision to say on which side an end is.
+            // Nearer to 0, double precision does not determine the sign of an end.
             let ends = [bent(apart), bent(together)].into_iter().flat_map(|(low, high)| [low, high]);
             prop_assume!(ends.into_iter().all(|end| end.abs() > 1e-2));
             if high <= 0.0 {
@@ -96,7 +94,6 @@ proptest! {
         prop_assert!(excess.next().is_none());
     }
 
-    /// A steep function makes rounding larger than the numbers that it was of.
     #[test]
     fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
         let mut found = NetworkBounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
@@ -108,7 +105,7 @@ proptest! {
     }
 }
 
-/// With many inputs the sum of roundings is more than their number times one of them: γ = n u / (1 - n u).
+/// The sum of roundings grows faster than their number: γ = n u / (1 - n u).
 #[test]
 fn a_wide_layer_rounds_more_than_in_proportion() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
@@ -120,7 +117,6 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     let mut bounds = NetworkBounds::from_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
-    // A column of its own.
     bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
     let found = bounds.apply_linear(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
@@ -138,7 +134,6 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     assert_eq!(found.columns.last(), Some(&(weights[5] * 0.125)));
 }
 
-/// Two functions, one after the other: what was off the lines of the first is not forgotten.
 #[test]
 fn functions_may_follow_each_other() {
     let inputs = input_forms([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);

@@ -12,7 +12,6 @@ fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braki
 }
 
 proptest! {
-    /// All members have stood for a step once the fastest that brakes least and last has stopped a step ago.
     #[test]
     fn all_have_stood_a_step_after_the_last_has_stopped(
         v in 0.0..30.0_f64, b in 0.5..9.0_f64, onset in 0.0..60.0_f64, widths in prop::array::uniform3(0.0..3.0_f64),
@@ -25,7 +24,6 @@ proptest! {
         prop_assert!(!has_stood(last.floor()) && !has_stood((last / 2.0).floor()) && !has_stood(0.0));
     }
 
-    /// One vehicle that brakes from an instant on is where the closed form says, with the acceleration of the step before.
     #[test]
     fn one_vehicle_is_where_the_closed_form_says(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
         let VehicleState { distance, speed, acceleration } =
@@ -37,13 +35,13 @@ proptest! {
         let slack = 1e-11 * (1.0 + v) * (1.0 + v) * (2.0 + until + since) * (1.0 + b);
         assert_bounds(distance.range(), [v * until + v * moving - 0.5 * b * moving * moving; 2], slack);
         assert_bounds(speed.range(), [v - b * moving; 2], slack);
-        // Over the step in which it stops it is seen to have braked at anything.
+        // In the step in which it stops it may be observed at any braking.
         let expected = if since == 0.0 || since - STEP_S > stops { [0.0; 2] } else { [-b, if since > stops { 0.0 } else { -b }] };
         assert_bounds(acceleration.range(), expected, slack);
     }
 }
 
-/// Who has begun to brake by the instant before is seen to brake as hard as it does; where some may not have, at anything.
+/// A member that brakes for the whole step is observed at its rate; otherwise at any value.
 #[test]
 fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
     let step = Interval::point(STEP_S);
@@ -54,8 +52,8 @@ fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
 }
 
 proptest! {
-    /// What each member is seen to have done in the step before is one of the accelerations that are told apart, and of one that brakes from an instant on there
-    /// is one, but for the step in which it stops.
+    /// Checks that one alternative is each member's acceleration. A single vehicle that brakes from an instant on has
+    /// one, but for the step in which it stops.
     #[test]
     fn every_member_is_seen_to_do_one_of_what_is_told_apart(
         v in prop_oneof![1 => Just(0.0), 6 => 0.1..30.0_f64], b in 0.5..9.0_f64, onset in 0.0..40.0_f64, k in 0..120_u32,
@@ -75,7 +73,6 @@ proptest! {
     }
 }
 
-/// Some have not begun, some began in this very step, and some brake; who brakes at instants only has not begun within a step.
 #[test]
 fn what_is_told_apart_is_what_there_is() {
     let step = Interval::point(STEP_S);
@@ -94,7 +91,6 @@ fn what_is_told_apart_is_what_there_is() {
     assert_eq!(ranges(&braking, 4).len(), 2);
 }
 
-/// Nothing is told apart a step before it is there: a brake that begins, one that is held, a vehicle that stands.
 #[test]
 fn what_is_told_apart_begins_when_it_does() {
     let step = Interval::point(STEP_S);

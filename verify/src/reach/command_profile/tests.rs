@@ -10,7 +10,7 @@ fn state_with_speed(speed: AffineForm) -> VehicleState {
     VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() }
 }
 
-/// Speed and distance after each step, of who accelerates at one rate after the other, and stands where it would reverse.
+/// Returns distance and speed after one acceleration per step, without reversing.
 fn simulate_rates(mut v: f64, rates: &[f64]) -> (f64, f64) {
     let mut x = 0.0;
     for &a in rates {
@@ -22,8 +22,7 @@ fn simulate_rates(mut v: f64, rates: &[f64]) -> (f64, f64) {
 }
 
 proptest! {
-    /// Whatever accelerations follow each other, through stops and starts, every member is where the set has it at each step, and observes at the next decision
-    /// what it did in the last.
+    /// Checks every member at each step, through stops and starts, and its observed acceleration at the next decision.
     #[test]
     fn every_member_is_where_the_set_has_it(
         v in prop_oneof![1 => Just(0.0), 4 => 0.0..3.0_f64], width in 0.0..0.5_f64, place in 0.0..=1.0_f64,
@@ -57,7 +56,7 @@ proptest! {
     }
 }
 
-/// Of one member nothing is lost, and its speed never falls below what a step from standing reverses.
+/// Checks that a single member loses nothing, and never falls below the speed of one reversing step.
 #[test]
 fn one_member_that_does_not_stop_is_where_the_formula_says() {
     let step = Interval::point(STEP_S);
@@ -70,14 +69,12 @@ fn one_member_that_does_not_stop_is_where_the_formula_says() {
     assert_bounds(ego.distance.range(), [x; 2], 1e-12);
     assert_bounds(ego.speed.range(), [v; 2], 1e-12);
     assert!(course.is_moving_throughout(&ego.speed));
-    // One that stops in between has.
     let stops = CommandProfile::from_steps(&state_with_speed(point_form(0.1)), 2, step, |j, _| {
         point_form([-3.0, 3.0][j as usize])
     });
     assert!(!stops.is_moving_throughout(&point_form(0.3)));
 }
 
-/// Who stands goes on standing where nothing is asked for at any step.
 #[test]
 fn who_is_asked_for_nothing_stands() {
     let step = Interval::point(STEP_S);
@@ -93,7 +90,6 @@ fn who_is_asked_for_nothing_stands() {
     assert!(!of([0.5, -1.0]).is_standing_throughout(MotionMode::Standing));
 }
 
-/// Who starts in the first of several steps is no longer one that stands at the next decision, whatever it does then.
 #[test]
 fn who_starts_again_within_an_interval_has_started_again() {
     let step = Interval::point(STEP_S);
@@ -112,7 +108,7 @@ fn who_starts_again_within_an_interval_has_started_again() {
     }
 }
 
-/// Of who may stop in a step no more is left open than how far it reverses: half of b h for h.
+/// Stopping in a step adds at most the reversed distance: half of b h for h.
 #[test]
 fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
@@ -122,6 +118,6 @@ fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
     let VehicleState { distance, speed, .. } = course.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
     assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);
-    // The line of the rectifier from -0.2 to 0.2 m/s: half of both, and a tenth.
+    // The line of the ReLU from -0.2 to 0.2 m/s: half of both, and a tenth.
     assert_bounds(speed.range(), [-0.1, 0.2], 1e-12);
 }

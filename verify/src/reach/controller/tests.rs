@@ -3,7 +3,6 @@ use super::*;
 
 const NO_ERROR: [f64; OBSERVATION_SIZE] = [0.0; OBSERVATION_SIZE];
 
-/// Observations of which the first two are these.
 fn observation_with(first: AffineForm, second: AffineForm) -> [AffineForm; OBSERVATION_SIZE] {
     let mut seen: [AffineForm; OBSERVATION_SIZE] = std::array::from_fn(|_| point_form(5.0));
     [seen[0], seen[1]] = [first, second];
@@ -20,7 +19,6 @@ fn is_near(found: f64, expected: f64, relative: f64) -> bool {
     (found - expected).abs() <= relative * expected.abs()
 }
 
-/// What the network sees is the affine function, as far off as the errors say and a rounding more.
 #[test]
 fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
     let seen = observation_with(symbol_form(0, 3.0, 5.0), symbol_form(1, 10.0, 11.0));
@@ -44,7 +42,6 @@ fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
     }
 }
 
-/// An input is cut to its limits; where nobody is behind what stands in for it counts.
 #[test]
 fn an_input_is_cut_and_may_be_absent() {
     let seen = observation_with(point_form(3.0), point_form(10.0));
@@ -57,7 +54,7 @@ fn an_input_is_cut_and_may_be_absent() {
     assert_bounds(at(absent, true), [4.0 - 4.0 * UNIT_ROUNDOFF, 4.0 + 4.0 * UNIT_ROUNDOFF], 1e-10);
 }
 
-/// One number that the simulator sees exactly is off by what single precision rounds, and nothing, not even 0, is taken for exact.
+/// A single exact observation has the single-precision error; even 0 is not taken as exact.
 #[test]
 fn an_exact_input_is_off_by_one_rounding_of_single_precision() {
     let seen = observation_with(point_form(3.0), point_form(0.0));
@@ -68,25 +65,24 @@ fn an_exact_input_is_off_by_one_rounding_of_single_precision() {
     assert!(is_near(nothing, 1e-44, 1e-9), "{nothing}");
 }
 
-/// A sum of two numbers is rounded by the simulator as well; a number that is no sum is not.
+/// The simulator rounds a sum of two numbers, but not a single number.
 #[test]
 fn a_sum_of_observations_is_off_by_one_rounding_of_double_precision() {
     let large = f64::from(1 << 20);
     let seen = observation_with(point_form(large), point_form(1.0));
-    // Where what is seen is 0 there is no other rounding to speak of.
+    // An observation of 0 has no other rounding.
     let off = |factors: [f64; 2], constant: f64| {
         let sum = factors[0] * large + factors[1] + constant;
         let input = ControllerInput { offset: sum, ..affine_input(coefficients(factors), constant) };
         input.enclose(&seen, &NO_ERROR, true).radius() / (f64::EPSILON * sum.abs())
     };
     assert!(off([1.0, 0.0], 0.0) < 1e-20);
-    // Of the form itself: twice what adding a product or a constant rounds.
+    // Rounding of the form: twice that of adding a product or a constant.
     let (product, constant) = (off([1.0, -1.0], 0.0), off([1.0, 0.0], 1.0));
     assert!(is_near(product, 3.0, 1e-2), "{product}");
     assert!(is_near(constant, 2.0, 1e-2), "{constant}");
 }
 
-/// What is added for stretching the answer is 10⁻¹⁴ of its terms, and hardly more.
 #[test]
 fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
     let seen = observation_with(point_form(0.0), symbol_form(1, -5.0, 7.0));
@@ -102,7 +98,6 @@ fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
         let wanted = actor.decide(&seen, &NO_ERROR, true);
         let size = offset_mps2.abs() + scale_mps2.abs() * (answer.centre().abs() + answer.radius());
         let added = wanted.rest() - scale_mps2.abs() * answer.rest();
-        // Besides, what the forms themselves round.
         assert!(added >= 1e-14 * size * 0.99 && added <= 1.2e-14 * size, "{added} {size}");
         let [low, high] = [answer.range().low(), answer.range().high()].map(|end| scale_mps2 * end + offset_mps2);
         assert_bounds(wanted.range(), [low.min(high), low.max(high)], 1e-11);
@@ -118,7 +113,7 @@ fn constant_layer(inputs: usize, outputs: usize) -> NetworkLayer {
     })
 }
 
-/// What has a function off its lines is kept for each number that any layer behind it has.
+/// The excess of an activation is stored for each number of any later layer.
 #[test]
 fn the_bytes_of_a_decision_are_those_of_the_widest_step() {
     let bytes = |steps: Vec<NetworkLayer>| {
@@ -136,12 +131,11 @@ fn the_bytes_of_a_decision_are_those_of_the_widest_step() {
         bytes(vec![constant_layer(8, 12), relu(), constant_layer(12, 9), relu(), constant_layer(9, 1), tanh()]),
         29 * 9 * 16
     );
-    // A second function in a row has lines of its own, and so has one before all layers.
+    // A second activation in a row, or one before all layers, has its own lines.
     assert_eq!(bytes(vec![constant_layer(8, 12), relu(), tanh(), constant_layer(12, 1)]), 32 * 12 * 16);
     assert_eq!(bytes(vec![relu(), constant_layer(8, 1)]), 16 * 8 * 16);
 }
 
-/// Fewest operations with which an actor decides.
 fn min_operations(actor: &NeuralController) -> u64 {
     let seen = observation_with(point_form(3.0), point_form(10.0));
     let suffice = |operations: u64| {
@@ -156,7 +150,6 @@ fn min_operations(actor: &NeuralController) -> u64 {
     enough
 }
 
-/// A function between layers costs what it costs for one number as often as there are numbers; without a limit there is an answer.
 #[test]
 fn functions_are_counted_for_each_number() {
     let with = |each: usize| {

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::super::fixtures::{assert_bounds, point_form, symbol_form};
 use super::*;
 
-/// How far a set reaches along a direction, up to its middle: Σ |w · vector| for its symbols, and what belongs to no symbol.
+/// Returns the support of a set along a direction, relative to its middle: Σ |w · vector| over symbols, plus the rests.
 fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
     let forms: Vec<&AffineForm> = members.forms().collect();
     let term = |symbol: usize| {
@@ -14,7 +14,7 @@ fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
 }
 
 proptest! {
-    /// A set that reaches as far in every direction, from the same middle, holds all members; and it reaches hardly farther.
+    /// Compares supports from the same middle: no smaller, so all members remain, and hardly larger.
     #[test]
     fn fewer_symbols_hold_the_same_members(
         decay in 0.9..1.1_f64,
@@ -49,7 +49,7 @@ proptest! {
     }
 }
 
-/// What the rectifier makes of numbers from l to h, if nobody is below the floor.
+/// Returns the ReLU's bounds of [l, h], given the floor.
 fn relu_range([low, high]: [f64; 2], floor: f64) -> [f64; 2] {
     let least = low.max(floor);
     if least >= 0.0 {
@@ -63,8 +63,7 @@ fn egos_at_speed(speed: AffineForm) -> EgoSet {
 }
 
 proptest! {
-    /// After a decision those who move and those who stand reach as far as the head of the module says, and no farther, and each
-    /// member is in one of the two sets.
+    /// Checks moving and standing sets against the module's formulas, and that each member is in one of them.
     #[test]
     fn after_a_decision_members_are_where_the_closed_forms_say(
         v0 in 0.0..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), every in 1..8_u32,
@@ -103,7 +102,6 @@ proptest! {
         }
     }
 
-    /// Some steps into a decision interval a vehicle is where the closed form says; what it would have reversed is added at most.
     #[test]
     fn within_a_decision_members_are_where_the_closed_forms_say(
         v0 in 0.1..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), steps in 1..20_u32,
@@ -120,7 +118,7 @@ proptest! {
         prop_assert_eq!(acceleration, wanted);
     }
 
-    /// What two symbols cost as one is what neither has in common with their sum.
+    /// The cost of a merged pair is the part of each outside their sum.
     #[test]
     fn a_pair_costs_what_is_beyond_its_sum(
         p in prop::array::uniform6(-2.0..2.0_f64), q in prop::array::uniform6(-2.0..2.0_f64),
@@ -132,7 +130,7 @@ proptest! {
         prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= found && found <= cost + 1e-13, "{found} {cost}");
     }
 
-    /// Symbols that act alike become one at no cost, whatever their sign, be they of the ego, of the follower or of both.
+    /// Symbols in proportion merge at no cost, for any sign, in the ego, the follower or both.
     #[test]
     fn symbols_in_the_same_proportion_become_one_for_nothing(
         factors in prop::collection::vec(prop_oneof![-3.0..-0.3_f64, 0.3..3.0_f64], 85),
@@ -146,7 +144,6 @@ proptest! {
             let one = if place % 2 == 0 { ego } else { alone };
             [one, one.map(|number| factor * number)]
         });
-        // Neighbours are not alike.
         let mut vectors: Vec<Generator> = pairs.collect();
         vectors.rotate_left(2 * seed);
         let vectors: Vec<Generator> = (0..170).map(|i| vectors[(i * 83) % 170]).collect();
@@ -165,7 +162,6 @@ proptest! {
     }
 }
 
-/// Who stands goes at max(0, u), and has started again if it may.
 #[test]
 fn who_stands_stays_or_starts_again() {
     let step = Interval::point(0.1);
@@ -183,14 +179,12 @@ fn who_stands_stays_or_starts_again() {
     assert!(none.is_none() && starts.mode == MotionMode::Restarted);
     assert_bounds(starts.ego.distance.range(), [0.045, 0.09], 1e-12);
     assert_bounds(starts.ego.speed.range(), [0.3, 0.6], 1e-12);
-    // It moves in between as well, or does not.
     let moved = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).ego_after(wanted, step, 2);
     let stays = moved(&symbol_form(1, -2.0, -1.0));
     assert!(stays.distance.is_zero() && stays.speed.is_zero() && stays.acceleration.is_zero());
     assert_bounds(moved(&symbol_form(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
 }
 
-/// At the decision itself everybody is where it is, and its acceleration is left open.
 #[test]
 fn nothing_has_moved_at_the_decision() {
     let mut members = egos_at_speed(symbol_form(0, 3.0, 4.0));
@@ -199,7 +193,6 @@ fn nothing_has_moved_at_the_decision() {
     assert!(seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed);
 }
 
-/// A set of which nobody moves any more is one of those who stand alone.
 #[test]
 fn a_set_that_has_stopped_is_no_set_that_moves() {
     let step = Interval::point(0.1);
@@ -208,11 +201,10 @@ fn a_set_that_has_stopped_is_no_set_that_moves() {
     };
     assert_eq!(kinds(point_form(0.1), point_form(-2.0)), [None, Some(MotionMode::Standing)]);
     assert_eq!(kinds(point_form(0.5), point_form(-2.0)), [Some(MotionMode::Moving), None]);
-    // Bounds that hold nobody but members that reverse.
+    // Bounds that hold only reversing members.
     assert_eq!(kinds(symbol_form(0, -1.0, -0.5), AffineForm::default()), [None, Some(MotionMode::Standing)]);
 }
 
-/// As many symbols as may be stay as they are; one more, and they become fewer.
 #[test]
 fn symbols_become_fewer_once_they_are_too_many() {
     for (count, expected) in [(MAX_SYMBOLS, MAX_SYMBOLS), (MAX_SYMBOLS + 1, REDUCED_SYMBOLS)] {
@@ -229,7 +221,7 @@ fn symbols_become_fewer_once_they_are_too_many() {
     }
 }
 
-/// The first number that says anything of where somebody is or how fast is made positive.
+/// The first distance or speed that is not 0 becomes positive.
 #[test]
 fn a_symbol_and_its_negative_are_one() {
     let cases = [
@@ -237,7 +229,6 @@ fn a_symbol_and_its_negative_are_one() {
         [0.0, 2.0, -3.0, -4.0, 5.0, -6.0],
         [0.0, 0.0, -3.0, 4.0, -5.0, -6.0],
         [0.0, 0.0, -3.0, 0.0, 5.0, -6.0],
-        // An acceleration alone says nothing.
         [0.0, 0.0, -3.0, 0.0, 0.0, -6.0],
     ];
     for vector in cases {
@@ -248,7 +239,6 @@ fn a_symbol_and_its_negative_are_one() {
     }
 }
 
-/// A direction is the share of the speed; those of the follower alone come after all others.
 #[test]
 fn a_direction_is_the_share_of_the_speed() {
     for (vector, expected) in [
@@ -265,7 +255,6 @@ fn a_direction_is_the_share_of_the_speed() {
     }
 }
 
-/// Only who stood has started again, and only if it may move.
 #[test]
 fn who_moves_later_within_an_interval_is_of_the_same_kind() {
     let seen = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };

@@ -51,7 +51,7 @@ fn any_acc() -> impl Strategy<Value = AccAebLaw> {
         })
 }
 
-/// What `idm` wants, and how large what it is the difference of is.
+/// Returns the `idm` command, and the magnitude of its terms.
 fn idm_acceleration(law: &IdmLaw, [gap, v, w]: [f64; 3]) -> (f64, f64) {
     let dynamic = v * law.time_headway_s + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
     let share = (law.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
@@ -60,7 +60,6 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, w]: [f64; 3]) -> (f64, f64) {
     (law.accel_mps2 * (1.0 - fourth - share * share), law.accel_mps2 * size)
 }
 
-/// What `acc-aeb` wants where its emergency brake does not fire.
 fn acc_acceleration(law: &AccAebLaw, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
     let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
     let wanted = (law.speed_gain_per_s * (u - v)).min(follow + law.speed_gain_per_s * (w - v));
@@ -88,7 +87,7 @@ fn law_follower<'a>(
 }
 
 proptest! {
-    /// Of one gap and one pair of speeds both ways to evaluate `idm` give what its formula gives, and next to nothing else.
+    /// For one input both evaluations of `idm` are tight.
     #[test]
     fn what_idm_wants_of_one_sight_is_its_formula(
         law in any_idm(), gap in prop_oneof![0.02..0.5_f64, 0.5..60.0_f64], v in 0.0..40.0_f64, w in 0.0..40.0_f64,
@@ -97,13 +96,11 @@ proptest! {
         let seen = point([gap, v, w]);
         assert_bounds(law.desired_acceleration_interval(&seen), [expected; 2], 1e-12 * size);
         assert_bounds(law.desired_acceleration(&seen, &point_form(8.0)).range(), [expected; 2], 1e-11 * size);
-        // A gap that is nearly nothing counts as a centimetre.
         let (expected, size) = idm_acceleration(&law, [0.004, v, w]);
         assert_bounds(law.desired_acceleration_interval(&point([0.004, v, w])), [expected; 2], 1e-12 * size);
     }
 
-    /// What `idm` is said to do of a box of sights holds what it does of each, and is no wider than the narrower of a form and of
-    /// plain intervals; where that is the form, what it knows of the symbols is kept.
+    /// The `idm` enclosure of a box of inputs is the narrower of form and interval, and a form keeps its symbols.
     #[test]
     fn of_a_form_and_plain_numbers_the_narrower_counts(
         low in 0.02..30.0_f64, widths in prop::array::uniform3(prop_oneof![0.01..0.3_f64, 0.3..8.0_f64]),
@@ -130,7 +127,8 @@ proptest! {
         prop_assert!(range.low() <= true_one + 1e-9 && true_one - 1e-9 <= range.high(), "{true_one} {range:?}");
     }
 
-    /// Of one sight `acc-aeb` brakes fully where the gap is below θ times the closing speed, and follows its formula where it is not.
+    /// For one input `acc-aeb` brakes fully for a gap below θ times the closing speed, and follows its formula
+    /// otherwise.
     #[test]
     fn what_acc_aeb_does_of_one_sight_is_its_formula(
         law in any_acc(), gap in 0.0..60.0_f64, v in 0.0..40.0_f64, w in 0.0..40.0_f64, u in 0.0..40.0_f64,
@@ -145,7 +143,7 @@ proptest! {
     }
 }
 
-/// Who is not let nearer than a centimetre by its law says nothing there: anything from full braking to A.
+/// A gap that may be below a centimetre gives the range from full braking to A.
 #[test]
 fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
     let brake = symbol_form(6, BRAKE[0], BRAKE[1]);
@@ -155,7 +153,7 @@ fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
     }
 }
 
-/// Where the emergency brake may fire or not, anything between full braking and what it does otherwise, and nothing else.
+/// If the emergency brake may fire, the range is from full braking to the command without it.
 #[test]
 fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
@@ -168,7 +166,6 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
     let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
-    // Exactly at the limit it does not fire.
     let stands = LawInput {
         gap: AffineForm::default(),
         speed: AffineForm::default(),
@@ -179,7 +176,7 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
 
-/// u is v(0) unless the emergency brake may fire at once; then it is anything down to standstill.
+/// u is v(0), or down to standstill if the emergency brake may fire at once.
 #[test]
 fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_once() {
     let mut ranges = point_box([50.0, 10.0, 10.0, 10.0, 0.0, 6.0, 8.0, 0.0]);
@@ -193,8 +190,7 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
     }
 }
 
-/// Who surely moves, or does not brake, has held what it asked for; who may have stopped may have held nothing; who stands does not
-/// go backwards.
+/// A vehicle that may have stopped may have held no acceleration; a standing one does not reverse.
 #[test]
 fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     let step = Interval::point(0.1);
@@ -218,7 +214,6 @@ fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
     assert_bounds(step_follower(&stands, &either, step).acceleration.range(), [-2.0 / 3.0, 1.0], 1e-10);
 }
 
-/// A follower a step later is where the closed form says, and asks for what its law does of the gap and the speeds that it sees.
 #[test]
 fn a_step_by_a_law_is_the_closed_form() {
     let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
@@ -231,7 +226,6 @@ fn a_step_by_a_law_is_the_closed_form() {
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.advance(&own, &ego);
     let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);
-    // What it sees may be off by a nanometre.
     assert_bounds(asked.range(), [u; 2], 1e-8);
     assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);
     assert_bounds(later.speed.range(), [15.0 + 0.1 * u; 2], 1e-8);
@@ -309,19 +303,18 @@ fn a_law_is_said_with_all_of_its_numbers() {
     assert_eq!(FollowerLaw::AccAeb(acc).to_string(), of_acc);
 }
 
-/// What is seen is off by as much as is said; and of a speed that may be seen below 0 the law says what its formula does.
+/// Checks stated observation errors, and the law at an observed speed below 0.
 #[test]
 fn a_sight_is_off_by_what_is_said() {
     let sight = LawInput::with_errors([20.0, 1.0, -0.5].map(point_form), [0.5, 6.0, 2.0]);
     for (form, expected) in [(&sight.gap, [19.5, 20.5]), (&sight.speed, [-5.0, 7.0]), (&sight.closing, [-2.5, 1.5])] {
         assert_bounds(form.range(), expected, 1e-6);
     }
-    // Before an open road, where the fourth power is all there is.
+    // On an open road only the fourth power remains.
     let seen = LawInput::with_errors([point_form(1e9), point_form(-6.0), point_form(-6.0)], [0.0, 6.0, 0.0]);
     let wanted = IDM.desired_acceleration(&seen, &point_form(8.0)).range();
     let slowest = IDM.accel_mps2 * (1.0 - (6.0 / IDM.desired_speed_mps).powi(4));
     assert!(wanted.low() <= slowest && wanted.high() >= IDM.accel_mps2 - 1e-9, "{wanted:?} {slowest}");
-    // Of speeds that are above 0 nothing is left open.
     let seen = LawInput::with_errors([point_form(1e9), point_form(6.0), point_form(6.0)], [0.0; 3]);
     assert_bounds(IDM.desired_acceleration(&seen, &point_form(8.0)).range(), [slowest; 2], 1e-6);
 }

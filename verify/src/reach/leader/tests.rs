@@ -22,24 +22,22 @@ fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) ->
     LeaderModel::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))
 }
 
-/// What the rectifier makes of numbers from l to h.
 fn relu_range([low, high]: [f64; 2]) -> [f64; 2] {
     if low >= 0.0 { [low, high] } else { [low * high / (high - low), high.max(0.0)] }
 }
 
-/// Distance and speed of a vehicle that brakes at b from the start.
 fn braking_motion(v: f64, b: f64, t: f64) -> (f64, f64) {
     if b * t <= v { (v * t - 0.5 * b * t * t, v - b * t) } else { (v * v / (2.0 * b), 0.0) }
 }
 
 proptest! {
-    /// At every instant speed and distance reach as far as the forms of the head of the module say, cut off at standstill and at the
-    /// distance on which the slowest stops: no nearer and no farther.
+    /// Checks that speed and distance have exactly the module's bounds, cut at standstill and at the shortest stopping
+    /// distance.
     #[test]
     fn a_leader_within_a_limit_is_where_the_forms_say(
         v0 in 0.5..30.0_f64, width in 0.1..5.0_f64, b in 0.5..9.0_f64, every in 1..8_u32, decisions in 1..12_u32, at in 0..110_u32,
     ) {
-        // Beyond its end as well: there it is held to nothing but its limit.
+        // Includes instants after the end, without correlations.
         let (steps, k) = (every * decisions, at % (every * decisions + 4));
         let (v1, leader) = (v0 + width, leader([v0, v0 + width], b, steps, every));
         let VehicleState { distance, speed, acceleration } = leader.state_at(k, Interval::point(STEP_S));
@@ -58,13 +56,12 @@ proptest! {
         let free = [v0 * t - 0.5 * b * t * t - early, v1 * t + early];
         let [low, high] = relu_range(free.map(|end| end - least));
         assert_bounds(distance.range(), [least + low, least + high], slack);
-        // However it brakes: always, never, or from the middle on.
+        // Three braking patterns: always, never, or from the middle on.
         let (stopping, later) = (braking_motion(v0, b, 0.5 * t), braking_motion(v1, b, 0.5 * t));
         for (covered, then) in [braking_motion(v0, b, t), (v1 * t, v1), (0.5 * v1 * t + later.0, later.1), then_coast(stopping, t)] {
             prop_assert!(distance.range().low() - slack <= covered && covered <= distance.range().high() + slack);
             prop_assert!(speed.range().low() - slack <= then && then <= speed.range().high() + slack);
         }
-        // It has no other symbols than it says.
         let symbols = leader.symbol_count();
         prop_assert_eq!(symbols, 2 * decisions as usize);
         prop_assert!(distance.terms().len().max(speed.terms().len()) <= SHARED_SYMBOLS + symbols);
@@ -72,12 +69,10 @@ proptest! {
     }
 }
 
-/// Brakes over the first half of a time, and then holds its speed.
 fn then_coast((covered, speed): (f64, f64), t: f64) -> (f64, f64) {
     (covered + 0.5 * speed * t, speed)
 }
 
-/// Whoever stands at the start stays where it is, exactly.
 #[test]
 fn a_leader_that_stands_stays() {
     let leader = leader([0.0, 0.0], 6.0, 20, 2);
@@ -88,7 +83,7 @@ fn a_leader_that_stands_stays() {
     }
 }
 
-/// Blocks are as long as keeps them few; within one the acceleration is any at all.
+/// Blocks limit the number of symbols; inside one the acceleration is arbitrary.
 #[test]
 fn many_decisions_share_symbols() {
     for (decisions, blocks) in [(200, 200), (201, 101), (400, 200), (401, 134)] {
@@ -97,7 +92,6 @@ fn many_decisions_share_symbols() {
     assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbol_count(), 0);
 }
 
-/// A script's accelerations are told apart as the script does; within a limit there is nothing to tell apart.
 #[test]
 fn accelerations_of_a_script_are_those_of_its_brake() {
     let step = Interval::point(STEP_S);

@@ -27,7 +27,6 @@ fn unlimited_budget() -> OpBudget {
     OpBudget::new(WorkLimit::UNLIMITED)
 }
 
-/// A follower by a law that only ever brakes fully, or only ever holds its speed.
 fn extreme_law(yes: bool) -> FollowerLaw {
     FollowerLaw::AccAeb(AccAebLaw {
         ttc_s: if yes { 1e6 } else { 0.0 },
@@ -41,15 +40,13 @@ fn extreme_law(yes: bool) -> FollowerLaw {
     })
 }
 
-/// Nothing is left to do only once nobody moves and nobody wants to: until then everybody is driven on, into contact if need be.
+/// Propagation goes on until no vehicle moves and none is commanded to, even into a collision.
 #[test]
 fn who_still_moves_is_driven_on() {
-    // Gaps, speeds and what the ego asks for.
     let nobody_behind = [
-        // It rolls on into a leader that stands, braking less than it would take, or not at all.
+        // It rolls on into a standing leader, braking too little or not at all.
         ([2.0, 20.0, 0.0, 5.0, 0.0], -0.1),
         ([2.0, 20.0, 0.0, 5.0, 0.0], 0.0),
-        // It stands, and starts.
         ([2.0, 20.0, 0.0, 0.0, 0.0], 3.0),
     ];
     for ([ahead, behind, leader, ego, follower], mps2) in nobody_behind {
@@ -58,7 +55,7 @@ fn who_still_moves_is_driven_on() {
         let reached = reach(&ReachProblem { steps: 20, ..default_problem(&actor, ranges) });
         assert!(reached.surely_collides && reached.gaps_m[0] < 0.0, "{reached:?}");
     }
-    // It stands behind a leader that stands, and somebody drives into it from behind.
+    // It stands behind a standing leader, and the follower collides with it.
     let actor = constant_controller(-1.0);
     let ranges = point_box([5.0, 2.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0]);
     for follower in [FollowerModel::Latched { ttc_s: 0.0 }, FollowerModel::ByLaw(extreme_law(false))] {
@@ -67,7 +64,7 @@ fn who_still_moves_is_driven_on() {
     }
 }
 
-/// Once nobody moves, and nobody wants to, a long time costs no more than a short one, and what is seen stays as it is two steps later.
+/// Checks that a long standstill costs no more than a short one, and that observations stay constant after two steps.
 #[test]
 fn once_all_stand_nothing_is_left_to_do() {
     let actor = constant_controller(-1.0);
@@ -82,7 +79,6 @@ fn once_all_stand_nothing_is_left_to_do() {
     }
 }
 
-/// The instant at which a follower fires is known by a symbol that neither a range nor an ego has.
 #[test]
 fn an_instant_has_a_symbol_of_its_own() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -92,7 +88,6 @@ fn an_instant_has_a_symbol_of_its_own() {
     assert_bounds(onset.range(), [2.0, 5.0], 1e-10);
 }
 
-/// What a decision costs is what is stated: so much besides, for each symbol of the leader, and for each step.
 #[test]
 fn a_decision_costs_what_is_stated() {
     let actor = constant_controller(0.0);
@@ -112,7 +107,6 @@ fn a_decision_costs_what_is_stated() {
     }
 }
 
-/// Where a law is followed its forms are made at each step, with all symbols there are.
 #[test]
 fn a_departure_costs_a_law_at_each_step() {
     let mut actor = constant_controller(0.0);
@@ -135,7 +129,6 @@ fn a_departure_costs_a_law_at_each_step() {
     assert!(work.charge(0) && !work.charge(1));
 }
 
-/// A set is looked at once for each pair of accelerations that are told apart, and once where there is nothing to tell apart.
 #[test]
 fn accelerations_are_looked_at_one_by_one() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -155,7 +148,6 @@ fn accelerations_are_looked_at_one_by_one() {
     assert_eq!(pairs, [[-1.0, 0.0], [-1.0, -4.0], [-1.0, -5.0], [-2.0, 0.0], [-2.0, -4.0], [-2.0, -5.0]]);
 }
 
-/// Bounds that say next to nothing are given up.
 #[test]
 fn what_is_too_wide_is_given_up() {
     let work = unlimited_budget();
@@ -170,7 +162,6 @@ fn what_is_too_wide_is_given_up() {
     }
 }
 
-/// The instants of an interval at which some guard may be negative, and whether one surely is.
 #[test]
 fn a_follower_fires_where_its_guard_may_be_negative() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -191,9 +182,8 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     // The follower alone has driven for 0.8 s, and both are as fast.
     assert_eq!(firing([8.1, 9.0], [10.0; 2], 0.0), None);
     assert_eq!(firing([7.9, 9.0], [10.0; 2], 0.0), Some(([8.0, 11.0], false)));
-    // Exactly 0 is not negative.
     assert_eq!(firing([0.0, 0.0], [0.0; 2], 0.0), None);
-    // Both stand at contact or beyond.
+    // Both stand at a gap of 0 or less.
     assert_eq!(firing([0.0, 1.0], [0.0; 2], 0.0), Some(([8.0, 11.0], false)));
     assert_eq!(firing([-1.0, -0.5], [0.0; 2], 0.0), Some(([8.0, 8.0], true)));
     // The ego brakes at 1 m/s² from 10 m/s, and the guard falls by 0.2 m/s and more: at 8.1 m it is 0.1 m at first.
@@ -201,7 +191,7 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     assert_eq!(firing([8.1, 9.9], [10.0; 2], -1.0), Some(([9.0, 11.0], false)));
 }
 
-/// The gap to who follows by a law is bounded from step to step: the smaller of those at the ends less m h²/8.
+/// The smaller gap at the ends of a step less m h²/8.
 #[test]
 fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -221,7 +211,7 @@ fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
     }
 }
 
-/// Between decisions a gap is no smaller than at their ends less m (D h)²/8, with m as large as it can be, and no larger.
+/// Checks the smaller gap at the decisions less m (D h)²/8, with the largest possible m.
 #[test]
 fn gaps_are_bounded_between_decisions() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -234,7 +224,7 @@ fn gaps_are_bounded_between_decisions() {
         (10.0, [-3.0, -1.0], [3.0, 5.0]),
         (0.0, [-3.0, -1.0], [3.0, 6.0]),
         (10.0, [1.0, 2.0], [0.0, 8.0]),
-        // It brakes harder than who is behind.
+        // It brakes harder than the follower.
         (10.0, [-9.0, -8.0], [9.0, 0.0]),
     ] {
         let mut drive = analysis(&scene, &work);
@@ -252,7 +242,7 @@ fn gaps_are_bounded_between_decisions() {
     }
 }
 
-/// Bumpers that meet and do not pass have not surely touched.
+/// A gap of exactly 0 is undecided, no sure collision.
 #[test]
 fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
@@ -264,14 +254,12 @@ fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
     assert!(matches!(drive.result.undecided, Some(Undecided::MayCollide { pair: 0, step: 3, gap_m: -1e-300..=0.0 })));
 }
 
-/// Windows are counted over the whole run: so many as may be are driven, and one more is given up.
 #[test]
 fn too_many_windows_are_given_up() {
     let (actor, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [(&[MAX_WINDOWS][..], true), (&[MAX_WINDOWS + 1], false), (&[MAX_WINDOWS, 1], false)] {
         let scene = ReachProblem { follower: LATCHED, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
         let mut drive = analysis(&scene, &work);
-        // In none of them is anybody, and none is near another.
         let windows = |count: usize| (0..count as u32).map(|i| FiringWindow::new(1000 * i)).collect();
         let all = counts.iter().map(|&count| drive.propagate_fired(windows(count))).collect::<Option<Vec<bool>>>();
         assert_eq!(all.is_some(), goes_on);
@@ -279,14 +267,13 @@ fn too_many_windows_are_given_up() {
     }
 }
 
-/// As many intervals as may be are driven; one more in which somebody may fire is given up.
 #[test]
 fn too_many_intervals_in_which_somebody_may_fire_are_given_up() {
     let actor = constant_controller(0.0);
     let mut ranges = point_box([1e3, 2.0, 10.0, 10.0, 11.0, 0.0, 1.0, 0.0]);
     ranges.gap_behind_m = Interval::new(1.9, 3.0).unwrap();
     let most = MAX_INTERVALS as u32;
-    // In steps so short that hardly anything changes, and that few windows are made of many.
+    // The steps are so short that hardly anything changes, and that many intervals merge into few windows.
     let of = |steps| ReachProblem {
         step_s: 1e-5,
         steps,

@@ -1,7 +1,6 @@
 use super::super::fixtures::{interval, point_box};
 use super::*;
 
-/// A cut leaves nobody out, and is in the middle; where there is no number in between there is none.
 #[test]
 fn a_range_is_cut_at_a_number_in_between_or_not_at_all() {
     let one = 1.0_f64;

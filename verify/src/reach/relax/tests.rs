@@ -1,4 +1,4 @@
-//! Lines against closed forms: as far off the function as they have to be, and no farther.
+//! Comparisons of lines with closed forms: enclosing and tight.
 
 use super::*;
 use num_rational::BigRational;
@@ -9,7 +9,7 @@ fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
-/// The slope of a function of one symbol, and what is off its line: the middle, and the most on either side.
+/// Returns the slope of a function of one symbol, and the middle and radius of the excess.
 fn slope_and_offset(f: impl Fn(&AffineForm) -> AffineForm, low: f64, high: f64) -> (f64, [f64; 2]) {
     let x = AffineForm::symbol(0, Interval::new(low, high).unwrap());
     let line = f(&x);
@@ -21,7 +21,7 @@ fn is_near(found: f64, expected: f64, within: f64) -> bool {
     (found - expected).abs() <= within
 }
 
-/// The least and the most of f(x) - s x at the places that are between two ends, and at these.
+/// Returns the least and largest f(x) - s x at the ends and at places between them.
 fn extremes(f: impl Fn(f64) -> f64, slope: f64, [low, high]: [f64; 2], places: &[f64]) -> [f64; 2] {
     let inside = places.iter().copied().filter(|&x| low < x && x < high);
     inside
@@ -30,7 +30,6 @@ fn extremes(f: impl Fn(f64) -> f64, slope: f64, [low, high]: [f64; 2], places: &
         .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], off| [least.min(off), most.max(off)])
 }
 
-/// Numbers of every size.
 fn any_magnitude() -> impl Strategy<Value = f64> {
     (-12.0..3.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent))
 }
@@ -38,7 +37,7 @@ fn any_magnitude() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(500))]
 
-    /// In rational arithmetic: the excess holds what is off the line at both ends, and hardly more, however unlike the ends are.
+    /// Checks in rational arithmetic that the excess covers both ends tightly, however different they are.
     #[test]
     fn a_rectifier_exceeds_its_chord_by_what_is_said(below in any_magnitude(), high in any_magnitude()) {
         let (slope, excess) = relu_relaxation(-below, high);
@@ -52,19 +51,19 @@ proptest! {
         prop_assert!(is_near(slope, high / (high + below), 1e-15));
     }
 
-    /// (1/l + 1/h - 2/√(l h)) wide.
+    /// The excess is (1/l + 1/h - 2/√(l h)) wide.
     #[test]
     fn a_reciprocal_is_as_near_its_chord_as_can_be(low in 1e-3..10.0_f64, more in 0.01..100.0_f64) {
         let high = low * (1.0 + more);
         let (slope, [middle, off]) = slope_and_offset(reciprocal, low, high);
         let (at_ends, on_tangent) = (1.0 / low + 1.0 / high, 2.0 / (low * high).sqrt());
-        // The range of a form is wider than it is by 10⁻¹² of its radius, which matters most at the lower end.
+        // A form widens a range by 10⁻¹² of its radius, which matters most at the lower end.
         let near = 1e-12 * (1.0 + more) / low;
         prop_assert!(is_near(slope, -1.0 / (low * high), near / high));
         prop_assert!(is_near(middle, 0.5 * (at_ends + on_tangent), near) && is_near(off, 0.5 * (at_ends - on_tangent), near));
     }
 
-    /// (h - l)²/4 wide where all is positive.
+    /// The excess is (h - l)²/4 wide for positive members.
     #[test]
     fn a_square_is_as_near_its_chord_as_can_be(low in -3.0..3.0_f64, width in 0.01..4.0_f64) {
         let high = low + width;
@@ -77,7 +76,7 @@ proptest! {
         prop_assert!(is_near(middle, 0.5 * (least + most), 1e-11) && is_near(off, 0.5 * (most - least), 1e-11), "{least} {most}");
     }
 
-    /// The chord, unless a level line says more; extremes at the ends, and where the slope is that of the line.
+    /// The line is the chord, unless a level line is tighter; extremes are at the ends and at tangent points.
     #[test]
     fn a_hyperbolic_tangent_is_as_near_its_chord_as_can_be(
         low in prop_oneof![-4.0..4.0_f64, -40.0..40.0_f64, Just(0.0)], width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],

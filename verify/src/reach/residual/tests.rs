@@ -17,7 +17,7 @@ fn residual_policy(dead_zone: f64) -> ResidualPolicy {
     ResidualPolicy { dead_zone, rate_per_s: 1000.0, idm: IDM }
 }
 
-/// What the law says, cut to the bounds.
+/// Returns the command of the law, clipped to the bounds.
 fn law_acceleration([gap, v, w]: [f64; 3]) -> f64 {
     let mean = (IDM.accel_mps2 * IDM.comfortable_brake_mps2).sqrt();
     let wants = IDM.standstill_gap_m + (v * IDM.time_headway_s + v * (v - w) / (2.0 * mean)).max(0.0);
@@ -25,7 +25,6 @@ fn law_acceleration([gap, v, w]: [f64; 3]) -> f64 {
     (IDM.accel_mps2 * (1.0 - free - share * share)).clamp(BOUNDS_MPS2[0], BOUNDS_MPS2[1])
 }
 
-/// What comes of an action.
 fn expected_acceleration(dead_zone: f64, action: f64, seen: [f64; 3]) -> f64 {
     let share = ((action.abs() - dead_zone) / (1.0 - dead_zone)).max(0.0);
     (1.0 - share) * law_acceleration(seen) + share * if action < 0.0 { BOUNDS_MPS2[0] } else { BOUNDS_MPS2[1] }
@@ -40,7 +39,7 @@ fn enclose_acceleration(departure: &ResidualPolicy, action: &AffineForm, [gap, v
 }
 
 proptest! {
-    /// Of one action and one sight it is what the formula says, but for the 10⁻⁹ by which a sight is off.
+    /// One action and one input give the formula, but for the observation rounding of 10⁻⁹.
     #[test]
     fn of_one_action_it_is_the_formula(
         zone in 0.0..0.9_f64, action in -1.0..=1.0_f64, seen in (3.0..60.0_f64, 0.0..30.0_f64, 0.0..30.0_f64),
@@ -50,7 +49,7 @@ proptest! {
         assert_bounds(form.range(), [expected_acceleration(zone, action, seen); 2], 1e-5);
     }
 
-    /// Of a box of both it holds that of every member, and nothing beyond what its law and its action say by themselves.
+    /// The enclosure of a box holds each member, and does not exceed the ranges of law and action.
     #[test]
     fn of_a_box_it_holds_every_member(
         zone in 0.0..0.9_f64, ends in prop::array::uniform2(-1.0..=1.0_f64), gap in 3.0..60.0_f64, v in 1.0..29.0_f64, w in 0.0..30.0_f64,
@@ -63,14 +62,13 @@ proptest! {
         let at = |[low, high]: [f64; 2], place: f64| low + place * (high - low);
         let seen = std::array::from_fn(|i| at(from[i], places[i]));
         let truth = expected_acceleration(zone, at(ends, places[3]), seen);
-        // As the same member.
         let said = form.centre() + form.terms().iter().zip(places).map(|(term, place)| term * (2.0 * place - 1.0)).sum::<f64>();
         prop_assert!((truth - said).abs() <= form.rest() + 1e-9, "{truth} {said} {form:?}");
         prop_assert!(form.radius() < 12.0, "{form:?}");
     }
 }
 
-/// Within the dead zone there is nothing but the law, and what it has to do with what is seen is kept; beyond it, entirely, nothing but the bound.
+/// Within the dead zone only the law counts and keeps its correlations; at full action only the bound.
 #[test]
 fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
     let seen = [symbol_form(0, 20.0, 20.1), symbol_form(1, 14.0, 14.1), point_form(15.0)];
@@ -86,7 +84,7 @@ fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
     }
 }
 
-/// Plain numbers take the place of a form where they say more by far: the gap may be next to nothing here.
+/// The gap may be near zero, so the interval replaces the form.
 #[test]
 fn what_may_be_anything_is_within_the_bounds() {
     let seen = [symbol_form(0, -1.0, 30.0), point_form(10.0), point_form(10.0)];
@@ -126,7 +124,6 @@ fn a_step_is_enough_where_it_is_as_long_as_from_one_end_to_the_other() {
     assert!(!at(199.0).is_complete_in_one_step(0.01) && !at(4.0).is_complete_in_one_step(0.49));
 }
 
-/// What double precision may be off by is in both ways of saying it, and little else where nothing is left open.
 #[test]
 fn rounding_is_allowed_for() {
     let largest_mps2 = 7.5;

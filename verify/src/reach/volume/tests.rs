@@ -12,7 +12,7 @@ fn size(range: Interval) -> BigRational {
     rational(range.high()) - rational(range.low())
 }
 
-/// Numbers of very different size, and such as halving makes.
+/// Generates shares of very different magnitudes, powers of 1/2 among them.
 fn any_share() -> impl Strategy<Value = f64> {
     prop_oneof![
         0.0..1.0_f64,
@@ -22,19 +22,18 @@ fn any_share() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    /// The sum of two shares is rounded down: to the last number that is not beyond it.
     #[test]
     fn shares_add_up_to_the_nearest_number_below(a in any_share(), b in any_share()) {
         let (sum, found) = (rational(a) + rational(b), add_shares(a, b));
         prop_assert!(rational(found) <= sum && sum < rational(found.next_up()), "{a} + {b}: {found}");
     }
 
-    /// A part that is exactly half has exactly half of the share, even where no number says how wide it is.
+    /// An exact half has half of the share, even if its width is no floating-point number.
     #[test]
     fn an_exact_half_has_half_of_the_share(
         a in -2.0..2.0_f64, b in -2.0..2.0_f64, places in 30..52_i32, share in any_share(),
     ) {
-        // On a grid on which the middle is a number, and the widths need more digits than numbers have, sometimes.
+        // On a grid with an exact middle; some widths need more digits than a number has.
         let unit = 0.5_f64.powi(places);
         let [low, high] = [a.min(b), a.max(b)].map(|end| (end / unit).round() * unit);
         prop_assume!(low < high);
@@ -53,14 +52,14 @@ proptest! {
     }
 }
 
-/// The middle of two numbers that are next but one to each other is the one between; that of next but two is not the middle.
+/// With one number in between, the middle is exact; with two, it is not.
 #[test]
 fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
     let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up())).take(4).collect();
     assert_eq!(part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[2])), 0.5);
     let third = part_share(1.0, interval(numbers[0], numbers[1]), interval(numbers[0], numbers[3]));
     assert!(third <= 1.0 / 3.0 && third > 1.0 / 3.0 - 1e-14);
-    // The widths of these are no numbers, but the one is half of the other.
+    // Neither width is a floating-point number, but their ratio is 1/2.
     let (low, high) = (-1.0_f64.next_down(), 1.0_f64.next_up());
     let middle = 0.5 * low + 0.5 * high;
     assert_eq!(part_share(0.7, interval(low, middle), interval(low, high)), 0.35);

@@ -11,7 +11,6 @@ fn egos_of_mode(kind: MotionMode) -> EgoSet {
     members
 }
 
-/// A decision interval of so many steps in which some of these kinds may fire.
 fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
     let mut window = FiringWindow::new(k);
     fire.iter().for_each(|&kind| window.record_firing(kind, [f64::from(k), f64::from(k + every - 1)]));
@@ -19,7 +18,7 @@ fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
     window
 }
 
-/// First decision, and first and last instant, of what so many windows in a row become.
+/// Returns the first decision and the first and last instant of each merged window.
 fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
     let actor = constant_controller(0.0);
     let scene = ReachProblem { step_s, decision_steps: every, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
@@ -27,11 +26,10 @@ fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(
     merge_windows(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
 }
 
-/// So many windows in a row, D steps each, become some of as many steps as they last, and no longer than a tenth of a second.
+/// Checks the length of merged windows of D steps, at most a tenth of a second.
 #[test]
 fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second() {
     let cases = [
-        // Steps of 10 ms: up to ten steps.
         (0.01, 1, 10, 1),
         (0.01, 1, 11, 2),
         (0.01, 1, 20, 2),
@@ -41,10 +39,9 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
         (0.01, 3, 25, 9),
         (0.01, 5, 25, 10),
         (0.01, 10, 300, 10),
-        // Steps of 50 ms: two of them.
         (0.05, 1, 300, 2),
         (0.05, 1, 12, 2),
-        // The step is longer than the longest window: as they are.
+        // The step is longer than the longest window: unchanged.
         (0.3, 1, 300, 1),
     ];
     for (step_s, every, count, length) in cases {
@@ -58,17 +55,16 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
     }
 }
 
-/// How long a window may be counts from its first decision, whatever is not in it in between.
+/// The length of a window counts from its first decision, gaps included.
 #[test]
 fn a_pause_ends_a_window_if_it_is_long() {
     let ks = [0, 1, 4, 5, 6, 7, 20, 22, 23, 24, 25].into_iter();
     let found: Vec<u32> = merged_spans(0.01, 1, ks).into_iter().map(|(k, _)| k).collect();
-    // Two steps each.
     assert_eq!(found, [0, 4, 6, 20, 22, 24]);
 }
 
 proptest! {
-    /// Nobody who may fire is forgotten: each instant of each window is in one, which begins with no later a decision.
+    /// Each instant of each window remains in a window whose decision is no later.
     #[test]
     fn every_instant_is_in_a_window(
         every in 1..12_u32, step_s in prop::sample::select(vec![0.01, 0.02, 0.05]),
@@ -84,7 +80,7 @@ proptest! {
     }
 }
 
-/// Who moves in a later interval moved before; who stands then, or has started again, may have been of any kind.
+/// Moving members of a later interval moved before; others may have been in any mode.
 #[test]
 fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
     let actor = constant_controller(0.0);
@@ -95,7 +91,7 @@ fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
         (&[MotionMode::Restarted], [true; 3]),
         (&[MotionMode::Moving, MotionMode::Standing], [true; 3]),
     ] {
-        // Eleven, so that pairs become one; what fires first moves.
+        // Eleven windows, so that pairs merge; the first one to fire moves.
         let windows =
             (0..11).map(|k| firing_window(k, 1, if k == 1 { later } else { &[MotionMode::Moving] })).collect();
         let first = merge_windows(windows, &scene).remove(0);

@@ -1,4 +1,4 @@
-//! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
+//! A short simulation of the closed loop that shares only the description of the network with the crate.
 
 use crumple_verify::reach::{
     Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
@@ -8,7 +8,8 @@ use crumple_verify::reach::{
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type InitialState = [f64; 8];
 
-/// The network's answer in single precision: an acceleration, or an action; products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
+/// Returns the acceleration or action in single precision. Products are added in order and rounded separately, while
+/// the engine fuses them: bounds cover either.
 pub fn controller_output(actor: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &ControllerInput| {
         let sum =
@@ -56,7 +57,6 @@ fn advance(v: f64, a: f64, h: f64) -> (f64, f64) {
     if end < 0.0 { (v * v / (-2.0 * a), 0.0) } else { (v * h + 0.5 * a * h * h, end) }
 }
 
-/// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
 fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
     let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
     let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
@@ -65,7 +65,7 @@ fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
     idm.accel_mps2 * (free - share * share)
 }
 
-/// What somebody asks for who departs from a law, and how far he has departed: an action moves that by so much a step at most.
+/// Returns the command of a residual policy, and updates its rate-limited residual.
 fn residual_acceleration(
     departure: &ResidualPolicy,
     so_far: &mut f64,
@@ -83,7 +83,7 @@ fn residual_acceleration(
     (law + so_far.abs() * (bound - law)).clamp(low, high)
 }
 
-/// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
+/// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
 fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
         FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
@@ -99,17 +99,17 @@ fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, 
     wanted.max(-brake).min(most)
 }
 
-/// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
+/// Returns the observations at each decision, the last instant included, and the smallest gaps at any step. Goes on
+/// after collisions.
 pub fn simulate(scene: &ReachProblem<'_>, start: InitialState) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_with_leader(scene, start, scripted_braking(&start))
 }
 
-/// How hard the leader of a start brakes over each step: over the one that its onset falls into, with the mean.
+/// Returns the scripted braking per step, with the mean over the step of the onset.
 pub fn scripted_braking(&[.., brake, _, onset]: &InitialState) -> impl Fn(u32) -> f64 {
     move |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0)
 }
 
-/// The same with a leader that brakes at a rate of its own over each step.
 pub fn simulate_with_leader(
     scene: &ReachProblem<'_>,
     start: InitialState,
@@ -118,7 +118,7 @@ pub fn simulate_with_leader(
     simulate_with_errors(scene, start, brake_l, |_| [0.0; 8])
 }
 
-/// The same, and what is observed is off by an error of its own at each decision and until the next.
+/// Simulates a leader with a given braking per step, and observation errors that hold until the next decision.
 pub fn simulate_with_errors(
     scene: &ReachProblem<'_>,
     start: InitialState,
@@ -173,7 +173,7 @@ pub fn simulate_with_errors(
     (trace, least)
 }
 
-/// What steps make of inputs in double precision: what they are without rounding, to a billionth.
+/// Evaluates layers in double precision: exact to a billionth.
 pub fn network_outputs(steps: &[NetworkLayer], inputs: Vec<f64>) -> Vec<f64> {
     steps.iter().fold(inputs, |mut h, step| {
         let each = match step {
@@ -204,18 +204,17 @@ pub fn network_outputs(steps: &[NetworkLayer], inputs: Vec<f64>) -> Vec<f64> {
     })
 }
 
-/// Pseudo-random numbers, the same everywhere.
+/// A pseudo-random number generator that is equal on all platforms.
 pub struct XorShiftRng(pub u64);
 
 impl XorShiftRng {
-    /// Those of a place, of which each has others.
+    /// Creates an independent generator for an index.
     pub fn for_index(seed: u64, place: u32) -> Self {
         let mut numbers = Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
         numbers.next_unit();
         numbers
     }
 
-    /// From 0 to 1.
     pub fn next_unit(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -223,7 +222,6 @@ impl XorShiftRng {
         (self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// From -1 to 1.
     pub fn next_signed(&mut self) -> f64 {
         2.0 * self.next_unit() - 1.0
     }

@@ -1,7 +1,7 @@
-//! The closed loop a second time: numbers between two multiples of 2⁻³²⁰, every operation rounded outward, nothing else.
+//! An exact simulation of the closed loop: intervals of multiples of 2⁻³²⁰ with outward rounding.
 //!
-//! No affine forms, no straight lines, no allowances: a run of a single start and one network without rounding, in which the ends of
-//! each number stay some 10⁻⁴⁰ apart. What the checker says of a box must hold of it to the last bit.
+//! The simulation has no affine forms, lines or allowances. For a single initial state the ends of each number stay
+//! about 10⁻⁴⁰ apart. The checker's bounds must hold for it to the last bit.
 
 use std::ops::{Add, Mul, Neg, Sub};
 
@@ -14,17 +14,15 @@ use num_bigint::BigInt;
 
 use super::closed_loop::InitialState;
 
-/// Ends are multiples of 2 to the minus this.
 const BITS: usize = 320;
 
-/// The numbers from one multiple of 2⁻³²⁰ to another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixedPointInterval {
     low: BigInt,
     high: BigInt,
 }
 
-/// What cannot be told apart, because it is closer than numbers are known.
+/// A comparison that the precision does not decide.
 #[derive(Debug)]
 pub struct TooClose;
 
@@ -46,7 +44,6 @@ impl FixedPointInterval {
         Self { low: scaled.clone(), high: scaled }
     }
 
-    /// Both ends divided by a power of two, outward.
     fn shift_right(self, places: usize) -> Self {
         Self { low: self.low >> places, high: -(-self.high >> places) }
     }
@@ -71,7 +68,6 @@ impl FixedPointInterval {
         self.max(&low.into()).min(&high.into())
     }
 
-    /// Divided by a number that is not 0.
     pub fn over(&self, by: &Self) -> Self {
         if by.high < BigInt::ZERO {
             return (-self.clone()).over(&-by.clone());
@@ -88,13 +84,11 @@ impl FixedPointInterval {
         Self { low: a.min(b), high: c.max(d) }
     }
 
-    /// The root of what is not negative.
     fn sqrt(&self) -> Self {
         let root = |scaled: &BigInt| (scaled << BITS).sqrt();
         Self { low: root(&self.low), high: root(&self.high) + 1 }
     }
 
-    /// Whether it is below another number.
     pub fn is_below(&self, other: &Self) -> Result<bool, TooClose> {
         if self.high < other.low {
             Ok(true)
@@ -105,17 +99,17 @@ impl FixedPointInterval {
         }
     }
 
-    /// Whether it is certainly in an interval, no end of which it may go beyond by anything.
+    /// True if it is certainly in an interval, without tolerance.
     pub fn is_in(&self, interval: Interval) -> bool {
         self.is_at_least(interval.low()) && (-self.clone()).is_at_least(-interval.high())
     }
 
-    /// Whether it is certainly at least so large.
+    /// True if it is certainly at least `bound`.
     pub fn is_at_least(&self, bound: f64) -> bool {
         bound == f64::NEG_INFINITY || Self::from(bound).high <= self.low
     }
 
-    /// Whether its ends have come apart, by more than 10⁻²⁰: a loop with large gains multiplies at each step what is not known.
+    /// True if it is wider than 10⁻²⁰: large gains amplify the uncertainty at each step.
     fn is_too_wide(&self) -> bool {
         (&self.high - &self.low).bits() > BITS as u64 - 66
     }
@@ -124,10 +118,9 @@ impl FixedPointInterval {
         *self == Self::zero()
     }
 
-    /// e to it.
     fn exp(&self) -> Self {
-        // Of x/2ᵐ, below 1/2, by Taylor's series, in units of 2⁻³²⁰: x/2ᵐ is off by less than 1, each term by less than 4, and the rest is
-        // less than 1.
+        // Taylor's series of x/2ᵐ below 1/2, in units of 2⁻³²⁰: x/2ᵐ is off by less than 1, each term by less than 4,
+        // the rest by less than 1.
         let at = |end: &BigInt| {
             let halvings = (end.bits() as usize).saturating_sub(BITS - 1);
             let x = end >> halvings;
@@ -144,7 +137,6 @@ impl FixedPointInterval {
         self.map_monotone(at)
     }
 
-    /// What lies between the values of a function that grows.
     fn map_monotone(&self, at: impl Fn(&BigInt) -> Self) -> Self {
         let low = at(&self.low);
         if self.low == self.high { low } else { low.hull(&at(&self.high)) }
@@ -155,7 +147,6 @@ impl FixedPointInterval {
         let at = |end: &BigInt| {
             let end = Self::point(end.clone());
             if end.low < BigInt::ZERO {
-                // No larger exponential than 1.
                 let e = (end.clone() + end).exp();
                 return (e.clone() - one()).over(&(e + one()));
             }
@@ -198,7 +189,7 @@ impl Mul for FixedPointInterval {
     }
 }
 
-/// What the network wants, in m/s², or its action, without any rounding.
+/// Returns the command in m/s², or the action, without rounding.
 fn controller_output(
     actor: &NeuralController,
     seen: &[FixedPointInterval; 8],
@@ -264,7 +255,6 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPoin
     h.into_iter().enumerate().map(of).collect()
 }
 
-/// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
 fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> FixedPointInterval {
     let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
@@ -277,8 +267,7 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> 
     of(law.accel_mps2) * (of(1.0) - squared(squared(part)) - squared(share))
 }
 
-/// What somebody asks for who departs from a law, and how far he has departed, from -1 to 1: towards what his action says, 0 within the
-/// dead zone, by so much a step at most.
+/// Returns the command of a residual policy, and moves its residual in [-1, 1] towards the action, rate-limited.
 fn residual_acceleration(
     departure: &ResidualPolicy,
     so_far: &mut FixedPointInterval,
@@ -298,7 +287,7 @@ fn residual_acceleration(
     Ok((one - share.clone()) * law + share * bound.into())
 }
 
-/// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
+/// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
 fn law_acceleration(
     law: &FollowerLaw,
     set_speed: &mut Option<FixedPointInterval>,
@@ -324,9 +313,7 @@ fn law_acceleration(
     Ok(wanted.max(&-brake.clone()).min(&of(most)))
 }
 
-/// A vehicle over one step.
 struct StepMotion {
-    /// Distance within half of the step, and within all of it.
     covered_m: [FixedPointInterval; 2],
     speed_mps: FixedPointInterval,
     held_mps2: FixedPointInterval,
@@ -341,7 +328,7 @@ fn advance(
     let held = if is_idle { FixedPointInterval::zero() } else { wanted.clone() };
     let after = |time: FixedPointInterval| {
         let end = speed.clone() + held.clone() * time.clone();
-        // Who stops has stopped on v²/(2b), in time.
+        // A vehicle that stops in time covers v²/(2b).
         let stops = !held.is_zero() && end.is_below(&FixedPointInterval::zero())?;
         let covered = if stops {
             (speed.clone() * speed.clone()).over(&(held.clone() * (-2.0).into()))
@@ -355,9 +342,9 @@ fn advance(
     Ok(StepMotion { covered_m: [half, covered], speed_mps, held_mps2: held })
 }
 
-/// Everything that is true at each decision, the last instant included, and the smallest gaps at any half step; none where the run goes
-/// through something that is closer than numbers are known, or numbers are no longer known to 10⁻²⁰. What is observed differs by `error(decision)` from that, and the leader
-/// brakes at `brake(k)` of the script that its start says, or of nothing, over each step.
+/// Returns the true state at each decision, the last instant included, and the smallest gaps at any half step. Fails
+/// with [`TooClose`] if the precision does not decide a comparison or falls below 10⁻²⁰. Observations are off by
+/// `error(decision)`; the leader brakes at `brake(k)` of its script, or as scripted.
 pub fn simulate_exactly(
     scene: &ReachProblem<'_>,
     start: InitialState,
@@ -397,7 +384,7 @@ pub fn simulate_exactly(
         let wants = match &actor.residual_over {
             None => answer.clone(),
             Some(departure) => {
-                // What is seen at each step is off by an error of its own.
+                // Observations at each step have their own error.
                 let error = error((k + steps) as usize);
                 let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
                 residual_acceleration(
@@ -420,7 +407,7 @@ pub fn simulate_exactly(
         };
         let brakes = match brake {
             Some(brake) => brake(k).into(),
-            // The mean over the step it falls into.
+            // The mean over the step of the onset.
             None => {
                 brake_l.clone()
                     * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero())

@@ -8,20 +8,18 @@ pub mod networks;
 use crumple_verify::*;
 use proptest::prelude::*;
 
-/// Substeps in a step: profiles change between them, so they are more than any that holds accelerations over steps.
+/// Substeps in a step. Profiles change between them, so they are more general than any held over steps.
 pub const SUBSTEPS: usize = 6;
 
-/// One member of a scene's box.
 #[derive(Debug, Clone)]
 pub struct SceneMember {
     pub leader: [f64; 2],
     pub leader_mps2: Vec<f64>,
     pub egos: Vec<[f64; 2]>,
-    /// Position, speed, brake.
     pub follower: Option<[f64; 3]>,
 }
 
-/// The member that `pick` chooses: 0 for the low end of an interval, 1 for the high one.
+/// Returns the member that `pick` chooses: 0 for the low end of an interval, 1 for the high one.
 pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember {
     let mut of = |interval: Interval| {
         let value = interval.low() + pick() * (interval.high() - interval.low());
@@ -41,26 +39,24 @@ pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember 
     }
 }
 
-/// What happened.
 #[derive(Debug, Clone)]
 pub struct SimulatedRun {
     /// Rear bumper of the leader at the instants.
     pub leader_rear_m: Vec<f64>,
     /// Position and speed of each ego at the instants.
     pub egos: Vec<Vec<[f64; 2]>>,
-    /// The first instant at which the follower's guard was negative; N if none.
+    /// First instant with a negative guard of the follower; N if none.
     pub fired: u32,
     /// Smallest gap at the ends of substeps.
     pub min_gap_m: f64,
 }
 
-/// Position and speed after `dt`, stopping on the way where due.
+/// Returns position and speed after `dt`, without reversing.
 pub fn advance([x, v]: [f64; 2], a: f64, dt: f64) -> [f64; 2] {
     let end = v + a * dt;
     if end < 0.0 { [x - v * v / (2.0 * a), 0.0] } else { [x + v * dt + 0.5 * a * dt * dt, end] }
 }
 
-/// Drives the member with the egos' accelerations in each substep.
 pub fn simulate_scene(scene: &Scene, member: &SceneMember, profiles: &[Vec<f64>]) -> SimulatedRun {
     let dt = scene.step_s / SUBSTEPS as f64;
     let mut leader = member.leader;
@@ -110,7 +106,7 @@ pub fn simulate_scene(scene: &Scene, member: &SceneMember, profiles: &[Vec<f64>]
     seen
 }
 
-/// Whether some profile of three levels, each held over a block of substeps, escapes in this member.
+/// True if some profile of three levels, each held over a block of substeps, escapes in this member.
 pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
     let substeps = scene.steps as usize * SUBSTEPS;
     let choices = scene.egos.len() * blocks;
@@ -130,7 +126,7 @@ pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
     })
 }
 
-/// Rows of a branch as `(multiplier, value)`, spelt out for one drive of one member; contact rows marked.
+/// Returns the rows of a branch as `(multiplier, value, is_collision_row)` for one run of one member.
 pub fn row_values(scene: &Scene, member: &SceneMember, drive: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
     let h = scene.step_s;
     let (first_ego, last_ego) = (&drive.egos[0], drive.egos.last().unwrap());
@@ -166,13 +162,12 @@ pub fn row_values(scene: &Scene, member: &SceneMember, drive: &SimulatedRun, bra
     rows
 }
 
-/// The whole interval or its middle.
 fn interval_around(value: f64, width: f64) -> Interval {
     Interval::new(value - width / 2.0, value + width / 2.0).unwrap()
 }
 
 prop_compose! {
-    /// Narrow scenes of one or two egos, half of them boxes, most of them with a follower.
+    /// Generates narrow scenes, half of them boxes, most of them with a follower.
     pub fn scenes(egos: usize)(
         steps in 2..8_u32, step_s in prop::sample::select(vec![0.1, 0.25, 0.5]), width in prop_oneof![Just(0.0), 0.0..0.5],
         leader in (0.0..20.0_f64, -8.0..2.0_f64, -8.0..2.0_f64),
@@ -201,7 +196,7 @@ prop_compose! {
     }
 }
 
-/// Any accelerations within the egos' limits, changing with every substep or held.
+/// Generates accelerations within the egos' limits, per substep or held.
 pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
     let egos = scene.egos.clone();
     let substeps = scene.steps as usize * SUBSTEPS;
@@ -218,14 +213,13 @@ pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
     })
 }
 
-/// Sparse multipliers for the instants below `end`.
+/// Generates sparse multipliers for the instants below `end`.
 fn multiplier_lists(end: u32) -> impl Strategy<Value = Vec<(u32, f64)>> {
     let value = prop_oneof![3 => Just(0.0), 1 => Just(1.0), 1 => 0.0..2.0_f64];
     prop::collection::vec(value, end as usize)
         .prop_map(|values| (0..).zip(values).filter(|row| row.1 > 0.0).collect::<Vec<_>>())
 }
 
-/// Any valid branch.
 pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
     let (n, egos, has_follower) = (scene.steps, scene.egos.len(), scene.follower.is_some());
     let ends = if has_follower { (0..=n, 0..=n).boxed() } else { Just((0, n)).boxed() };
@@ -254,14 +248,13 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
     })
 }
 
-/// A statement with the assumptions it needs.
 pub fn certificate(statement: Statement) -> Certificate {
     let provenance =
         CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
     Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
 }
 
-/// Scenes with multipliers that often prove them unavoidable: for each firing instant the best of many simple guesses.
+/// Generates scenes with multipliers that often prove them unavoidable: the best of many guesses per firing instant.
 pub fn proofs(egos: usize) -> impl Strategy<Value = (Scene, Vec<Branch>)> {
     let guess = (any::<[prop::sample::Index; 4]>(), any::<[bool; 4]>(), 0.2..3.0_f64, 0.0..2.0_f64, 0.0..2.0_f64);
     (scenes(egos), prop::collection::vec(guess, 60)).prop_map(|(scene, guesses)| {

@@ -1,10 +1,10 @@
-//! Certificates that were changed in one place. It needs nothing but `serde_json`, so that others can include it.
+//! Certificates with one change. Needs only `serde_json`, so that other tests can include this file.
 
 use serde_json::{Value, json};
 
 type Mutation<'a> = Box<dyn Fn(&mut Value) + 'a>;
 
-/// Every change of one number, one entry or one pair of neighbours: a description, and the changed certificate.
+/// Returns a description and a certificate for every change of a number, an entry or a pair of neighbours.
 pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
     json_pointers(original).into_iter().flat_map(move |place| {
         let value = original.pointer(&place).unwrap_or(&Value::Null);
@@ -22,7 +22,6 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
                     ("zero", 0.0),
                     ("huge", 1e300),
                 ] {
-                    // A count stays a count, or no change of it would be read at all.
                     let changed = if number.is_u64() && changed >= 0.0 && changed.fract() == 0.0 && changed < 1e9 {
                         json!(changed as u64)
                     } else {
@@ -69,7 +68,6 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
     })
 }
 
-/// A pointer to every value.
 pub fn json_pointers(value: &Value) -> Vec<String> {
     let mut places = Vec::new();
     collect_pointers(value, String::new(), &mut places);

@@ -1,4 +1,4 @@
-//! Networks that drive neither calmly nor sensibly, and the files of such.
+//! Random networks without sensible behaviour, and their files.
 
 use crumple_verify::reach::{
     Activation, ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer,
@@ -16,12 +16,11 @@ fn random_layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut XorShift
     LinearLayer { inputs, outputs, weights, biases: draw(outputs, 0.3) }
 }
 
-/// A network of given widths, as crumple's own are; gains of order one.
+/// Creates a network like crumple's own, with gains of order one.
 pub fn native_network(widths: &[usize], gain: f64, seed: u64) -> NeuralController {
     residual_network(widths, gain, seed, None)
 }
 
-/// The same, of which the action departs from a law.
 pub fn residual_network(
     widths: &[usize],
     gain: f64,
@@ -42,7 +41,7 @@ pub fn residual_network(
     })
 }
 
-/// What is seen: quantities by their names in files, what they are of the eight numbers, and a size that they usually have.
+/// Input quantities: name in files, coefficients of the eight numbers, and a typical magnitude.
 const QUANTITIES: [(&str, [f64; 8], f64); 10] = [
     ("gap_ahead_m", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 16.0),
     ("gap_behind_m", [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 16.0),
@@ -56,12 +55,11 @@ const QUANTITIES: [(&str, [f64; 8], f64); 10] = [
     ("relative_speed_behind_mps", [0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0], 5.0),
 ];
 
-/// A network of any shape, functions and mapping.
+/// Creates a network of random shape, activations and mapping.
 pub fn any_network(seed: u64) -> NeuralController {
     any_network_with_file(seed).0
 }
 
-/// The same, and its file.
 pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
     let mut numbers = XorShiftRng(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
     let numbers = &mut numbers;
@@ -77,7 +75,6 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
         ];
         steps.push(NetworkLayer::Activation(bounded[random_below(3, numbers)].clone()));
     }
-    // A network that is bounded may need no cut.
     let low = if random_below(2, numbers) == 0 { -7.5 } else { -4.0 };
     let actor = NeuralController {
         inputs,
@@ -96,7 +93,6 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
     (actor, file)
 }
 
-/// Any functions between layers, and one answer at least.
 pub fn any_layers(inputs: usize, seed: u64) -> Vec<NetworkLayer> {
     random_layers(inputs, &mut XorShiftRng(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)).0
 }
@@ -105,7 +101,6 @@ fn random_layers(inputs: usize, numbers: &mut XorShiftRng) -> (Vec<NetworkLayer>
     let (mut steps, mut width) = (Vec::new(), inputs);
     for depth in 0..1 + random_below(3, numbers) {
         if depth > 0 {
-            // Two in a row, sometimes.
             for _ in 0..1 + random_below(6, numbers) / 5 {
                 steps.push(NetworkLayer::Activation(random_activation(width, numbers)));
             }
@@ -146,7 +141,6 @@ fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
         };
     };
     let offset = size * numbers.next_unit();
-    // Upside down, sometimes.
     let scale = if random_below(4, numbers) == 0 { -size } else { size };
     let absent = (name.contains("behind") && random_below(2, numbers) == 0).then(|| size * numbers.next_unit());
     let mut described = json!({ "quantity": name, "offset": offset, "scale": scale, "low": low, "high": high });
@@ -227,7 +221,6 @@ fn network_file(actor: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
     encode_file(&text, &tensors)
 }
 
-/// A file of a text and tensors: name, shape, numbers.
 pub fn encode_file(text: &Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Vec<u8> {
     let mut header = json!({ "__metadata__": { "crumple_network": text.to_string() } });
     let mut data = Vec::new();

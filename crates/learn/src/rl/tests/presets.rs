@@ -1,4 +1,4 @@
-//! What is wrong with a preset is said with file, line and field.
+//! Errors of a preset name file, line and field.
 
 use std::ops::Range;
 use std::path::Path;
@@ -9,14 +9,13 @@ use toml::de::{DeTable, DeValue};
 use crate::retrain::training_preset;
 use crate::rl::{PRESETS, TrainingConfig};
 
-/// All presets, and a file that names every field there is.
 fn presets() -> impl Iterator<Item = (&'static str, &'static str)> {
     const RETRAIN: &str = include_str!("../../retrain/preset.toml");
     assert!(training_preset().is_ok());
     PRESETS.into_iter().chain([("retrain", RETRAIN), ("all", include_str!("every-field.toml"))])
 }
 
-/// Every value in a text that is no table and no list: the path of its field, and where it stands.
+/// Returns the path and the position of every value of a text that is no table and no list.
 fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
     fn collect_value<'t>(path: &str, value: &Spanned<DeValue<'t>>, found: &mut Vec<(String, Range<usize>)>) {
         match value.get_ref() {
@@ -46,7 +45,7 @@ fn parse_error(text: &str) -> Option<String> {
     TrainingConfig::parse(text, Path::new("own.toml")).err().map(|error| error.to_string())
 }
 
-/// Each value of each preset, replaced by what it cannot be.
+/// Each value of each preset, replaced by an invalid one.
 #[test]
 fn whatever_is_spoiled_is_named_with_its_line() {
     for (preset, text) in presets() {
@@ -54,7 +53,7 @@ fn whatever_is_spoiled_is_named_with_its_line() {
         for (field, at) in leaf_values(text) {
             let is_number = text[at.clone()].parse::<f64>().is_ok();
             let spoils: &[&str] = match &*field {
-                // Any text that says something will do, or any that names a space.
+                // Any text is a valid name, and any non-empty text names a space.
                 "name" => &["3", "true", "[]", "\"\"", "\" \""],
                 field if field.ends_with("].space") => &["3", "true", "[]"],
                 _ if is_number => {
@@ -75,7 +74,7 @@ fn whatever_is_spoiled_is_named_with_its_line() {
     }
 }
 
-/// Each line of each preset, left out; and behind each line one that says what nobody knows.
+/// Each line of each preset, omitted; and after each line an unknown field.
 #[test]
 fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
     for (preset, text) in presets() {
@@ -88,7 +87,7 @@ fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
             let Some((key, _)) = line.split_once(" = ").filter(|_| !line.starts_with('#')) else { continue };
             let nested =
                 |table: &str, key: &str| if table.is_empty() { key.to_owned() } else { format!("{table}.{key}") };
-            // The path of a table of a list has its index.
+            // The path of a table of an array includes its index.
             let count = lines[..=header.0].iter().filter(|line| **line == lines[header.0]).count();
             let table = if lines[header.0].starts_with("[[") {
                 format!("{}[{}]", header.1, count - 1)
@@ -104,7 +103,7 @@ fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
             let without = [&lines[..index], &["# gone"], &lines[index + 1..]].concat().join("\n");
             let Some(said) = parse_error(&without) else { continue };
             if said.contains("missing field") {
-                // What the file as a whole lacks has no line of its own.
+                // Fields that the top level lacks have no line of their own.
                 let at = header.0 + 1;
                 let place = if table.is_empty() { String::new() } else { format!("{table}: ") };
                 let expected = format!("own.toml:{at}: {place}missing field `{key}`");
@@ -157,7 +156,7 @@ fn what_contradicts_itself_is_named() {
             "actor_rate = 1.3000000001",
             "learning.actor_rate: must be between 0 and 1, found 1.3000000001",
         ),
-        // What would be taken for 0, or for nothing, without a word.
+        // Values that would silently become 0 or have no effect.
         (
             fast,
             "actor_rate = 1e-4",
@@ -217,7 +216,7 @@ fn what_contradicts_itself_is_named() {
     }
 }
 
-/// What a file names is looked for only when it is drawn from, and still has the line that names it.
+/// A space file is read only when it is drawn from; the error still has the line that names it.
 #[test]
 fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
     let text = format!(

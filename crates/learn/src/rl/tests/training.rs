@@ -1,4 +1,4 @@
-//! Trainings that are interrupted, go astray, or run side by side, and the policy that one of them left.
+//! Trainings that are interrupted, diverge, or run in parallel, and the policy of one of them.
 
 use std::sync::{Arc, Mutex};
 
@@ -6,7 +6,7 @@ use crate::rl::*;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_store::program::{OTHER_BUILD_MESSAGE, identity};
 
-/// A small training that takes a second.
+/// Returns a training that takes a second.
 fn small_config() -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = vec![16, 16];
@@ -22,7 +22,7 @@ fn small_config() -> TrainingConfig {
 #[test]
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
     let mut config = small_config();
-    // What a training holds besides: its policy looks back, and is a mean of weights; its critics know more than it sees, and steps become smaller.
+    // Optional state of a training: history, mean of weights, privileged critics, decay of the learning rates.
     (config.environment.observation.history, config.environment.observation.history_every) = (3, 2);
     config.evaluation.weight_average_updates = 40;
     config.learning.privileged_critic = true;
@@ -72,7 +72,7 @@ fn checkpoints_of_another_training_are_refused() {
         let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperSource)).err().unwrap().to_string();
         assert!(error.contains(words), "{error}");
     };
-    // Any byte of the arrays, and numbers of the header that no array depends on.
+    // Any byte of the arrays, and numbers of the header on which no array depends.
     for place in [bytes.len() - 1, bytes.len() / 2] {
         let mut changed = bytes.clone();
         changed[place] ^= 1;
@@ -173,7 +173,7 @@ fn divergence_stops_with_a_message() {
     }
 }
 
-/// What values are too large follows the costs of what is drawn from, and not of spaces that a configuration only names.
+/// The limit of divergence follows the costs of the source, not of spaces that a configuration only names.
 #[test]
 fn divergence_is_judged_by_what_is_trained_on() {
     let mut config = small_config();
@@ -191,7 +191,6 @@ fn divergence_is_judged_by_what_is_trained_on() {
     let spaces = config.scenario_source().unwrap();
     let (of_paper, of_spaces) = (largest(Arc::new(PaperSource)), largest(Arc::clone(&spaces)));
     assert!((of_spaces / of_paper - 500.0).abs() < 1e-6, "{of_paper} {of_spaces}");
-    // However they are mixed.
     let mixed = CaseMixture::new(Vec::new(), 0.5, Arc::new(SourceMixture::new(Arc::new(PaperSource), 0.5, spaces)));
     assert_eq!(largest(Arc::new(mixed)), of_spaces);
 }

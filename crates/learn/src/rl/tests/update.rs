@@ -1,4 +1,4 @@
-//! The update against other formulations, and on a problem with a known optimum.
+//! The update compared with other formulations, and on a problem with a known optimum.
 
 use rand::{RngExt, SeedableRng};
 
@@ -7,13 +7,12 @@ use crate::rl::*;
 use crumple_world::policy::STATE_LEN;
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Numbers that the networks see: those of two decisions.
 const STATE_WIDTH: usize = 2 * STATE_LEN;
 
 fn config(hidden: &[usize]) -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = hidden.to_vec();
-    // Large output weights: every gradient is well above rounding.
+    // Large output weights keep every gradient well above rounding.
     config.network.final_layer_bound = 1.0;
     config.environment.observation.history = 2;
     config.learning.privileged_critic = true;
@@ -45,7 +44,7 @@ fn batch(seed: u64, count: usize) -> Batch {
     batch
 }
 
-/// Output of a network in double precision, straight from the definition.
+/// Returns the output of a network in double precision, from the definition.
 fn forward(sizes: &[usize], parameters: &[f64], input: &[f64]) -> f64 {
     let (mut value, mut rest) = (input.to_vec(), parameters);
     for (index, pair) in sizes.windows(2).enumerate() {
@@ -70,7 +69,6 @@ fn rows(values: &[f32]) -> impl Iterator<Item = Vec<f64>> {
     values.chunks_exact(STATE_WIDTH).map(to_f64)
 }
 
-/// Central differences of a loss at every parameter.
 fn central_differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     (0..parameters.len())
         .map(|index| {
@@ -97,7 +95,7 @@ fn assert_close(found: &[f32], expected: &[f64], tolerance: f64) {
 fn gradients_agree_with_finite_differences_in_double_precision() {
     let config = config(&[12, 7]);
     let mut learner = learner(&config, 3);
-    // Two updates part networks and targets.
+    // Two updates separate networks and targets.
     for seed in 0..2 {
         learner.update(&batch(seed, 16), &mut stream(0, Purpose::TargetNoise, 0));
     }
@@ -145,7 +143,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     assert_close(&actor_found, &central_differences(&actor, actor_loss), 2e-4);
 }
 
-/// Two states, told apart by the sign of the first number. The action is followed by the other state; in state ±1 the
+/// Two states, distinguished by the sign of the first number; each action leads to the other state. In state ±1 the
 /// reward is 1 - (a ∓ ½)². The optimum is a = ±½ with value 1 / (1 - γ) everywhere.
 #[test]
 fn the_optimum_of_a_two_state_problem_is_found() {
@@ -185,13 +183,13 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         let actions = learner.act(&[state(1.0), state(-1.0)].concat()).to_vec();
         assert!((actions[0] - 0.5).abs() < 0.05 && (actions[1] + 0.5).abs() < 0.05, "td3 {td3}: {actions:?}");
         let value = learner.update(&batch, &mut noise).mean_value;
-        // The batch's actions are random: their mean reward is 1 - E(a - ½)² = 1 - (1/3 + 1/4), what follows is optimal.
+        // Random actions have a mean reward of 1 - E(a - ½)² = 1 - (1/3 + 1/4); later actions are optimal.
         let expected = 1.0 - (1.0 / 3.0 + 0.25) + 0.8 / 0.2;
         assert!((value - expected).abs() < 0.4, "td3 {td3}: {value} {expected}");
     }
 }
 
-/// An update of wide networks is shared out among threads.
+/// Updates of wide networks use several threads.
 #[test]
 fn an_update_is_the_same_on_any_number_of_threads() {
     let (config, batch) = (config(&[192, 224]), batch(1, 400));

@@ -1,38 +1,38 @@
-//! Evidence: a claim, how strongly something speaks for it, and what that rests on.
+//! Evidence: a claim, its strength, and its source.
 
 use serde::{Deserialize, Serialize};
 
 use super::{AssuranceClaim, Strength};
 
-/// What speaks for a claim, or against it.
+/// Evidence for or against a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Evidence {
     /// The claim.
     pub claim: AssuranceClaim,
-    /// How strongly.
+    /// Strength of the evidence.
     #[serde(flatten)]
     pub strength: Strength,
-    /// What it rests on.
+    /// Source of the evidence.
     pub source: EvidenceSource,
 }
 
-/// Where evidence stands.
+/// The place of evidence in a report.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EvidenceSource {
-    /// The part of the report, by its anchor in the page.
+    /// Part of the report, by its anchor in the page.
     pub part: String,
-    /// What it is, in a few words.
+    /// Short description.
     pub what: String,
-    /// The file it rests on, from the folder of the report; none if it is the report itself.
+    /// Path of the file behind the evidence, relative to the report folder; absent if the report itself is the source.
     pub file: Option<String>,
     /// SHA-256 of that file, in hexadecimal.
     pub sha256: Option<String>,
 }
 
 impl EvidenceSource {
-    /// A part of the report.
+    /// Creates a source that is a part of the report.
     pub fn from_part(part: &str, what: impl Into<String>) -> Self {
         Self { part: part.to_owned(), what: what.into(), file: None, sha256: None }
     }

@@ -1,22 +1,22 @@
-//! The rules by which evidence speaks for claims that it does not equal.
+//! The rules that apply evidence to claims other than its own.
 
 use serde::{Deserialize, Serialize};
 
 use super::{AssuranceClaim, Evidence, Property, Strength};
 
-/// How evidence speaks for a claim. There is no other way; least of all by a name.
+/// An inference rule from evidence to a claim. Names play no role in any rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum InferenceRule {
-    /// It is the claim's own.
+    /// The evidence is about this claim.
     #[serde(rename = "own")]
     Direct,
-    /// A run in a part of the domain refutes what is said of every run of the whole.
+    /// A run in a part of the domain refutes a claim about every run of the whole.
     RefutedInPart,
-    /// What refutes a weaker property refutes the stronger one.
+    /// A refutation of a weaker property refutes the stronger one.
     RefutedByWeaker,
-    /// What is proved holds in every part of the domain, and of weaker properties.
+    /// A proof holds in every part of its domain, and for weaker properties.
     ProofCovers,
     /// Proofs of all parts prove the whole.
     ProofsOfParts,
@@ -25,11 +25,11 @@ pub enum InferenceRule {
 }
 
 impl InferenceRule {
-    /// All rules but the first, in the order of the report.
+    /// All rules except `Direct`, in the order of the report.
     pub const DERIVED: [Self; 5] =
         [Self::RefutedInPart, Self::RefutedByWeaker, Self::ProofCovers, Self::ProofsOfParts, Self::BoundsDecide];
 
-    /// The rule in a sentence.
+    /// Describes the rule in a sentence.
     #[must_use]
     pub fn describe(self) -> &'static str {
         match self {
@@ -53,7 +53,7 @@ impl InferenceRule {
         }
     }
 
-    /// What `evidence` says of `claim`, and by which rule; nothing if it says nothing.
+    /// Returns the strength that `evidence` gives to `claim`, and the rule; `None` if it has no bearing on the claim.
     pub(super) fn apply(evidence: &Evidence, claim: &AssuranceClaim) -> Option<(Self, Strength)> {
         let (own, strength) = (&evidence.claim, &evidence.strength);
         if own.subject != claim.subject || *strength == Strength::Untried {

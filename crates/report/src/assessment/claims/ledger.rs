@@ -1,4 +1,4 @@
-//! All evidence of an assessment, and how claims stand by it.
+//! All evidence of an assessment, and the resulting status of claims.
 
 use std::cmp::Ordering;
 
@@ -14,37 +14,37 @@ pub struct Ledger {
     evidence: Vec<Evidence>,
 }
 
-/// How a claim stands.
+/// The status of a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimStatus {
-    /// The strongest that is known of it.
+    /// Strongest known support or refutation.
     #[serde(flatten)]
     pub strength: Strength,
-    /// How that follows; none if nothing is known.
+    /// Rule that leads to the strength; absent without evidence.
     pub rule: Option<InferenceRule>,
-    /// Which evidence says so, by its place in the ledger.
+    /// Indices in the ledger of the evidence behind the strength.
     pub evidence: Vec<usize>,
-    /// What other evidence says of the same claim.
+    /// Other evidence about the same claim.
     #[serde(rename = "beside")]
     pub secondary: Vec<SecondaryEvidence>,
 }
 
-/// What is known of a claim besides.
+/// Further evidence about a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SecondaryEvidence {
-    /// What it says.
+    /// Strength of the evidence.
     #[serde(flatten)]
     pub strength: Strength,
-    /// How that follows.
+    /// Rule that leads to the strength.
     pub rule: InferenceRule,
-    /// Which evidence, by its place in the ledger.
+    /// Index of the evidence in the ledger.
     pub evidence: usize,
 }
 
 impl SecondaryEvidence {
-    /// Whether it is what a count says, so that one of several has to be chosen without regard to what it says.
+    /// True for the result of a count: one of several counts must be chosen independently of its result.
     fn is_counted(&self) -> bool {
         self.rule == InferenceRule::BoundsDecide
             || matches!(self.strength, Strength::Counted { .. } | Strength::NotShownByCounting { .. })
@@ -52,14 +52,13 @@ impl SecondaryEvidence {
 }
 
 impl Default for ClaimStatus {
-    /// Of what nothing is known.
     fn default() -> Self {
         Self { strength: Strength::Untried, rule: None, evidence: Vec::new(), secondary: Vec::new() }
     }
 }
 
 impl ClaimStatus {
-    /// How the claim stands, and what else is said of it.
+    /// Describes the status and the further evidence.
     #[must_use]
     pub fn describe(&self) -> String {
         let others = self.secondary.iter().map(|beside| beside.strength.describe());
@@ -78,20 +77,20 @@ impl ClaimStatus {
 }
 
 impl Ledger {
-    /// A ledger of all this.
+    /// Creates a ledger of this evidence.
     #[must_use]
     pub fn new(evidence: Vec<Evidence>) -> Self {
         Self { evidence }
     }
 
-    /// All evidence, in its order.
+    /// Returns all evidence, in its order.
     #[must_use]
     pub fn evidence(&self) -> &[Evidence] {
         &self.evidence
     }
 
-    /// How a claim stands: the strongest reading of the evidence, the others beside it. Where one reading says that the claim
-    /// holds, not only that it was tried, and another that it does not, it is [`Strength::Contradicted`].
+    /// Returns the status of a claim: the strongest evidence, with all other evidence beside it. If some evidence
+    /// asserts the claim (testing alone does not) and some refutes it, the status is [`Strength::Contradicted`].
     #[must_use]
     pub fn claim_status(&self, claim: &AssuranceClaim) -> ClaimStatus {
         let read = |(place, evidence)| {
@@ -108,7 +107,7 @@ impl Ledger {
             let is_free = !one.is_counted() || one.strength.is_refutation();
             if is_free || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
         };
-        // The strongest first; of equals the first in the ledger.
+        // Strongest first; the sort is stable, so ties keep the order of the ledger.
         all.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         let holds = united.is_some() || all.iter().any(|one| one.strength.is_assurance());
         let refuted: Vec<_> = all.iter().filter(|one| one.strength.is_refutation()).map(|one| one.evidence).collect();
@@ -128,7 +127,7 @@ impl Ledger {
         ClaimStatus { strength, rule: Some(rule), evidence: vec![evidence], secondary: all }
     }
 
-    /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
+    /// True if two pieces of evidence give disjoint bounds on the rate of a claim.
     fn has_disjoint_bounds(&self, claim: &AssuranceClaim) -> bool {
         if !matches!(claim.property, Property::RateAtMost { .. }) {
             return false;
@@ -145,9 +144,9 @@ impl Ledger {
         lower > upper
     }
 
-    /// Which count decides a claim, where there are several: not the one that happens to please, for the best of many counts
-    /// is right less often than each. What decides was fixed before anything was counted: the highest confidence, as it is
-    /// shown, then the most runs; of equals the least favourable.
+    /// Returns the index of the count that decides a claim. Choosing the best of several would lose its confidence
+    /// level, so parameters fixed before counting decide: confidence level as shown, then runs. Ties go to the least
+    /// favourable.
     fn deciding_count(&self, readings: &[SecondaryEvidence]) -> Option<usize> {
         let counts = readings.iter().filter(|one| one.is_counted()).filter_map(|one| {
             let fixed = CountPriority::from_strength(&self.evidence.get(one.evidence)?.strength)?;
@@ -156,7 +155,6 @@ impl Ledger {
         counts.max_by(|(_, a), (_, b)| a.compare(b)).map(|(place, _)| place)
     }
 
-    /// The proofs that cover all scenarios of a claim together, if no single one does.
     fn combine_partial_proofs(&self, claim: &AssuranceClaim) -> Option<(Strength, Vec<usize>)> {
         let Domain::Scenarios { about, all } = &claim.domain else { return None };
         let proof_of = |scenario| {
@@ -175,7 +173,6 @@ impl Ledger {
     }
 }
 
-/// What was fixed of a count before it began, and how unfavourable it came out.
 struct CountPriority {
     confidence_percent: f64,
     runs: u64,

@@ -1,9 +1,8 @@
-//! What is claimed, by what it is supported, and what follows from what.
+//! Claims, their evidence, and inference between claims.
 //!
-//! A claim is a subject, a property and a domain, and is compared by what these are: the subject by the hash of all that
-//! decides how it drives, the domain by the hash of the scenarios or the space. Names are for readers. Evidence is a claim
-//! with a strength; it speaks for the claim that it equals, and for others only by a [`Rule`]. The [`Ledger`] holds all
-//! evidence of an assessment and is the only one to say how a claim stands.
+//! A claim has a subject, a property and a domain, which are compared by hashes of their content. Names are for
+//! readers. Evidence is a claim with a strength. It supports the claim that it equals, and others only by an
+//! [`InferenceRule`]. The [`Ledger`] holds all evidence of an assessment and alone determines the status of a claim.
 
 mod evidence;
 mod inference_rule;
@@ -21,31 +20,31 @@ pub use inference_rule::InferenceRule;
 pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
-/// Something with a name for readers and a hash to compare by.
+/// A name for readers and a hash for comparison.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ContentId {
-    /// What readers call it.
+    /// Name for readers.
     pub name: String,
-    /// SHA-256, in hexadecimal, of everything that it is.
+    /// SHA-256 of the content, in hexadecimal.
     pub sha256: String,
 }
 
 impl ContentId {
-    /// Something whose content is known.
+    /// Creates an identifier from the content.
     pub fn new(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
         Self { name: name.into(), sha256: sha256(content) }
     }
 
-    /// A scenario with every field that it states, its seed among them; fields that it leaves out do not count, so that it stays
-    /// what it is when the format grows.
+    /// Creates an identifier from all fields that a scenario states. New optional fields of the format do not change
+    /// it.
     pub fn from_scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
         let spec = scenario.spec();
         Self::new(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
     }
 }
 
-/// By hash alone: a name proves nothing.
+/// Compares hashes only: names are not evidence.
 impl PartialEq for ContentId {
     fn eq(&self, other: &Self) -> bool {
         self.sha256 == other.sha256
@@ -54,117 +53,117 @@ impl PartialEq for ContentId {
 
 impl Eq for ContentId {}
 
-/// Who a claim is about: a controller with its parameters and its shield, and what it looks through.
+/// The subject of a claim: a controller with its parameters and shield, and its estimator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Subject {
-    /// The controller, by the identity of all that decides how it drives.
+    /// Controller, identified by everything that affects its driving.
     pub controller: ContentId,
-    /// What it looks through.
+    /// Estimator of the controller.
     pub estimator: EstimatorKind,
 }
 
-/// What is said of a subject in a domain.
+/// A property that a claim asserts of its subject in a domain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Property {
-    /// No vehicle under test touches another, and its controller does not fail.
+    /// No vehicle under test collides, and its controller does not fail.
     NoContact,
-    /// No vehicle under test touches the one ahead.
+    /// No vehicle under test collides with its leader.
     NoContactAhead,
-    /// The share of runs in which the first does not hold; evidence only, since it says of no number whether it is held.
+    /// Failure rate: share of runs that violate `NoContact`. For evidence only, because it states no limit.
     FailureRate,
-    /// That share is at most this.
+    /// The failure rate is at most this.
     RateAtMost {
-        /// In percent.
+        /// Limit in percent.
         percent: Rounded<2>,
     },
-    /// It fails in fewer of the same runs than another.
+    /// The subject fails in fewer of the same runs than another controller.
     FailsLessOften {
-        /// The other, through the same estimator.
+        /// Other controller, with the same estimator.
         than: ContentId,
     },
-    /// It never brakes without a cause.
+    /// No unnecessary braking.
     #[serde(rename = "no_needless_braking")]
     NoUnnecessaryBraking,
-    /// It is never left behind by a vehicle ahead that drives on.
+    /// The subject never falls behind a leader that drives on.
     KeepsUp,
-    /// It passes every test of a suite that can be run.
+    /// The subject passes every test of a suite that can be run.
     PassesTests,
-    /// No two vehicles touch that are both not under test.
+    /// No collision of two vehicles that are both not under test.
     OthersKeepClear,
-    /// A line of vehicles with it makes a disturbance no larger from one to the next.
+    /// String stability: a disturbance does not grow from vehicle to vehicle in a line of these controllers.
     StringStable,
-    /// It keeps a rule.
+    /// The subject satisfies a specification.
     #[serde(rename = "keeps")]
     Satisfies {
-        /// The rule, as `--spec` takes it.
+        /// Specification, in the syntax of `--spec`.
         rule: String,
     },
 }
 
-/// Where something is claimed.
+/// The domain of a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Domain {
-    /// These scenarios.
+    /// Listed scenarios.
     Scenarios {
-        /// What they are, in words.
+        /// Description in words.
         #[serde(rename = "are")]
         about: UncomparedText,
-        /// Each of them.
+        /// Scenarios of the domain.
         all: Vec<ContentId>,
     },
-    /// The first draws of a space under a seed.
+    /// First random scenarios of a scenario space under a seed.
     Draws {
-        /// The space.
+        /// Scenario space.
         space: ContentId,
-        /// The seed.
+        /// Seed.
         seed: u64,
-        /// How many.
+        /// Number of random scenarios.
         draws: u64,
     },
-    /// All that a space can draw; of a rate, by the law of the space.
+    /// All scenarios of a scenario space; for a rate, with the probability distribution of the space.
     Space {
-        /// The space.
+        /// Scenario space.
         space: ContentId,
     },
-    /// The points of a space that a search tried.
+    /// Points of a scenario space that a search tried.
     Search {
-        /// The space.
+        /// Scenario space.
         space: ContentId,
-        /// The seed.
+        /// Seed.
         seed: u64,
-        /// Evaluations of each method.
+        /// Simulations of each method.
         budget: u64,
     },
-    /// Tests after a document, at the points that a suite has and those that were searched within its ranges.
+    /// Tests of a suite, at its fixed points and at those searched within its ranges.
     Suite {
-        /// The suite.
+        /// Suite.
         suite: ContentId,
     },
-    /// A box of starts and braking, with a follower and bounds on what is seen.
+    /// A box of initial states and braking, with a follower and bounds on the observation error.
     Box {
-        /// All of it.
+        /// Content of the box.
         around: ContentId,
     },
-    /// A scenario, with any braking of its leader within what that can do.
+    /// A scenario with any braking of its leader that the leader's limits allow.
     AnyLeaderBraking {
-        /// The scenario.
+        /// Scenario.
         scenario: ContentId,
     },
-    /// Any start inside the kernels of these brake limits, with what a shield takes for granted.
+    /// Any initial state inside the safety kernels of these brake limits, under the assumptions of the shield.
     Kernels {
-        /// Limits of the own vehicle and of the one ahead, on a dry road, each pair in m/s².
+        /// Brake limits of the ego vehicle and of its leader, on a dry road, each pair in m/s².
         limits_mps2: Vec<[Rounded<6>; 2]>,
     },
 }
 
-/// Words that are equal to all words: for readers only.
+/// Text for readers only: any two values are equal.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
@@ -176,20 +175,20 @@ impl PartialEq for UncomparedText {
     }
 }
 
-/// What is said of whom, and where.
+/// A claim: a property of a subject in a domain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssuranceClaim {
-    /// Who.
+    /// Subject of the claim.
     pub subject: Subject,
-    /// What.
+    /// Asserted property.
     pub property: Property,
-    /// Where.
+    /// Domain of the claim.
     pub domain: Domain,
 }
 
 impl Property {
-    /// What is claimed, without of whom and where.
+    /// Describes the property, without subject and domain.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
@@ -207,7 +206,6 @@ impl Property {
         }
     }
 
-    /// What it means that it does not hold, without of whom and where.
     #[must_use]
     pub(crate) fn describe_violation(&self) -> String {
         match self {
@@ -225,13 +223,12 @@ impl Property {
         }
     }
 
-    /// Whether what holds of this holds of `weaker`.
     #[must_use]
     pub(crate) fn implies(&self, weaker: &Self) -> bool {
         self == weaker || (*self == Self::NoContact && *weaker == Self::NoContactAhead)
     }
 
-    /// Whether it is said of every run of a domain, so that one run refutes it.
+    /// True for a property of every run of a domain: one run refutes it.
     #[must_use]
     pub(crate) fn is_universal(&self) -> bool {
         matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking | Self::Satisfies { .. })
@@ -239,7 +236,7 @@ impl Property {
 }
 
 impl Domain {
-    /// Where something is claimed, as it follows the property.
+    /// Describes the domain, to follow the description of the property.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
@@ -265,7 +262,6 @@ impl Domain {
         }
     }
 
-    /// Whether `part` lies in this one, all of it.
     #[must_use]
     pub(crate) fn covers(&self, part: &Self) -> bool {
         match (self, part) {
@@ -279,15 +275,15 @@ impl Domain {
 }
 
 impl AssuranceClaim {
-    /// Where, as it follows the property.
+    /// Describes the domain, to follow the description of the property.
     #[must_use]
     pub fn describe_domain(&self) -> String {
         match (&self.property, &self.domain) {
-            // A rate is that of the law, not of single points.
+            // A rate refers to the probability distribution, not to single points.
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
                 format!("by the law of `{}`", space.name)
             }
-            // Through a filter a shield takes for granted that the truth is near.
+            // The shield assumes a bounded estimation error.
             (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
                 format!("{}, while its filter is off by no more than the shield allows for", self.domain.describe())
             }
@@ -295,7 +291,7 @@ impl AssuranceClaim {
         }
     }
 
-    /// The claim without its subject.
+    /// Describes the claim, without its subject.
     #[must_use]
     pub fn describe(&self) -> String {
         format!("{} {}", self.property.describe(), self.describe_domain())

@@ -1,4 +1,4 @@
-//! How strongly a claim is supported.
+//! The strength of evidence for a claim.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,144 +6,143 @@ use crate::assessment::Rounded;
 use crate::assessment::table::CellMark;
 use crumple_world::sim::FailedControllerRuns;
 
-/// Least confidence, in percent, with which counting decides a claim.
+/// Minimum confidence level, in percent, at which a count decides a claim.
 pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;
 
-/// How strongly a claim is supported.
+/// The strength of evidence for a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "strength", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Strength {
-    /// The checker accepted the certificates in this run; it holds under the assumptions that go with them.
+    /// The checker accepted the certificates in this run; valid under their assumptions.
     Proved {
-        /// How many certificates.
+        /// Number of certificates.
         certificates: usize,
     },
-    /// It held whenever it was tried, so many times; that is all that is known.
+    /// The property held in all runs; nothing more is known.
     Tested {
-        /// How often it was tried, at least once.
+        /// Number of runs, at least one.
         runs: u64,
     },
-    /// The share of failures lies between these, with the stated confidence.
+    /// The failure rate lies between these bounds, at the stated confidence level.
     Between {
         /// Lower bound in percent, rounded down.
         lower_percent: Rounded<2>,
         /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
-        /// Confidence of each bound, in percent.
+        /// Confidence level of each bound, in percent.
         confidence_percent: Rounded<1>,
-        /// On how many runs they rest.
+        /// Number of runs behind the bounds.
         runs: u64,
     },
-    /// The share of failures is at most this, with the stated confidence.
+    /// The failure rate is at most this, at the stated confidence level.
     Bounded {
         /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
-        /// Confidence of the bound, in percent.
+        /// Confidence level of the bound, in percent.
         confidence_percent: Rounded<1>,
     },
-    /// The share of failures is more than claimed, with the stated confidence.
+    /// The failure rate exceeds the claimed one, at the stated confidence level.
     Exceeded {
         /// Lower bound in percent, rounded down.
         lower_percent: Rounded<2>,
-        /// Confidence of the bound, in percent.
+        /// Confidence level of the bound, in percent.
         confidence_percent: Rounded<1>,
     },
-    /// The bounds lie on both sides of what is claimed.
+    /// The claimed rate lies between the bounds.
     Undecided {
         /// Lower bound in percent, rounded down.
         lower_percent: Rounded<2>,
         /// Upper bound in percent, rounded up.
         upper_percent: Rounded<2>,
-        /// Confidence of each bound, in percent.
+        /// Confidence level of each bound, in percent.
         confidence_percent: Rounded<1>,
     },
-    /// It follows from counted runs, with the stated confidence.
+    /// Counted runs show the claim, at the stated confidence level.
     Counted {
-        /// The confidence, in percent.
+        /// Confidence level, in percent.
         confidence_percent: Rounded<1>,
-        /// How many runs.
+        /// Number of runs.
         runs: u64,
     },
-    /// Runs were counted to show it with that confidence, and did not.
+    /// Counted runs do not show the claim at that confidence level.
     #[serde(rename = "counted_in_vain")]
     NotShownByCounting {
-        /// The confidence, in percent.
+        /// Confidence level, in percent.
         confidence_percent: Rounded<1>,
-        /// How many runs.
+        /// Number of runs.
         runs: u64,
     },
-    /// How often it and another failed in the same runs.
+    /// Failures of the subject and of another controller in the same runs.
     Compared {
-        /// How often it failed.
+        /// Failures of the subject.
         own: u64,
-        /// How often the other did.
+        /// Failures of the other controller.
         other: u64,
-        /// Of so many runs.
+        /// Number of runs.
         runs: u64,
     },
-    /// It failed: there are runs to show for it.
+    /// The subject failed in some runs.
     Refuted {
-        /// How often.
+        /// Number of failures.
         failures: u64,
-        /// Of so many tries.
+        /// Number of runs.
         runs: u64,
     },
-    /// Its controller gave no answer in some runs, which ended there: these are failures of the controller, and no contacts, no braking and
-    /// no driving of which anything could be said.
+    /// The controller gave no answer in some runs, which are failures but no evidence about collisions or braking.
     Unanswered {
-        /// In how many.
+        /// Number of runs without an answer.
         unanswered: u64,
-        /// How many others refute the claim.
+        /// Number of other runs that refute the claim.
         failures: u64,
-        /// Of so many runs in all.
+        /// Number of runs in all.
         runs: u64,
-        /// When the first of them ended, and why.
+        /// Time and reason of the first failure to answer.
         because: String,
-        /// Whether that refutes the claim by itself: it does where a controller that fails is what is claimed not to be.
+        /// True if a failure to answer refutes the claim by itself, because the claim excludes such failures.
         refutes: bool,
     },
-    /// The other controller gave no answer in so many of the runs that this does not show which of the two fails less often.
+    /// The other controller gave no answer in so many runs that the comparison is open.
     OtherUnanswered {
-        /// In how many.
+        /// Number of runs without an answer.
         unanswered: u64,
-        /// Of so many runs.
+        /// Number of runs in all.
         runs: u64,
-        /// When the first of them ended, and why.
+        /// Time and reason of the first failure to answer.
         because: String,
     },
-    /// A search made it fail.
+    /// A search found counterexamples.
     #[serde(rename = "found")]
     Falsified {
-        /// In how many distinct ways.
+        /// Number of distinct counterexamples.
         failures: usize,
-        /// How many of them another driver would have avoided.
+        /// Number of those that another driver would have avoided.
         avoidable: usize,
-        /// Of those in which the controller gave no answer: when and why, in the severest.
+        /// Time and reason, if the controller gave no answer in the severest counterexample.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         because: Option<String>,
     },
-    /// A braking of the leader makes it fail.
+    /// A braking profile of the leader makes the subject fail.
     #[serde(rename = "defeated")]
     AttackFound {
-        /// The hardest deceleration of the mildest one found, in m/s².
+        /// Hardest deceleration of the mildest profile found, in m/s².
         peak_brake_mps2: Rounded<2>,
     },
-    /// The checker accepted a certificate about part of a box of starts.
+    /// The checker accepted a certificate about part of a box of initial states.
     #[serde(rename = "proved_in")]
     PartlyProved {
-        /// The part, in percent, rounded down.
+        /// Share of the box in percent, rounded down.
         share_percent: Rounded<2>,
     },
-    /// Some evidence says that it holds and some that it does not: one of them is wrong.
+    /// Some evidence asserts the claim and some refutes it: one piece is wrong.
     Contradicted,
-    /// There is no evidence for it or against it.
+    /// No evidence for or against the claim.
     Untried,
 }
 
 impl Strength {
-    /// Of the claim that nothing fails, after `failures` in `runs`.
+    /// Returns the strength of the claim that no run fails, after `failures` in `runs`.
     #[must_use]
     pub fn from_counts(failures: u64, runs: u64) -> Self {
         match (failures, runs) {
@@ -153,8 +152,8 @@ impl Strength {
         }
     }
 
-    /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
-    /// is a failure (`refutes`); of one about how it drives, nothing to go by.
+    /// Returns the strength where the controller gave no answer in some runs, which do not count among the `failures`.
+    /// Such a run refutes a claim about collisions (`refutes`); about other properties it is no evidence.
     #[must_use]
     pub(crate) fn from_counts_with_unanswered(
         failures: u64,
@@ -170,8 +169,8 @@ impl Strength {
         }
     }
 
-    /// Of the claim that it fails in fewer of the same runs than another: how often each did, and how many of its runs were cut
-    /// short, of which it is not known how they would have ended.
+    /// Returns the strength of the claim to fail in fewer of the same runs than another controller. The arguments are
+    /// the failures of each, and the number of its runs that ended early, whose results are unknown.
     #[must_use]
     pub(crate) fn from_paired_counts(
         [own, own_cut_short]: [u64; 2],
@@ -190,11 +189,11 @@ impl Strength {
         }
     }
 
-    /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
+    /// Returns the strength that bounds give to a rate of at most `percent`; `None` unless `self` is `Between`.
     #[must_use]
     pub(crate) fn decide_rate_claim(&self, percent: f64) -> Option<Self> {
         let Self::Between { lower_percent, upper_percent, confidence_percent, .. } = *self else { return None };
-        // Rounded outwards, so that what is shown decides. A bound of little confidence decides nothing.
+        // The shown numbers decide: they are rounded outwards.
         Some(if confidence_percent.value() < MIN_CONFIDENCE_PERCENT {
             Self::Undecided { lower_percent, upper_percent, confidence_percent }
         } else if upper_percent.value() <= percent {
@@ -206,7 +205,6 @@ impl Strength {
         })
     }
 
-    /// Whether it says that the claim does not hold.
     #[must_use]
     pub(crate) fn is_refutation(&self) -> bool {
         match self {
@@ -217,14 +215,14 @@ impl Strength {
         }
     }
 
-    /// Whether it says that the claim holds, and not only that it was tried.
+    /// True if the claim is shown to hold, not only tested.
     #[must_use]
     pub(crate) fn is_assurance(&self) -> bool {
         matches!(self, Self::Proved { .. } | Self::Bounded { .. } | Self::Counted { .. })
     }
 
-    /// By what two readings of one claim are ordered: a refutation before everything, then proofs, bounds, tests. Within
-    /// one kind the sharper bound and the larger test.
+    /// Returns the rank among evidence of one claim: refutations, then proofs, bounds, tests. Within one kind, sharper
+    /// bounds and larger tests rank higher.
     pub(in crate::assessment) fn weight(&self) -> f64 {
         let within = |value: f64| value.max(0.0) / (1.0 + value.max(0.0));
         match self {
@@ -309,7 +307,7 @@ impl Strength {
         }
     }
 
-    /// How good it is to hear, for comparisons: what is refuted, what is not known, what was tried, what is proved.
+    /// Returns a rank for comparisons of assessments: 0 refuted, 1 undecided, 2 tested or bounded, 3 proved.
     pub(in crate::assessment) fn rank(&self) -> u8 {
         match self {
             Self::Proved { .. } => 3,

@@ -1,4 +1,4 @@
-//! The first page: what was asked, what the answer is, and what to look at first.
+//! The first page: the question, the answer, and the main reasons.
 
 use maud::html;
 use serde::Serialize;
@@ -14,38 +14,37 @@ use crate::assessment::{AssessmentPlan, GateResult, ReportPart};
 use crate::draw::Svg;
 use crumple_core::quoting::TerminalText;
 
-/// The answer to the question whether the subject touches others.
+/// The answer to the question of whether the subject collides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum SafetyAnswer {
-    /// There are runs in which it fails.
+    /// The subject fails in some runs.
     NotSafe,
-    /// No run failed, and how rarely one does is bounded or proved where it was looked.
+    /// No run failed, and bounds or proofs cover the domains considered.
     SafeInDomain,
-    /// No run failed, and no more is known; or what is known contradicts itself.
+    /// No run failed and nothing more is known, or the evidence is contradictory.
     Undecided,
 }
 
-/// The first page.
+/// The first page of a report.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FirstPage {
-    /// What was asked.
+    /// Question in words.
     pub question: String,
-    /// The answer.
+    /// Answer to the question.
     pub answer: SafetyAnswer,
-    /// It in words that may be quoted.
+    /// Answer in words that can be quoted.
     #[serde(rename = "words")]
     pub answer_text: String,
-    /// What speaks against the subject, the gravest first.
+    /// Evidence against the subject, the gravest first.
     pub against: Vec<String>,
-    /// What speaks for it, the strongest first.
+    /// Evidence for the subject, the strongest first.
     pub speaks_for: Vec<String>,
-    /// What is taken for granted.
+    /// Assumptions of the assessment.
     pub assumed: Vec<&'static str>,
-    /// The gates, which in JSON are part of the summary.
     #[serde(skip)]
     pub(in crate::assessment) gates: Vec<GateResult>,
     #[serde(skip)]
@@ -54,7 +53,6 @@ pub struct FirstPage {
     both_sides_figure: Option<Svg>,
 }
 
-/// Failures that are shown.
 const MAX_FAILURES_SHOWN: usize = 3;
 
 impl FirstPage {
@@ -79,7 +77,7 @@ impl FirstPage {
         let chosen = |wanted: &dyn Fn(&ClaimStatus) -> bool| -> Vec<(&str, &AssuranceClaim, &ClaimStatus)> {
             claims.iter().copied().filter(|(_, _, standing)| wanted(standing)).collect()
         };
-        // What is refuted because a part of it is stands there already.
+        // Omit claims that are refuted only because a part of them is: the part is listed.
         let against: Vec<_> = chosen(&|standing| {
             (standing.strength.is_refutation() && standing.rule != Some(InferenceRule::RefutedInPart))
                 || matches!(standing.strength, Strength::Contradicted | Strength::Unanswered { .. })
@@ -115,7 +113,7 @@ impl FirstPage {
             against,
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
-            // Gates judge all other parts, so that they are known last.
+            // Filled in later, because gates evaluate all other parts.
             gates: Vec::new(),
             worst_failures: searches.worst_failures(subject, MAX_FAILURES_SHOWN),
             both_sides_figure: usefulness.map(|usefulness| usefulness.figure("both-sides")),
@@ -123,7 +121,7 @@ impl FirstPage {
     }
 }
 
-/// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
+/// Returns a sentence on failing less often than the first controller; empty if the subject is the first.
 fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> String {
     let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
@@ -142,13 +140,12 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, 
     }
 }
 
-/// Whether it is an answer to the question, through the estimator that was asked about.
 fn is_relevant_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> bool {
     matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
         && claim.subject.estimator == plan.config.estimator
 }
 
-/// What a claim that does not hold comes to, what happens before how often.
+/// Describes a claim that does not hold: the violation first, then its frequency.
 fn describe_refutation(words: &str, claim: &AssuranceClaim, standing: &ClaimStatus) -> String {
     if let (Domain::AnyLeaderBraking { scenario }, Strength::AttackFound { peak_brake_mps2 }) =
         (&claim.domain, &standing.strength)
@@ -157,7 +154,7 @@ fn describe_refutation(words: &str, claim: &AssuranceClaim, standing: &ClaimStat
         return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
     }
     let strength = standing.strength.describe();
-    // Nothing of what is claimed not to happen did.
+    // No violation occurred; the controller only failed to answer.
     if let Strength::Unanswered { failures: 0, refutes: true, .. } = standing.strength {
         return format!(
             "a controller without an answer {}: it {}",
@@ -178,8 +175,8 @@ fn describe_refutation(words: &str, claim: &AssuranceClaim, standing: &ClaimStat
 }
 
 impl SafetyAnswer {
-    /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
-    /// ahead alone, answers nothing.
+    /// Derives the answer. A failed run outweighs all other evidence; claims of another estimator or only the leader do
+    /// not count.
     fn new(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> Self {
         let about = claims.iter().filter(|(_, claim, _)| is_relevant_claim(plan, claim));
         let about: Vec<_> = about.map(|(.., standing)| *standing).collect();
@@ -197,7 +194,7 @@ impl SafetyAnswer {
         }
     }
 
-    /// In words that may be quoted without the rest: with the domain and the strength of what is said.
+    /// Describes the answer with its domain and strength, so that it can be quoted alone.
     fn describe(
         self,
         plan: &AssessmentPlan,
@@ -250,7 +247,7 @@ impl SafetyAnswer {
 }
 
 impl FirstPage {
-    /// Question, answer and reasons, for a terminal.
+    /// Returns question, answer and reasons as text for a terminal.
     #[must_use]
     pub fn to_plain_text(&self) -> String {
         let list = |head: &str, lines: &[String]| {
@@ -261,7 +258,7 @@ impl FirstPage {
         text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
     }
 
-    /// Returns the gates and whether each holds, for the end of a terminal's output; nothing if there are none.
+    /// Returns the gates and their results, as text for a terminal; empty without gates.
     #[must_use]
     pub fn gates_to_plain_text(&self) -> String {
         let line = |gate: &GateResult| {
@@ -272,7 +269,6 @@ impl FirstPage {
         if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.describe_gates()) }
     }
 
-    /// How many gates hold.
     fn describe_gates(&self) -> String {
         let holding = self.gates.iter().filter(|gate| gate.holds).count();
         match (holding, self.gates.len()) {

@@ -1,7 +1,7 @@
-//! The argument in Goal Structuring Notation (GSN Community Standard, version 3, with its dialectic extension).
+//! The safety case in Goal Structuring Notation (GSN Community Standard, version 3, with its dialectic extension).
 //!
-//! Goals are the claims of the verdict about one controller; solutions are the evidence for them; a counterexample is a goal
-//! that challenges a claim, which is then defeated. Nothing here is stated that another part does not show.
+//! Goals are claims about one controller; solutions are their evidence. A counterexample is a goal that challenges and
+//! defeats a claim.
 
 use std::fmt::Write;
 
@@ -18,11 +18,11 @@ use crate::assessment::table::CellMark;
 use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_core::quoting::TerminalText;
 
-/// The argument, its elements in the order of their identifiers' numbers.
+/// The safety case, with elements in the order of their numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Argument {
-    /// Its elements; the first one is the top goal.
+    /// Elements; the first one is the top goal.
     pub elements: Vec<GsnElement>,
 }
 
@@ -30,27 +30,27 @@ pub struct Argument {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GsnElement {
-    /// Identifier, its first letters saying what it is.
+    /// Identifier, whose letters state the kind.
     pub id: String,
-    /// What it is.
+    /// Kind of the element.
     pub kind: GsnElementKind,
-    /// What it says.
+    /// Statement of the element.
     pub text: String,
-    /// Identifiers of what supports it.
+    /// Identifiers of the supporting elements.
     pub supported_by: Vec<String>,
-    /// Identifiers of contexts and assumptions it holds in.
+    /// Identifiers of the contexts and assumptions.
     pub in_context_of: Vec<String>,
-    /// Identifier of what it challenges, if it does.
+    /// Identifier of the challenged element, if any.
     pub challenges: Option<String>,
-    /// Whether a challenge has defeated it.
+    /// True if a challenge has defeated the element.
     pub defeated: bool,
-    /// Whether nothing supports it yet.
+    /// True if no element supports it yet.
     pub undeveloped: bool,
-    /// Where its evidence stands, from the folder of the report.
+    /// Location of the evidence, relative to the report folder.
     pub url: Option<String>,
 }
 
-/// What an element is.
+/// The kind of an element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -58,13 +58,13 @@ pub struct GsnElement {
 pub enum GsnElementKind {
     /// A claim.
     Goal,
-    /// How a claim follows from others.
+    /// An inference from claims to a claim.
     Strategy,
     /// Evidence.
     Solution,
-    /// What the argument speaks about.
+    /// The context of the argument.
     Context,
-    /// What is taken for granted.
+    /// An assumption.
     Assumption,
 }
 
@@ -80,7 +80,6 @@ impl GsnElementKind {
     }
 }
 
-/// An argument on its way: elements get their numbers as they come.
 #[derive(Default)]
 struct ArgumentBuilder {
     elements: Vec<GsnElement>,
@@ -114,7 +113,6 @@ impl ArgumentBuilder {
         self.update(id, |element| element.supported_by.push(by));
     }
 
-    /// A goal below a strategy, with what speaks for it or against it.
     fn add_claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
         let goal = self.add(GsnElementKind::Goal, proposition.text());
         self.add_support(strategy, goal.clone());
@@ -132,7 +130,6 @@ impl ArgumentBuilder {
         }
     }
 
-    /// Where the evidence stands.
     fn add_solution(&mut self, below: &str, proposition: &Proposition<'_>) {
         let solution = self.add(GsnElementKind::Solution, proposition.status.describe());
         self.update(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
@@ -164,9 +161,8 @@ impl Proposition<'_> {
 }
 
 impl ArgumentBuilder {
-    /// A goal that rests on a defeated one is defeated as well.
     fn propagate_defeat(&mut self) {
-        // Elements come before what supports them.
+        // Elements come before those that support them.
         for index in (0..self.elements.len()).rev() {
             let Some(element) = self.elements.get(index) else { continue };
             let of = |id: &String| self.elements.iter().find(|other| other.id == *id);
@@ -178,7 +174,7 @@ impl ArgumentBuilder {
     }
 }
 
-/// The goals below the top one: what is said, over what it is argued, and which properties it is about.
+/// The goals below the top one: statement, strategy, and filter of the properties.
 type PropertyFilter = fn(&Property) -> bool;
 const GOALS: [(&str, &str, PropertyFilter); 6] = [
     ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
@@ -209,7 +205,7 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
     ),
 ];
 
-/// Where claims about how often something happens are made: one of them must not be read without that.
+/// Returns the domains of claims about rates, which must not be read without them.
 fn describe_rate_domains(about: &[&Proposition<'_>]) -> String {
     let is_rate = |one: &&&Proposition<'_>| {
         matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
@@ -276,7 +272,7 @@ impl Argument {
         Self { elements: building.elements }
     }
 
-    /// The argument as YAML, as tools of the notation read it: one entry an element, under its identifier.
+    /// Returns the argument as YAML for GSN tools: one entry per element, under its identifier.
     #[must_use]
     pub fn to_yaml(&self) -> String {
         let mut text = String::from("# Goal Structuring Notation; dialectic extension: challenges, defeated\n");
@@ -287,12 +283,10 @@ impl Argument {
         text
     }
 
-    /// The element of that identifier.
     pub(super) fn find(&self, id: &str) -> Option<&GsnElement> {
         self.elements.iter().find(|element| element.id == id)
     }
 
-    /// What challenges an element.
     pub(super) fn challenges_to(&self, id: &str) -> impl Iterator<Item = &GsnElement> {
         self.elements.iter().filter(move |element| element.challenges.as_deref() == Some(id))
     }
@@ -300,7 +294,7 @@ impl Argument {
 
 impl GsnElement {
     fn write_yaml(&self, out: &mut String) -> std::fmt::Result {
-        // A JSON string is a YAML string too, unless it needs two halves for a character.
+        // A JSON string is also a YAML string, except for surrogate pairs.
         let quoted = |text: &str| serde_json::Value::from(TerminalText(text).to_string()).to_string();
         writeln!(out, "{}:\n  text: {}", self.id, quoted(&self.text))?;
         for (key, ids) in [("supportedBy", &self.supported_by), ("inContextOf", &self.in_context_of)] {

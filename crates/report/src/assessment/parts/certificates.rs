@@ -1,4 +1,4 @@
-//! Certificates of an assessment: those of kernels, those counted for it, those that were given.
+//! Certificates of an assessment: of kernels, of counted rates, and given ones.
 
 use crumple_verify::reach::InitialRanges;
 use crumple_verify::{Assumption, Certificate, ProvedClaim, RateClaim, ReachClaim, Registration, Statement, WorkLimit};
@@ -20,82 +20,81 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// A certificate and what the checker said of it.
+/// A certificate and the result of its check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CheckedCertificate {
-    /// Its name.
+    /// Name of the certificate.
     pub name: String,
-    /// What kind of statement it makes.
+    /// Kind of statement.
     pub statement: &'static str,
-    /// What it is about.
+    /// Description of the certificate's content.
     pub about: String,
-    /// Where it lies, from the folder of the report.
+    /// Path relative to the report folder.
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// Of whom in this report it speaks.
+    /// Claim of this report that the certificate supports.
     #[serde(rename = "speaks_of")]
     pub subject: CertificateSubject,
-    /// What the checker said.
+    /// Result of the check.
     pub status: CertificateStatus,
-    /// What it takes for granted.
+    /// Assumptions of the statement.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<String>"))]
     pub assumptions: Vec<Assumption>,
-    /// The file itself.
     #[serde(skip)]
     pub(in crate::assessment) text: String,
-    /// The statement, if it is one about a kernel.
+    /// Statement, if it is about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
-    /// The statement, if it is one about a rate and every failure that it counts is one of the controller.
+    /// Statement, if it is about a rate and counts only failures of the controller.
     #[serde(skip)]
     rate: Option<RateClaim>,
 }
 
-/// What the checker said of a certificate.
+/// The result of checking a certificate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum CertificateStatus {
-    /// It proves what it states.
+    /// The certificate proves its statement.
     Accepted {
-        /// What that is.
+        /// Proved statement in words.
         shown: String,
-        /// How strongly that speaks for the claim that it makes of a controller, if it makes one.
+        /// Strength for the claim about a controller; absent if it makes none.
         strength: Option<Strength>,
     },
-    /// Its runs were counted here, as they were registered, and do not show what they were to show.
+    /// This assessment counted the registered runs, and they do not show the claim.
     NothingShown {
-        /// What they are, in words.
+        /// Counts in words.
         counted: String,
-        /// How strongly that speaks for the claim.
+        /// Strength for the claim.
         strength: Strength,
     },
-    /// It proves nothing.
+    /// The certificate proves nothing.
     Rejected {
-        /// Why.
+        /// Reason in words.
         reason: String,
     },
 }
 
-/// Of whom in a report a certificate speaks. What it is called, and what it says it is about, decides nothing.
+/// The claim of a report that a certificate supports; decided by hashes, never by names.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum CertificateSubject {
-    /// Of a claim about one of the report's controllers: the same by the hashes of all that the certificate names.
+    /// A claim about a controller of the report, with equal hashes.
     Claim(Box<AssuranceClaim>),
-    /// Of the kernel that shields of a pair of brake limits use.
+    /// The kernel that shields use for a pair of brake limits.
     Kernel,
-    /// Of a scene or a profile, and of no controller.
+    /// A scene or a profile, without any controller.
     NoController,
-    /// Of nothing in this report.
+    /// Nothing in this report.
     #[serde(rename = "foreign")]
     Unrelated {
-        /// Why not.
+        /// Reason in words.
         because: String,
     },
 }
@@ -114,7 +113,6 @@ impl CertificateSubject {
     }
 }
 
-/// What a controller looks through, in words.
 pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     match estimator {
         EstimatorKind::Truth => "seeing the true state",
@@ -144,14 +142,13 @@ impl CertificateStatus {
     }
 }
 
-/// How strongly an accepted statement speaks for the claim that it makes of a controller.
 fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_others: bool) -> Option<Strength> {
     match accepted {
         ProvedClaim::Rate { max_rate: at_most, .. } => match statement {
             Statement::Rate(rate) => Some(rate_strength(rate, *at_most, counts_others)),
             _ => None,
         },
-        // With little confidence it shows nothing.
+        // Below the minimum confidence level it shows nothing.
         ProvedClaim::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
             .filter(|percent| percent.value() >= MIN_CONFIDENCE_PERCENT)
             .and_then(|confidence_percent| match statement {
@@ -160,7 +157,7 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
                 }
                 _ => None,
             }),
-        // A cell with a start that ends in contact.
+        // The certificate contains an initial state that ends in a collision.
         ProvedClaim::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
         }
@@ -174,8 +171,8 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
     }
 }
 
-/// The bounds that counted runs give: from above as the certificate states it, from below by the same count at the same
-/// confidence, unless others' contacts are among what it counts.
+/// Returns the bounds from counted runs: the upper one as certified, the lower one from the same count at the same
+/// confidence level. The lower bound is 0 if the count includes collisions of other vehicles.
 pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool) -> Strength {
     let Registration { runs, confidence, .. } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
@@ -190,13 +187,12 @@ pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool)
 }
 
 impl CheckedCertificate {
-    /// Whether the checker accepted it.
+    /// True if the checker accepted the certificate.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
         matches!(self.status, CertificateStatus::Accepted { .. })
     }
 
-    /// What it says of whom, if the checker accepted it and it speaks of somebody here.
     fn evidence(&self) -> Vec<Evidence> {
         let (
             CertificateStatus::Accepted { strength: Some(strength), .. }
@@ -210,7 +206,7 @@ impl CheckedCertificate {
         std::iter::once(own).chain(self.counted_runs_evidence(claim)).collect()
     }
 
-    /// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
+    /// Returns the counted runs as evidence about random scenarios, where a failure refutes the claim.
     fn counted_runs_evidence(&self, claim: &AssuranceClaim) -> Option<Evidence> {
         let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else { return None };
         let (seed, draws) = (rate.registration.configuration.get("seed")?.parse().ok()?, rate.registration.runs);
@@ -225,7 +221,7 @@ impl CheckedCertificate {
     }
 }
 
-/// What was accepted, with numbers a reader can take in: gaps and shares rounded down, rates up.
+/// Describes an accepted claim with short numbers: gaps and shares rounded down, rates up.
 fn describe_accepted(accepted: &ProvedClaim) -> String {
     let down = |value: f64| (100.0 * value).floor() / 100.0;
     match accepted {
@@ -233,7 +229,7 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
             let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
             format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
         }
-        // Where nothing is verified, no gap is bounded either.
+        // Without a verified part, no gap is bounded.
         ProvedClaim::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
             let falsified = match down(100.0 * falsified_share) {
                 share if share > 0.0 => {
@@ -269,8 +265,8 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
     }
 }
 
-/// Kernels, what no driver can do in `scenes`, counted rates of every learned controller, a comparison with the first controller, and
-/// what was given.
+/// Returns the certificates of kernels, of `scenes`, of rates of the learned controllers, of the comparison, and the
+/// given ones.
 pub(super) fn gather_certificates<'a>(
     plan: &AssessmentPlan,
     work: &GatherContext<'_>,
@@ -300,7 +296,7 @@ pub(super) fn check_certificate(
     let text = serde_json::to_string_pretty(certificate).map_err(CacheError::encoding)? + "\n";
     let sha256 = sha256(&text);
     let counts_others = includes_others(plan, &certificate.statement);
-    // Never from what is kept: checking is cheap, and what lies on a disk can be edited.
+    // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
     let status = CertificateStatus::check(certificate, policy, counts_others);
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),
@@ -341,7 +337,6 @@ fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certifica
     }
 }
 
-/// What a box spans, in the order of the certificate.
 fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
     let InitialRanges { gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, .. } = reach.ranges;
     let InitialRanges { follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_steps, .. } = reach.ranges;
@@ -357,7 +352,7 @@ fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
         ("follower brakes at", "m/s²", (follower_brake_mps2.low(), follower_brake_mps2.high())),
     ];
     let led = reach.leader_brakes_at_most_mps2;
-    // Rate and onset say nothing of a leader that brakes as it likes.
+    // Braking rate and onset have no meaning if the leader's acceleration is arbitrary.
     let has_meaning =
         |(name, ..): &(&str, &str, (f64, f64))| led.is_none() || !["leader brakes at", "from"].contains(name);
     let words = all.into_iter().filter(has_meaning).map(|(name, unit, (low, high))| match low == high {
@@ -376,7 +371,7 @@ fn certificate_subject(
     match &certificate.statement {
         Statement::Rate(rate) => registered_subject(plan, &rate.registration),
         Statement::Comparison(two) => registered_subject(plan, &two.registration),
-        // The policy or network as it is, seeing the true state: a shield before it makes another controller.
+        // The unshielded policy or network with the true state: a shield would make it another controller.
         Statement::Reach(reach) => {
             let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
             let is_it = |one: &NamedController| digest(one).as_deref() == Some(reach.policy_sha256.as_str());
@@ -395,8 +390,8 @@ fn certificate_subject(
     }
 }
 
-/// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown. Its name is that of a
-/// scenario of the report whose initial state lies in the box, and else that of the certificate: its own word is not checked.
+/// Returns the identifier of the box: the statement without policy and result. The certificate's own label is not
+/// trusted: the name is a scenario of the report whose initial state lies in the box, or else the certificate's name.
 fn initial_states_id(
     plan: &AssessmentPlan,
     certificate_name: &str,
@@ -429,14 +424,12 @@ fn initial_states_id(
     }
 }
 
-/// The space that a registration names, if the report draws from it.
 fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
     let sha256 = registration.configuration.get("space_sha256")?;
     plan.distributions.iter().find(|named| named.content_id.sha256 == *sha256)
 }
 
-/// Whether vehicles that are not under test may touch in the runs of a rate: such a run counts as a failure there, and says
-/// nothing of the controller here.
+/// True if other vehicles may collide in the runs of a rate. The rate counts them, but they are no evidence here.
 pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
     match statement {
         Statement::Rate(rate) => find_space(plan, &rate.registration).is_some_and(NamedSpace::can_others_collide),
@@ -444,8 +437,7 @@ pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> b
     }
 }
 
-/// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
-/// estimator by their hashes, counted by this release.
+/// Returns the claim of a registration with the hashes of this report's controllers and space, and the same release.
 fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> CertificateSubject {
     let foreign = |because: String| CertificateSubject::Unrelated { because };
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
@@ -461,7 +453,7 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
     let find = |place: &str| {
         let identity = of(&format!("{place}_sha256"));
         let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
-        // What was counted as a failure must be what is one here.
+        // Both must define a failure alike.
         let place = plan.controllers.iter().position(is_it)?;
         let counts = plan.controllers.get(place).is_some_and(|one| {
             [one.failure_description(), "vehicles touch, or a controller fails"].contains(&of("failure"))
@@ -485,7 +477,7 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
     CertificateSubject::Claim(Box::new(AssuranceClaim { subject, property, domain }))
 }
 
-/// What accepted certificates say of the controllers, and of shields whose kernels they prove.
+/// Returns the evidence of accepted certificates, about controllers and about shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
     let mut all: Vec<_> = proofs.iter().flat_map(CheckedCertificate::evidence).collect();
     for (place, controller) in plan.controllers.iter().enumerate() {
@@ -508,8 +500,8 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
     all
 }
 
-/// The kernels that a shield of this controller uses between vehicles of the classes there are; none if it has no shield, or
-/// one whose error bounds a user set: that those hold is not for this report to say.
+/// Returns the kernels of a controller's shield, for all pairs of vehicle classes. Empty without a shield, or if a user
+/// set its error bounds, which this report cannot verify.
 pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKernel> {
     let ControllerKind::Shielded(shielded) = &controller.kind else { return Vec::new() };
     let ShieldSettings { ahead_brake_mps2, errors } = shielded.settings;
@@ -524,7 +516,6 @@ pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKerne
     limits.flat_map(of).collect()
 }
 
-/// Starts inside them, as a domain.
 pub(super) fn kernel_domain(kernels: &[ViabilityKernel]) -> Domain {
     let limits = |kernel: &ViabilityKernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
     Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }

@@ -1,4 +1,4 @@
-//! This assessment beside an earlier one: what got better, worse, new, gone.
+//! The comparison with an earlier assessment: better, worse, new and missing results.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -14,41 +14,41 @@ use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::scenario::file::{self, FileError};
 
-/// What changed since an earlier assessment.
+/// The changes since an earlier assessment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentComparison {
-    /// SHA-256 of the evidence it is compared with.
+    /// SHA-256 of the evidence of the earlier assessment.
     pub earlier_sha256: String,
-    /// Whether both were made with the same configuration.
+    /// True if both have the same configuration.
     pub same_configuration: bool,
-    /// What got better.
+    /// Improved results.
     pub better: Vec<AssessmentChange>,
-    /// What got worse.
+    /// Worse results.
     pub worse: Vec<AssessmentChange>,
-    /// What is here and was not there.
+    /// Results that the earlier assessment lacks.
     pub new: Vec<AssessmentChange>,
-    /// What was there and is not here.
+    /// Results that this assessment lacks.
     pub gone: Vec<AssessmentChange>,
-    /// How much is as it was.
+    /// Number of unchanged results.
     pub unchanged: usize,
 }
 
-/// Something that differs.
+/// A changed result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentChange {
-    /// What it is.
+    /// Description of the subject.
     pub what: String,
-    /// What was said of it.
+    /// Earlier result.
     pub before: Option<String>,
-    /// What is said of it now.
+    /// Present result.
     pub now: Option<String>,
-    /// Whether it is a failure that a search found, or a claim that is refuted.
+    /// True for a failure that a search found, or a refuted claim.
     pub is_failure: bool,
 }
 
-/// An earlier assessment, as far as it is compared.
+/// The compared content of an earlier assessment.
 #[derive(Debug, Clone)]
 pub struct EarlierAssessment {
     sha256: String,
@@ -56,51 +56,49 @@ pub struct EarlierAssessment {
     facts: Facts,
 }
 
-/// Why an earlier assessment cannot be compared with.
+/// An error of loading an earlier assessment.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ComparisonError {
     /// The file cannot be read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
-    /// It is no evidence of an assessment.
+    /// The file is no evidence of an assessment.
     #[error("{}:{line}: {problem}", path.display())]
     Syntax {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
-    /// It is evidence of another format.
+    /// The file has another format version.
     #[error("{}: version: {found}, and this release compares with {EVIDENCE_VERSION}", path.display())]
     Version {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Its version.
+        /// Version of the file.
         found: u32,
     },
 }
 
-/// What is said of each thing, and how good that is: the larger the better.
-/// Things of one name may be of other domains, such as a space that was changed: they are told apart by hashes.
+/// The results by name and domain hash. The hash separates results of spaces that have the same name.
 type Facts = BTreeMap<(String, String), Fact>;
 
 #[derive(Debug, Clone)]
 struct Fact {
     score: f64,
     description: String,
-    /// A failure that was found, or a claim refuted: bad to be there at all.
+    /// True for a counterexample or a refuted claim: its presence is a failure.
     is_failure: bool,
 }
 
-/// The evidence, as far as it is compared.
 #[derive(Deserialize)]
 struct EvidenceView {
     version: u32,
@@ -198,7 +196,7 @@ impl EvidenceView {
             for ((controller, made), ClaimStatusView { strength }) in standings {
                 let what = format!("{controller}: {}", claim.claim);
                 let domain = made.map_or_else(String::new, |made| sha256(format!("{:?}", made.domain)));
-                // What was not tried is neither better nor worse than anything: it is not there.
+                // An untried claim is absent: neither better nor worse.
                 if strength != Strength::Untried {
                     let is_failure = strength.is_refutation();
                     facts.insert(
@@ -235,7 +233,7 @@ impl EvidenceView {
         for proof in self.proofs.certificates {
             let score = f64::from(matches!(proof.status, super::CertificateStatus::Accepted { .. }));
             let fact = Fact { score, description: proof.status.describe(), is_failure: false };
-            // Another certificate under the same name is another thing.
+            // A changed certificate of the same name is another result.
             let what = format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about);
             facts.insert((what, String::new()), fact);
         }
@@ -243,7 +241,7 @@ impl EvidenceView {
     }
 }
 
-/// The larger the better: first how strongly the claim is supported, then by the number that goes with it.
+/// Returns the score of a strength, larger is better: by rank, then by the strength's number.
 fn score(strength: &Strength) -> f64 {
     let within = match strength {
         Strength::Proved { .. } | Strength::Untried => 0.0,
@@ -267,7 +265,7 @@ fn score(strength: &Strength) -> f64 {
     1000.0 * f64::from(strength.rank()) + within
 }
 
-/// Most bytes of the evidence of an earlier assessment: that of the built-in one takes less than one in fifty of it.
+/// Maximum size of the evidence of an earlier assessment, in bytes; the built-in one takes less than one fiftieth.
 pub const MAX_EVIDENCE_BYTES: u64 = 64 << 20;
 
 impl EarlierAssessment {
@@ -310,7 +308,7 @@ impl EarlierAssessment {
 }
 
 impl AssessmentComparison {
-    /// What changed from `earlier` to `now`; none if the evidence of now cannot be read back, which is a fault of its format.
+    /// Compares two assessments; `None` if the evidence of `now` cannot be read back, a defect of its format.
     #[must_use]
     pub fn new(earlier: &EarlierAssessment, now: &AssessmentReport) -> Option<Self> {
         let text = now.to_json().ok()?;
@@ -355,7 +353,7 @@ impl AssessmentComparison {
         }
     }
 
-    /// In a sentence.
+    /// Describes the comparison in a sentence.
     #[must_use]
     pub fn describe(&self) -> String {
         format!(
@@ -386,7 +384,6 @@ impl AssessmentComparison {
         table
     }
 
-    /// Whether the two have nothing in common.
     pub(in crate::assessment) fn has_no_overlap(&self) -> bool {
         self.better.len() + self.worse.len() + self.unchanged == 0
     }

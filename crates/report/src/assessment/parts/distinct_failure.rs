@@ -1,4 +1,4 @@
-//! A failure that a search found, as a report shows it.
+//! A failure that a search found, in the form of the report.
 
 use std::iter;
 use std::path::Path;
@@ -15,30 +15,28 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate};
 
-/// The extension of roads.
 const ROAD_EXTENSION: &str = "xodr";
 
-/// What a method reached within its budget.
+/// The result of a search method within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MethodResult {
-    /// The method.
+    /// Name of the method.
     pub method: String,
-    /// Runs it made.
+    /// Number of simulations.
     pub evaluations: u64,
-    /// In which of them, from 1, it met its first failure of the controller.
+    /// Index of the simulation with the first failure of the controller, from 1.
     pub first_failure: Option<u64>,
-    /// How many of them the controller failed in.
+    /// Number of simulations in which the controller failed.
     pub failures: u64,
-    /// In how many of those it gave no answer.
+    /// Number of those without an answer of the controller.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub unanswered: u64,
-    /// How many ended when vehicles touched that are not under test: they say nothing of the controller.
+    /// Number that ended with a collision of other vehicles: no evidence about the controller.
     pub others: u64,
 }
 
 impl MethodResult {
-    /// Of scenarios like `nominal`.
     pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
         let own = all
             .failures
@@ -63,30 +61,28 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// Whether a contact between these is one of a vehicle under test; what is no contact is its controller's.
+/// True if a vehicle under test collides. Without vehicles the failure is that of the controller, which also counts.
 pub(super) fn involves_vehicle_under_test(vehicles: [Option<u32>; 2], nominal: &Scenario) -> bool {
     let mut tested = vehicles.into_iter().flatten().map(|index| nominal.is_under_test(index as usize)).peekable();
     tested.peek().is_none() || tested.any(|is_tested| is_tested)
 }
 
-/// How a counterexample could have been avoided: its scenario with a script in place of every vehicle under test, in which nobody
-/// touches.
+/// An escape from a counterexample: its scenario with a script for every vehicle under test, without a collision.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EscapeFile {
-    /// The scenario file, from the folder of the report, beside that of the counterexample.
+    /// Path of the scenario file, relative to the report folder, next to the counterexample.
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// How to see nothing happen.
+    /// Command that simulates the escape.
     pub replay: CrumpleCommand,
-    /// The file itself; of what was kept it is among the files that were kept with it.
+    /// Content of the file; the cache stores it with the other files.
     #[serde(skip)]
     pub(super) text: String,
 }
 
 impl EscapeFile {
-    /// Beside the file of a counterexample.
     pub(super) fn for_counterexample(counterexample: &str, text: String) -> Self {
         let file = format!("{}-escape.toml", counterexample.trim_end_matches(".toml"));
         let replay = CrumpleCommand::new(["simulate", file.as_str(), "--expect", "safe"]);
@@ -94,50 +90,48 @@ impl EscapeFile {
     }
 }
 
-/// A distinct failure, shrunk.
+/// A distinct failure, after shrinking.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct DistinctFailure {
-    /// The scenario file, from the folder of the report.
+    /// Path of the scenario file, relative to the report folder.
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// How to see it happen; none of a controller from outside.
+    /// Command that simulates the failure; absent for an external controller.
     pub replay: Option<CrumpleCommand>,
-    /// What happens.
+    /// Kind of failure.
     pub kind: String,
-    /// Of a controller that gave no answer: when and why.
+    /// Time and reason, if the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// When vehicles first touch, in seconds.
+    /// Time of the first collision, in seconds.
     pub contact_time_s: Option<Rounded<2>>,
-    /// Difference of their speeds, in m/s.
+    /// Relative speed of the vehicles, in m/s.
     pub impact_speed_mps: Option<Rounded<1>>,
-    /// Largest change of speed of any vehicle when the crash is played to its end, in m/s.
+    /// Largest change of speed of any vehicle in the whole pile-up, in m/s.
     pub max_delta_v_mps: Option<Rounded<1>>,
-    /// Vehicles involved then.
+    /// Number of vehicles in the pile-up.
     pub vehicles: usize,
-    /// Whether a driver could have avoided it.
+    /// Avoidability of the failure.
     pub class: AvoidabilityClass,
-    /// The smallest gap of the best escape, in metres, rounded down.
+    /// Smallest gap of the best escape, in metres, rounded down.
     pub best_gap_m: Option<Rounded<2>>,
-    /// That escape.
+    /// Best escape.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape: Option<EscapeFile>,
-    /// Place among all of its search by likelihood, from 1.
+    /// Rank by likelihood within its search, from 1.
     pub likelihood_rank: usize,
-    /// Whether it disappears at a tenth of the step.
+    /// True if the failure disappears at a tenth of the time step.
     pub dt_fragile: bool,
-    /// Which method found it.
+    /// Method that found the failure.
     pub found_by: String,
-    /// In which of its runs, from 1.
+    /// Index of the simulation of that method, from 1.
     pub found_at: u64,
     /// Parameters that are not nominal.
     pub changed: Vec<String>,
-    /// The file itself.
     #[serde(skip)]
     pub(in crate::assessment) text: String,
-    /// What happens in it, for other simulators.
     #[serde(skip)]
     pub(super) openscenario: Option<OpenScenario>,
 }
@@ -175,35 +169,32 @@ impl DistinctFailure {
         }
     }
 
-    /// The files for other simulators beside that of a counterexample.
     fn simulator_file_names(file: &str) -> [String; 2] {
         let stem = file.trim_end_matches(".toml");
         ["xosc", ROAD_EXTENSION].map(|extension| format!("{stem}.{extension}"))
     }
 
-    /// Simulates it anew for what stands beside its file: what happened, for other simulators.
+    /// Simulates the failure again and adds the files for other simulators.
     pub(super) fn with_simulator_files(
         mut self,
         controller: &NamedController,
         estimator: EstimatorKind,
     ) -> Result<Self, RunError> {
-        // What a campaign wrote and read back can be read again.
+        // A file that a campaign wrote and read back can be read again.
         let Ok(scenario) = file::from_toml(&self.text, Path::new(&self.file)) else { return Ok(self) };
         let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
         let trace = simulate(&run, RecordingLevel::Trace).trace;
         let road = format!("{}.{ROAD_EXTENSION}", self.short_name());
-        // None of a run that is too long for such a file, or in which vehicles change lanes.
+        // Absent if the run is too long for the format, or vehicles change lanes.
         self.openscenario =
             trace.and_then(|trace| export_trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
         Ok(self)
     }
 
-    /// How to see it happen, and what would have avoided it.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
     }
 
-    /// Its files: the scenario, and beside it the escape and the run for other simulators.
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
         let [scenario, road] = Self::simulator_file_names(&self.file);
         let run = self.openscenario.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
@@ -212,7 +203,6 @@ impl DistinctFailure {
         own.chain(escape).chain(run.into_iter().flatten())
     }
 
-    /// Its file's name without folders.
     pub(super) fn short_name(&self) -> &str {
         self.file.rsplit('/').next().unwrap_or(&self.file).trim_end_matches(".toml")
     }

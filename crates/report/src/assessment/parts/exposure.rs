@@ -12,12 +12,12 @@ use crumple_evidence::exposure::{
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 
-/// Resamples of the episodes that a space was fitted to.
+/// Number of resamples of the episodes that a space was fitted to.
 const RESAMPLES: u32 = 100;
-/// Runs of each controller in each of them, at most: where fewer draws are wanted of the space itself, so many.
+/// Maximum number of runs per controller and resample; `draws`, if smaller, limits it further.
 const MAX_RUNS_PER_RESAMPLE: u32 = 200;
 
-/// A table of a space's controllers and what is to be said of it; none where the space does not say in how much driving it was seen.
+/// Returns a table of a space's controllers and its caption; `None` if the space states no exposure.
 pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable)> {
     let rates: Vec<(&str, &RatePerExposure)> = drawn
         .controllers
@@ -78,7 +78,6 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
     Some((words, table))
 }
 
-/// What failures come to on the road, with the data's uncertainty.
 pub(super) fn rate_per_exposure(
     plan: &AssessmentPlan,
     named: &NamedSpace,
@@ -90,7 +89,7 @@ pub(super) fn rate_per_exposure(
         return Ok(None);
     }
     let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| -> Result<u64, AssessError> {
-        // Between two, so that it can be interrupted.
+        // Between two batches, so that the user can interrupt.
         work.add_runs(0)?;
         let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
         let draws = run_samples(&scenarios, controller, plan)?;

@@ -1,4 +1,4 @@
-//! Failure maps: which scenarios over two parameters each controller survives, and which no driver could.
+//! Failure maps: collisions of each controller over two parameters, and whether they are avoidable.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -16,51 +16,48 @@ use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
-/// The space whose scenarios are mapped.
 const SPACE: &str = "high-risk";
 
-/// The parameters across and up, and what they are: grip and the leader's braking decide between them how much room is
-/// left, and only where there is little grip and much braking can no driver escape.
+/// Horizontal and vertical parameter. Collisions are unavoidable only with little grip and hard braking.
 const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
 const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
 
-/// Cells across and up. Three in five need a program of some 50 ms: a few seconds of two cores.
+/// Number of columns and rows. Three in five cells need a convex program of about 50 ms.
 const CELLS: (usize, usize) = (14, 14);
 
-/// Controllers shown at most: the first of the plan and learned policies.
+/// Maximum number of maps: the first controller and learned policies.
 const MAX_MAPS: usize = 4;
 
-/// Maps of the same scenarios, one a controller.
+/// Maps of the same scenarios, one per controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureMaps {
-    /// The search space the scenarios come from.
+    /// Scenario space of the scenarios.
     pub space: String,
-    /// The parameter that grows from left to right.
+    /// Parameter that grows from left to right.
     pub across: FailureMapAxis,
-    /// The parameter that grows from bottom to top.
+    /// Parameter that grows from bottom to top.
     pub up: FailureMapAxis,
-    /// The space's other parameters and the values they were held at.
+    /// Other parameters of the space and their fixed values.
     #[serde(rename = "held")]
     pub fixed_parameters: Vec<FixedParameter>,
-    /// How many scenarios no controller of the plan survived, so that a convex program had to decide.
+    /// Number of scenarios in which every controller collides, so that a convex program had to decide.
     pub programs: usize,
-    /// One entry a controller.
+    /// One map per controller.
     pub maps: Vec<FailureMap>,
 }
 
-/// What came of one controller.
+/// The map of one controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureMap {
-    /// The controller.
+    /// Name of the controller.
     pub controller: String,
-    /// Rows from top to bottom, as they are drawn.
+    /// Rows from top to bottom.
     pub rows: Vec<MapRow>,
 }
 
 impl FailureMaps {
-    /// None if the plan leaves the paper out.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -119,7 +116,7 @@ impl FailureMaps {
     }
 }
 
-/// Whether vehicles touch, controller by controller and cell by cell.
+/// Returns the occurrence of collisions. Shape: `[controller][cell]`.
 fn simulate_contacts(plan: &AssessmentPlan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool>>, AssessError> {
     let prepared = plan.controllers.iter().flat_map(|controller| {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
@@ -130,7 +127,7 @@ fn simulate_contacts(plan: &AssessmentPlan, scenarios: &[Scenario]) -> Result<Ve
     Ok(touched.chunks(scenarios.len().max(1)).map(<[bool]>::to_vec).collect())
 }
 
-/// What a contact in a scenario is. A run without one decides what a program would otherwise have to.
+/// Classifies a scenario with a collision. If another run has none (`survived`), no convex program is needed.
 fn classify_cell(scenario: &Scenario, survived: bool) -> MapCell {
     if survived {
         return MapCell::Avoidable;
@@ -143,7 +140,7 @@ fn classify_cell(scenario: &Scenario, survived: bool) -> MapCell {
 }
 
 impl FailureMap {
-    /// How many cells are of a kind.
+    /// Returns the number of cells of a kind.
     #[must_use]
     pub fn count(&self, kind: MapCell) -> usize {
         self.rows.iter().flat_map(|row| &row.0).filter(|cell| **cell == kind).count()

@@ -1,4 +1,4 @@
-//! Failure maps as small multiples: one panel a controller, all on the same axes.
+//! Failure maps as small multiples: one panel per controller, with equal axes.
 
 use std::fmt::Write;
 
@@ -10,10 +10,8 @@ use crate::draw::{
     SMALL_TEXT_SIZE, Stroke, Svg, Ticks, draw_text, format_number, grid_rects,
 };
 
-/// Width of the line around what is unavoidable.
 const BOUNDARY_WIDTH: f64 = 2.4;
 
-/// Both arrangements, of which the page shows the one that fits.
 pub(super) fn draw_responsive(maps: &FailureMaps) -> Markup {
     let columns = match maps.maps.len() {
         0 | 1 => 1,
@@ -56,7 +54,6 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
     Svg::new(prefix, (width, height), "Failure maps", description, content)
 }
 
-/// An axis from 0 to 1 with round values of the parameter marked.
 fn parameter_axis(of: &FailureMapAxis, title: &str) -> Axis {
     let (low, high) = (of.low.value(), of.high.value());
     let marks: Vec<(f64, String)> = if of.is_logarithmic {
@@ -70,7 +67,7 @@ fn parameter_axis(of: &FailureMapAxis, title: &str) -> Axis {
     Axis::with_ticks(title, (0.0, 1.0), marks.into_iter().map(|(value, label)| (of.normalize(value), label)).collect())
 }
 
-/// Every cell, told apart by what is drawn on it, and the line around what is unavoidable.
+/// Draws every cell with the style of its kind, and the boundary of the unavoidable cells.
 fn draw_map_cells(map: &FailureMap, frame: PixelRect) -> Markup {
     let (columns, rows) = (map.rows.first().map_or(1, |row| row.0.len().max(1)), map.rows.len().max(1));
     let (width, height) = (frame.width / columns as f64, frame.height / rows as f64);
@@ -84,7 +81,6 @@ fn draw_map_cells(map: &FailureMap, frame: PixelRect) -> Markup {
     }
 }
 
-/// Path data of every edge between a cell that is unavoidable and one that is not.
 fn boundary_path(map: &FailureMap, frame: PixelRect, (width, height): (f64, f64)) -> String {
     let cell = |row: usize, column: usize| map.rows.get(row).and_then(|cells| cells.0.get(column)).copied();
     let differ = |one: Option<MapCell>, other: Option<MapCell>| {
@@ -106,7 +102,6 @@ fn boundary_path(map: &FailureMap, frame: PixelRect, (width, height): (f64, f64)
     data
 }
 
-/// What a cell looks like.
 fn cell_style(kind: MapCell) -> CellStyle {
     match kind {
         MapCell::NoContact => CellStyle::Blank,
@@ -116,7 +111,6 @@ fn cell_style(kind: MapCell) -> CellStyle {
     }
 }
 
-/// What each kind of cell and the line look like, and the height that this takes.
 fn draw_legend(width: f64) -> (Markup, f64) {
     let line = LegendEntry::Line(Stroke::solid(Ink::Text, BOUNDARY_WIDTH), "beyond it nobody avoids contact");
     let kinds = MapCell::ALL.map(|kind| LegendEntry::Cell(cell_style(kind), kind.label()));

@@ -1,4 +1,4 @@
-//! The failure search: for each controller, what was searched, how hard, and what was found.
+//! The failure search: scope, effort and results for each controller.
 
 use std::path::Path;
 
@@ -32,49 +32,48 @@ use crumple_store::disk::DiskError;
 use crumple_world::scenario::file;
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
-/// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
+/// Maximum number of shown failures of one search; a campaign of a few hundred runs finds fewer.
 const MAX_SHOWN: usize = 100;
-/// Failures of one search that are drawn.
 const MAX_DRAWN: usize = 3;
 
-/// What was searched for failures, and what was found.
+/// The results of all failure searches.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureSearches {
-    /// One entry a space.
+    /// One entry per scenario space.
     pub spaces: Vec<SpaceSearches>,
 }
 
-/// Every controller in one space.
+/// The searches of every controller in one scenario space.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSearches {
-    /// The space, as `--space` takes it.
+    /// Scenario space, in the syntax of `--space`.
     pub name: String,
-    /// The space.
+    /// Identifier of the scenario space.
     #[serde(rename = "known")]
     pub content_id: ContentId,
-    /// What the space covers and why.
+    /// Purpose and content of the space.
     pub about: String,
-    /// One entry a controller.
+    /// One entry per controller.
     pub controllers: Vec<FailureSearch>,
 }
 
-/// One controller in one space.
+/// The search of one controller in one scenario space.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureSearch {
-    /// The controller.
+    /// Name of the controller.
     pub controller: String,
-    /// How to search again; none of a controller from outside.
+    /// Command that repeats the search; absent for an external controller.
     pub command: Option<CrumpleCommand>,
-    /// What each method reached: the search, then the reference searches.
+    /// Result of each method: the search, then the reference searches.
     pub methods: Vec<MethodResult>,
-    /// Distinct failures found, by class.
+    /// Number of distinct failures, by class.
     pub distinct: Vec<(AvoidabilityClass, usize)>,
-    /// The severest of them.
+    /// Severest of the distinct failures.
     pub failures: Vec<DistinctFailure>,
-    /// Distinct ways in which only vehicles touched that are not under test: they are no failures of the controller.
+    /// Number of distinct collisions of other vehicles, which are no failures of the controller.
     pub others: usize,
     #[serde(skip)]
     drawn_cases: Vec<ScenarioCases>,
@@ -99,7 +98,7 @@ impl FailureSearches {
         Ok(Self { spaces: spaces.collect() })
     }
 
-    /// The severest failures of a controller over all spaces, drawn, each under a name of its own.
+    /// Returns the severest failures of a controller over all spaces, for figures, under unique names.
     pub(in crate::assessment) fn worst_failures(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
         let own = self.spaces.iter().filter_map(|space| Some((space, space.find(controller)?)));
         let drawn = own
@@ -117,7 +116,6 @@ impl FailureSearches {
         drawn.into_iter().take(most).enumerate().map(named).collect()
     }
 
-    /// What each search says.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let all = self
             .spaces
@@ -129,7 +127,7 @@ impl FailureSearches {
                     search.methods.iter().map(|reached| reached.failures).sum(),
                     search.conclusive_evaluations(),
                 ),
-                // Nothing but that: no contact was found.
+                // No collision was found, only failures to answer.
                 failures if failures == search.unanswered_failures().count() => Strength::from_counts_with_unanswered(
                     0,
                     search.conclusive_evaluations(),
@@ -152,20 +150,17 @@ impl FailureSearches {
         all.map(of).collect()
     }
 
-    /// Every failure that is shown.
     pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &DistinctFailure> {
         self.spaces.iter().flat_map(|space| &space.controllers).flat_map(|search| &search.failures)
     }
 }
 
 impl SpaceSearches {
-    /// What was tried of the space, as a domain.
     pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
         let (seed, budget) = (plan.config.seed, plan.config.search.budget);
         Domain::Search { space: self.content_id.clone(), seed, budget }
     }
 
-    /// Of one controller.
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&FailureSearch> {
         self.controllers.iter().find(|search| search.controller == controller)
     }
@@ -261,12 +256,10 @@ impl FailureSearch {
         })
     }
 
-    /// Those of the failures that are shown in which the controller gave no answer.
     fn unanswered_failures(&self) -> impl Iterator<Item = &DistinctFailure> {
         self.failures.iter().filter(|failure| failure.because.is_some())
     }
 
-    /// Evaluations in which it gave none, and why.
     fn unanswered(&self) -> Option<FailedControllerRuns> {
         let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
         let because = self.unanswered_failures().find_map(|failure| failure.because.clone());
@@ -276,42 +269,40 @@ impl FailureSearch {
         })
     }
 
-    /// The same in words.
     pub(in crate::assessment) fn describe_unanswered(&self) -> Option<String> {
         Some(self.unanswered()?.describe(self.evaluations()))
     }
 
-    /// Distinct failures of a class.
+    /// Returns the number of distinct failures of a class.
     #[must_use]
     pub fn count(&self, class: AvoidabilityClass) -> usize {
         self.distinct.iter().filter(|(of, _)| *of == class).map(|(_, count)| count).sum()
     }
 
-    /// All distinct failures.
+    /// Returns the number of all distinct failures.
     #[must_use]
     pub fn distinct_count(&self) -> usize {
         self.distinct.iter().map(|(_, count)| count).sum()
     }
 
-    /// Evaluations of all methods together.
+    /// Returns the number of simulations of all methods.
     #[must_use]
     pub fn evaluations(&self) -> u64 {
         self.methods.iter().map(|reached| reached.evaluations).sum()
     }
 
-    /// Those that say something of the controller.
+    /// Returns the number of simulations that are evidence about the controller.
     #[must_use]
     pub fn conclusive_evaluations(&self) -> u64 {
         self.evaluations() - self.methods.iter().map(|reached| reached.others).sum::<u64>()
     }
 
-    /// Share of uniform points that fail, in percent.
+    /// Returns the share of uniform samples that fail, in percent.
     pub(super) fn uniform_failure_percent(&self) -> Option<Rounded<1>> {
         let uniform = self.method_result(Method::Uniform)?;
         Some(Rounded::new(100.0 * uniform.failures as f64 / uniform.evaluations.max(1) as f64))
     }
 
-    /// The largest impact speed of all that are shown, in m/s.
     fn max_impact_speed_mps(&self) -> Option<Rounded<1>> {
         largest(self.failures.iter().map(|failure| failure.impact_speed_mps.map(Rounded::value))).map(Rounded::new)
     }
@@ -345,7 +336,7 @@ impl FailureSearch {
         }
     }
 
-    /// In a sentence or two: how hard was looked, and what random points made of it.
+    /// Describes the effort of the search, and the result of uniform samples.
     fn describe_effort(&self) -> String {
         let (Some(main), Some(uniform)) = (self.methods.first(), self.method_result(Method::Uniform)) else {
             return String::new();
@@ -385,16 +376,13 @@ impl FailureSearch {
     }
 }
 
-/// The files of a counterexample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(in crate::assessment) struct CounterexampleFiles {
-    /// The scenario.
     pub(super) counterexample: String,
-    /// The escape from it, where it is avoidable.
     pub(super) escape: Option<String>,
 }
 
-/// A campaign's summary, and the files of its severest failures; kept, and gone on with where it was interrupted.
+/// Runs a campaign, or resumes it; returns its summary and the files of its severest failures, which are cached.
 pub(super) fn run_campaign(
     campaign: &Campaign,
     (item, inputs): (&str, &Value),
@@ -421,7 +409,6 @@ pub(super) fn run_campaign(
     })
 }
 
-/// Those whose failures are drawn: the first controller and the learned ones.
 fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
     index == 0 || index == plan.subject_index || controller.kind.is_learned()
 }
@@ -433,9 +420,9 @@ fn simulate_failures(
 ) -> Result<Vec<ScenarioCases>, AssessError> {
     let mut drawn = Vec::new();
     for failure in failures.iter().take(MAX_DRAWN) {
-        // What a campaign wrote and read back can be read again.
+        // A file that a campaign wrote and read back can be read again.
         let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else { continue };
-        // Unique on the page, with the controller's: names of scenarios are those of spaces.
+        // Add the failure's name, to be unique on the page: scenarios are named after their space.
         let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&named], one, plan.config.estimator, MotionRetention::Keep)?;

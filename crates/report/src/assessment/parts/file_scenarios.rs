@@ -1,4 +1,4 @@
-//! Scenarios from files: recorded traffic, and whatever else the configuration names.
+//! Scenarios from files: recorded traffic, and others that the configuration names.
 
 use maud::html;
 use rayon::prelude::*;
@@ -16,21 +16,19 @@ use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart}
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::RunError;
 
-/// Scenarios whose figures are shown: a page of hundreds is of no use.
 const MAX_DETAILED: usize = 12;
 
-/// The part's anchor in the page.
 const ANCHOR: &str = "traffic";
 
-/// Every controller in every scenario the configuration names.
+/// Every controller in every scenario that the configuration names.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FileScenarios {
-    /// One entry a scenario.
+    /// One entry per scenario.
     pub scenarios: Vec<ScenarioCases>,
-    /// What of recordings is no scenario, and why.
+    /// Parts of recordings that are no scenarios, with reasons.
     pub left_out: Vec<String>,
-    /// Those shown in detail.
+    /// Indices of the scenarios shown in detail.
     #[serde(skip)]
     closest_first: Vec<usize>,
 }
@@ -55,7 +53,7 @@ impl FileScenarios {
             Ok(named.collect())
         };
         let mut scenarios = run(&(0..plan.file_scenarios.len()).collect::<Vec<_>>(), MotionRetention::Drop)?;
-        // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
+        // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
         work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
         let best = |&index: &usize| {
@@ -76,12 +74,10 @@ impl FileScenarios {
         Ok(Some(Self { scenarios, left_out, closest_first }))
     }
 
-    /// What these runs say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
     }
 
-    /// The scenarios as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
         scenario_cases::domain(&self.scenarios, ANCHOR)
     }
@@ -104,7 +100,7 @@ impl FileScenarios {
     }
 }
 
-/// Indices of the scenarios to show in detail: those in which vehicles came closest, contacts first.
+/// Returns the indices of the scenarios to show in detail: the smallest gaps first.
 fn closest_scenarios(scenarios: &[ScenarioCases]) -> Vec<usize> {
     let closest_m = |index: &usize| {
         let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
@@ -116,7 +112,6 @@ fn closest_scenarios(scenarios: &[ScenarioCases]) -> Vec<usize> {
     indices
 }
 
-/// Where a scenario lies, from the folder of the report.
 pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
     format!("scenarios/{}.toml", file_stem(&scenario.spec().name))
 }

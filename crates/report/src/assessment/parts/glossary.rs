@@ -1,10 +1,10 @@
-//! The words of the report.
+//! The glossary of the report.
 
 use crate::assessment::ReportPart;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 
-/// What the words of the report mean.
+/// The terms of the report.
 #[derive(Debug, Clone, Copy)]
 pub struct Glossary;
 

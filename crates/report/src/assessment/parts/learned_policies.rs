@@ -1,4 +1,4 @@
-//! Learned policies: where they come from, and how they brake.
+//! Learned policies: their origin, and their braking.
 
 use serde::Serialize;
 
@@ -16,46 +16,46 @@ use crumple_world::sim::{Trace, Track};
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LearnedPolicies {
-    /// One entry a policy.
+    /// One entry per policy.
     pub policies: Vec<LearnedPolicy>,
-    /// When each policy brakes in the paper's scenarios, with the first controller beside it.
+    /// Braking times of each policy and of the first controller in the paper's scenarios.
     pub braking: Vec<BrakingTimes>,
-    /// How the preset behind the reference policy learns, seed after seed; none if that policy is not among the controllers.
+    /// Learning curve of the preset behind the reference policy; absent if that policy is not among the controllers.
     pub learning_curve: Option<LearningCurve>,
     #[serde(skip)]
     figures: Vec<(String, Svg)>,
 }
 
-/// The curve of `crumple train --preset fast --seeds 30`; `corpora/policy/README.md` says how it was made.
+/// The curve of `crumple train --preset fast --seeds 30`; `corpora/policy/README.md` has its provenance.
 const REFERENCE_CURVE: &str = include_str!("../built_in/learning-curve.json");
 
 /// A policy and its origin.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LearnedPolicy {
-    /// The name it goes by here.
+    /// Name in this report.
     pub name: String,
-    /// SHA-256 of its file.
+    /// SHA-256 of the policy file.
     pub sha256: String,
-    /// Release, preset, seed and episode it comes from.
+    /// Release, preset, seed and episode of the training.
     pub origin: String,
-    /// Its network and how it is used.
+    /// Network architecture and its use.
     pub network: String,
 }
 
-/// When the first vehicle under test and the one behind it begin to brake.
+/// The times at which the first vehicle under test and its follower begin to brake.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BrakingTimes {
-    /// The scenario.
+    /// Name of the scenario.
     pub scenario: String,
-    /// The controller.
+    /// Name of the controller.
     pub controller: String,
-    /// When the leader first brakes, in seconds.
+    /// Time at which the leader first brakes, in seconds.
     pub leader_brakes_s: Option<Rounded<2>>,
-    /// When the first vehicle under test first brakes harder than [`BRAKING_MPS2`], in seconds.
+    /// Time at which the first vehicle under test first brakes harder than [`BRAKING_MPS2`], in seconds.
     pub ego_brakes_s: Option<Rounded<2>>,
-    /// When the emergency brake of the last vehicle fires, in seconds.
+    /// Time at which the emergency brake of the last vehicle fires, in seconds.
     pub follower_brakes_s: Option<Rounded<2>>,
     /// Hardest deceleration of the first vehicle under test in the second before that, in m/s².
     pub ego_brake_before_mps2: Option<Rounded<2>>,
@@ -63,7 +63,7 @@ pub struct BrakingTimes {
     pub ego_acceleration_after_mps2: Option<Rounded<2>>,
 }
 
-/// A vehicle counts as braking once it decelerates harder than this, in m/s².
+/// Deceleration above which a vehicle counts as braking, in m/s².
 pub const BRAKING_MPS2: f64 = 0.5;
 
 impl LearnedPolicies {
@@ -139,7 +139,7 @@ impl LearnedPolicy {
 }
 
 impl BrakingTimes {
-    /// In the paper's scenarios vehicle 0 leads, vehicle 1 is the first under test, and the last one follows.
+    /// Requires a scenario of the paper: vehicle 0 leads, vehicle 1 is the first under test, the last one follows.
     fn new(scenario: &ScenarioCases, case: &CaseResult) -> Option<Self> {
         let (trace, _) = case.motion.as_ref()?;
         let [leader, ego, .., follower] = trace.vehicles.as_slice() else { return None };
@@ -168,7 +168,6 @@ impl BrakingTimes {
     }
 }
 
-/// Acceleration of every vehicle over time.
 fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     let (width, height) = (720.0, 200.0);
     let frame = PixelRect { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: width - LEFT_MARGIN - 16.0, height };
@@ -178,7 +177,7 @@ fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     let mut tags = Vec::new();
     for (index, track) in trace.vehicles.iter().enumerate() {
         let samples = trace.time_s.iter().zip(&track.acceleration_mps2).zip(&track.speed_mps);
-        // At rest an acceleration is a command to the brakes, not motion.
+        // At standstill an acceleration is a brake command, not motion.
         let points: Vec<_> = samples.map(|((&t, &a), &v)| (t, if v > 0.0 { a } else { 0.0 })).collect();
         panel.add_line(&points, Stroke::series(index));
         tags.push(TaggedLine { points, tag: index.to_string(), ink: Ink::Series(index) });
@@ -201,7 +200,6 @@ const INTRODUCTION: &str = "The paper reports that the learned controller brakes
     follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
     paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
 
-/// What the curve shows and what it does not.
 fn describe_learning_curve(curve: &LearningCurve) -> String {
     let reward = |point: Option<&CurvePoint>| point.map_or(0.0, |point| point.mean_reward);
     format!(

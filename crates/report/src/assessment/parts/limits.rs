@@ -1,4 +1,4 @@
-//! What the assessment does not show.
+//! The limits of the assessment.
 
 use crumple_verify::Statement;
 use maud::html;
@@ -10,21 +10,21 @@ use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_world::observation::EstimatorKind;
 
-/// Assumptions and limits.
+/// Assumptions and limits of an assessment.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentLimits {
-    /// The assumptions.
+    /// List of assumptions.
     pub assumptions: Vec<LimitingAssumption>,
 }
 
-/// Something that is taken for granted.
+/// An assumption of the assessment.
 #[derive(Debug, Clone, Copy, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LimitingAssumption {
-    /// What, in a few words that are true or false.
+    /// Assumption in a few words that are true or false.
     pub assumed: &'static str,
-    /// What that means.
+    /// Consequence for the reader.
     pub meaning: &'static str,
 }
 

@@ -1,26 +1,25 @@
-//! One cell of a failure map, and a row of them as a short text.
+//! The cells of a failure map, and a row of them as a short text.
 
 use serde::{Deserialize, Serialize};
 
-/// What came of one controller in one scenario.
+/// The result of one controller in one scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum MapCell {
-    /// No vehicles touched.
+    /// No collision.
     NoContact,
-    /// Vehicles touched, though another driver would have avoided it.
+    /// A collision that another driver would have avoided.
     Avoidable,
-    /// Vehicles touched, and no driver avoids it: the checker has accepted the proof.
+    /// A collision that no driver avoids; the checker has accepted the proof.
     Unavoidable,
-    /// Vehicles touched, and neither was shown.
+    /// A collision of undecided avoidability.
     Undecided,
 }
 
 impl MapCell {
-    /// All of them, in the order of keys and tables.
+    /// All kinds, in the order of legends and tables.
     pub const ALL: [Self; 4] = [Self::NoContact, Self::Avoidable, Self::Unavoidable, Self::Undecided];
 
-    /// Its letter in the evidence.
     #[must_use]
     pub(crate) fn letter(self) -> char {
         match self {
@@ -31,7 +30,7 @@ impl MapCell {
         }
     }
 
-    /// In words.
+    /// Returns the label for legends and tables.
     #[must_use]
     pub fn label(self) -> &'static str {
         match self {
@@ -43,13 +42,13 @@ impl MapCell {
     }
 }
 
-/// A row of cells from left to right; in the evidence a text of one letter a cell, see `MapCell::letter`.
+/// A row of cells from left to right; in the evidence a text of one letter per cell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(try_from = "String", into = "String")]
 pub struct MapRow(pub Vec<MapCell>);
 
-/// A letter that stands for no cell.
+/// An error: a letter that stands for no cell.
 #[derive(Debug, thiserror::Error)]
 #[error("`{0}` is no cell of a failure map: there are . x # and ?")]
 pub struct UnknownCell(char);

@@ -1,4 +1,4 @@
-//! The grid of a failure map: two parameters of a space, the values they take, and the scenario of every cell.
+//! The grid of a failure map: two parameters of a space, their values, and the scenario of every cell.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,19 +10,19 @@ use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureMapAxis {
-    /// Its name in the space.
+    /// Name of the parameter in the space.
     pub parameter: String,
-    /// What it is, for readers.
+    /// Description for readers.
     pub title: String,
-    /// Its unit.
+    /// Unit of the parameter.
     pub unit: String,
-    /// Where the first cell begins.
+    /// Lower end of the first cell.
     pub low: Rounded<2>,
-    /// Where the last cell ends.
+    /// Upper end of the last cell.
     pub high: Rounded<2>,
-    /// Its value in each column from the left, or in each row from the bottom.
+    /// Value in each column from the left, or in each row from the bottom.
     pub values: Vec<Rounded<2>>,
-    /// Whether the values grow by a factor rather than by a step.
+    /// True if the values grow by a factor rather than by a step.
     #[serde(rename = "by_factor")]
     pub is_logarithmic: bool,
 }
@@ -31,14 +31,14 @@ pub struct FailureMapAxis {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FixedParameter {
-    /// Its name in the space.
+    /// Name of the parameter in the space.
     pub parameter: String,
-    /// Its value as a reader knows it, with its unit.
+    /// Formatted value with its unit.
     pub value: String,
 }
 
 impl FailureMapAxis {
-    /// The middles of as many cells over the parameter's range, as they are shown.
+    /// Creates an axis whose values are the rounded centres of the cells over the parameter's range.
     pub(super) fn new(space: &ScenarioSpace, parameter: &SpaceParameter, title: &str, cells: usize) -> Self {
         let [low, high] = parameter.range();
         let at = |share: f64| {
@@ -47,7 +47,7 @@ impl FailureMapAxis {
             space.values(&point).get(parameter.coordinates().start).copied().unwrap_or(low)
         };
         let values = (0..cells).map(|cell| Rounded::new(at((cell as f64 + 0.5) / cells as f64))).collect();
-        // The middle of a range is its arithmetic mean unless values grow by a factor.
+        // On a linear scale the centre of the range is its arithmetic mean.
         let by_factor = (at(0.5) - 0.5 * (low + high)).abs() > 1e-6 * (high - low);
         Self {
             parameter: parameter.name().to_owned(),
@@ -60,21 +60,19 @@ impl FailureMapAxis {
         }
     }
 
-    /// Where on the axis a value stands: 0 at its start, 1 at its end.
     pub(super) fn normalize(&self, value: f64) -> f64 {
         let (low, high) = (self.low.value(), self.high.value());
         if self.is_logarithmic { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
     }
 }
 
-/// Sets every coordinate of a parameter.
 fn set_parameter(values: &mut [f64], parameter: &SpaceParameter, to: f64) {
     for value in values.get_mut(parameter.coordinates()).unwrap_or_default() {
         *value = to;
     }
 }
 
-/// The scenario of every cell, row by row from the top, each row from the left.
+/// Returns the scenario of every cell, row by row from the top, each row from the left.
 pub(super) fn grid_scenarios(
     space: &ScenarioSpace,
     (across, up): (&SpaceParameter, &SpaceParameter),
@@ -90,7 +88,6 @@ pub(super) fn grid_scenarios(
     cells.map(|(x, y)| at(x, y)).collect()
 }
 
-/// What does not vary.
 pub(super) fn fixed_parameters(
     space: &ScenarioSpace,
     varied: (&SpaceParameter, &SpaceParameter),

@@ -18,21 +18,19 @@ use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_nam
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PaperScenarios {
-    /// One entry a scenario.
+    /// One entry per scenario.
     pub scenarios: Vec<ScenarioCases>,
-    /// Which cases of each scenario are shown beside each other.
+    /// Indices of the cases whose figures are next to each other.
     #[serde(skip)]
     side_by_side: Vec<usize>,
 }
 
-/// The part's anchor in the page.
 pub(super) const ANCHOR: &str = "paper";
 
-/// The scenario in which a collision of the first controller is shown from above.
 const ANIMATED_SCENARIO: &str = "paper-2";
 
 impl PaperScenarios {
-    /// Those of the paper, by the seed of the plan; none if the plan leaves the paper out.
+    /// Returns the paper's scenarios with the seed of the plan; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
         let known = built_in_scenario_names()
@@ -42,7 +40,6 @@ impl PaperScenarios {
         Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
     }
 
-    /// None if the plan leaves the paper out.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -80,17 +77,14 @@ impl PaperScenarios {
 }
 
 impl PaperScenarios {
-    /// What these runs say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
     }
 
-    /// The scenarios as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
         scenario_cases::domain(&self.scenarios, ANCHOR)
     }
 
-    /// The figures that stand beside each other, as files.
     pub(in crate::assessment) fn figure_files(&self) -> impl Iterator<Item = (String, Svg)> {
         self.scenarios.iter().map(|scenario| {
             let (beside, _) = self.split_cases(scenario);
@@ -98,7 +92,7 @@ impl PaperScenarios {
         })
     }
 
-    /// The cases to show beside each other, and the others.
+    /// Returns the cases of the combined figure, and the others.
     fn split_cases<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a CaseResult>, Vec<&'a CaseResult>) {
         let numbered = scenario.cases.iter().enumerate();
         let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.side_by_side.contains(index));
@@ -107,7 +101,6 @@ impl PaperScenarios {
     }
 }
 
-/// What the columns are.
 const MEASURES_NOTE: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
     what stops short of a vehicle ahead that holds its braking to standstill. TET is how long TTC was below 3 s, TIT by how much, \
     integrated. Headway is measured between front bumpers, the time gap between bumpers. Peak jerk is the largest change of \

@@ -1,4 +1,4 @@
-//! What is proved, and what the proofs take for granted.
+//! Proved claims and their assumptions.
 
 use crumple_verify::Assumption;
 use maud::html;
@@ -14,36 +14,35 @@ use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
 use crumple_world::control::ViabilityKernel;
 use crumple_world::scenario::VehicleClass;
 
-/// Certificates, each checked in this very run.
+/// Certificates, each checked in this run.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Proofs {
-    /// What the shield's kernels demand, one entry a pair of vehicle classes.
+    /// Gaps that the shield's kernels demand, one entry per pair of vehicle classes.
     pub kernels: Vec<KernelGap>,
-    /// Every certificate.
+    /// All certificates.
     pub certificates: Vec<CheckedCertificate>,
-    /// What has to hold besides for a shield to keep the vehicle ahead untouched.
+    /// Further conditions for a shield to prevent a collision with the leader.
     pub conditions: [&'static str; 4],
 }
 
-/// What the kernel of a pair of vehicle classes demands on a dry road.
+/// The gap that the kernel of a pair of vehicle classes demands on a dry road.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct KernelGap {
     /// Name of the pair, and of the certificate.
     pub pair: String,
-    /// What the own vehicle can brake at, in m/s².
+    /// Brake limit of the ego vehicle, in m/s².
     pub own_brake_mps2: Rounded<2>,
-    /// What the vehicle ahead never brakes harder than, in m/s².
+    /// Brake limit of the leader, in m/s².
     pub ahead_brake_mps2: Rounded<2>,
     /// Gap demanded at [`EXAMPLE_MPS`], in metres, rounded up.
     pub example_gap_m: Rounded<2>,
 }
 
-/// Own speed and speed ahead for which demanded gaps are shown, in m/s.
+/// Speeds of the ego vehicle and the leader for which demanded gaps are shown, in m/s.
 pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
 
-/// The way from a kernel to a vehicle that does not touch the one ahead.
 const CONDITIONS: [&str; 4] = [
     "the vehicle starts inside the kernel; from outside it a shield brakes fully and reports that contact cannot be ruled out",
     "what the shield sees is off by no more than its bounds: nothing with the true state, six standard deviations of the \
@@ -70,12 +69,11 @@ impl Proofs {
         })
     }
 
-    /// What accepted certificates say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         certificates::evidence(plan, &self.certificates)
     }
 
-    /// The claims that certificates make about boxes of starts, each domain once.
+    /// Returns the claims of certificates about boxes of initial states, each domain once.
     pub(super) fn reach_claims(&self) -> Vec<&AssuranceClaim> {
         let mut boxes: Vec<&AssuranceClaim> = Vec::new();
         for proof in &self.certificates {
@@ -119,7 +117,7 @@ impl Proofs {
         )
     }
 
-    /// How surely all bounds hold at once, if there are several: what each leaves open is added up.
+    /// Returns the joint confidence level of all bounds, if there are several (Bonferroni: `1 - sum of (1 - c_i)`).
     fn joint_confidence(&self) -> Option<String> {
         let open = |proof: &CheckedCertificate| match &proof.status {
             CertificateStatus::Accepted {
@@ -136,7 +134,6 @@ impl Proofs {
         })
     }
 
-    /// For each kind of statement what its certificates take for granted.
     fn assumptions(&self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
         let mut said: Vec<(&str, &[Assumption])> = Vec::new();

@@ -1,4 +1,4 @@
-//! Where the evidence comes from.
+//! The provenance of the evidence.
 
 use maud::html;
 use serde::Serialize;
@@ -9,42 +9,42 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash, ReportPart};
 use crumple_core::digest::sha256;
 
-/// When, by what and where an assessment was made. No evidence depends on it.
+/// The time, program and machine of an assessment. No evidence depends on them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BuildInfo {
-    /// Date and time, UTC, as RFC 3339 has it.
+    /// Date and time in UTC, in the format of RFC 3339.
     pub at: String,
-    /// The commit of the repository that holds what is assessed, if there is one.
+    /// Commit of the repository with the assessed configuration, if there is one.
     pub commit: Option<String>,
     /// SHA-256 of the program.
     pub program_sha256: String,
     /// System and processor.
     pub machine: String,
-    /// How long it took, in whole seconds.
+    /// Duration in whole seconds.
     pub duration_s: u64,
 }
 
-/// What it takes to get the same evidence again.
+/// The inputs that reproduce the evidence.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentProvenance {
     /// Version of crumple.
     pub crumple: &'static str,
-    /// The configuration, defaults filled in.
+    /// Configuration with all defaults.
     pub config: AssessConfig,
-    /// SHA-256 of the configuration and of every scenario and space it names.
+    /// SHA-256 of the configuration and of every scenario and space that it names.
     pub config_sha256: String,
-    /// Every piece of evidence that is kept between runs.
+    /// Hashes of all cached evidence.
     pub evidence: Vec<EvidenceHash>,
-    /// When and where it was made; none if nobody said.
+    /// Time, program and machine of the assessment, if known.
     #[serde(rename = "made")]
     pub build_info: Option<BuildInfo>,
 }
 
 impl AssessmentProvenance {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &EvidenceCache) -> Self {
-        // `Debug` writes every field of both, and cannot fail as a serializer can.
+        // `Debug` writes every field of both, and unlike a serializer cannot fail.
         let scenarios = plan.file_scenarios.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
         let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
         let config = std::iter::once(format!("{:?}", plan.config));
@@ -115,7 +115,6 @@ impl BuildInfo {
     }
 }
 
-/// What may be believed of evidence from an earlier run.
 const CACHE_NOTE: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
     inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
     hashes anew. What the checker says of the certificates listed here was said in this run. With `--fresh` everything is gathered again.";

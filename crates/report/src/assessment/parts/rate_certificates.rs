@@ -10,10 +10,10 @@ use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::sim::NamedController;
 
-/// The seed of counted runs: not that of the draws that are reported elsewhere.
+/// Mask of the seed of counted runs, so that it differs from the seed of the reported samples.
 const COUNT_SEED_MASK: u64 = 0x5eed;
 
-/// What is counted for a certificate: under which name, in which space, of whom, against whom.
+/// A planned count: name of the certificate, scenario space, controller, and the other controller of a comparison.
 struct PlannedRateCount<'a> {
     name: String,
     space: &'a NamedSpace,
@@ -21,7 +21,6 @@ struct PlannedRateCount<'a> {
     against: Option<NamedController>,
 }
 
-/// The names of certificates that are made for a report.
 pub(in crate::assessment) fn generated_certificate_names(plan: &AssessmentPlan) -> Vec<String> {
     let kernels = shipped_kernels().into_iter().map(|(name, _)| name);
     kernels.chain(planned_rate_counts(plan).into_iter().map(|counted| counted.name)).collect()
@@ -43,7 +42,7 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
             Some(first.clone()),
         ));
     }
-    // Only what states an identity can be spoken of.
+    // A claim needs a controller with an identity.
     wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
     let several = plan.distributions.len() > 1;
     let mut counted = Vec::new();
@@ -64,12 +63,10 @@ pub(super) fn gather_rate_certificates(
     proofs.collect()
 }
 
-/// The names of those that are counted.
 pub(in crate::assessment) fn rate_count_names(plan: &AssessmentPlan) -> Vec<String> {
     planned_rate_counts(plan).into_iter().map(|counted| counted.name).collect()
 }
 
-/// That of a name.
 pub(in crate::assessment) fn gather_rate_certificate(
     plan: &AssessmentPlan,
     name: &str,
@@ -92,7 +89,7 @@ fn count_rate(
         confidence: plan.config.rates.confidence,
         ..RateConfig::new(controller, space.space.clone(), plan.config.rates.runs)
     })?;
-    // A line with the certificate, and one with who gave no answer, if somebody did.
+    // First line: the certificate. Second line, if needed: the controllers that gave no answer.
     let kept: String = work.get_or_gather(&name, rates.registration(), || {
         let mut tally = rates.empty_tally();
         while tally.runs < plan.config.rates.runs {
@@ -118,8 +115,7 @@ fn count_rate(
     Ok(proof)
 }
 
-/// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
-/// tampered with.
+/// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.
 fn not_shown_status(statement: &Statement, counts_others: bool, silent: &str) -> Option<CertificateStatus> {
     match statement {
         Statement::Comparison(two) => {

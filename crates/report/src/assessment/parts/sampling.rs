@@ -1,4 +1,4 @@
-//! Draws of spaces: failure rates with exact bounds, and paired comparison.
+//! Random scenarios of scenario spaces: failure rates with exact bounds, and paired comparison.
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -19,66 +19,65 @@ use crumple_world::sim::{
     FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
 
-/// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
 
-/// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
+/// Number of scenarios simulated at a time: enough to use all cores, and few enough for memory.
 const BATCH_SIZE: u64 = 4096;
 
-/// Every controller on the same draws, space after space.
+/// Every controller on the same random scenarios of each space.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSamples {
-    /// One entry a space.
+    /// One entry per scenario space.
     pub spaces: Vec<SpaceSample>,
 }
 
-/// Every controller on the same draws of a space.
+/// Every controller on the same random scenarios of a space.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSample {
-    /// The space.
+    /// Scenario space.
     pub space: ContentId,
-    /// Draws for each controller.
+    /// Number of random scenarios for each controller.
     pub draws: u64,
-    /// Seed of the draws.
+    /// Seed of the random scenarios.
     pub seed: u64,
-    /// Confidence of the intervals.
+    /// Confidence level of the intervals.
     pub confidence: f64,
-    /// One entry a controller.
+    /// One entry per controller.
     pub controllers: Vec<ControllerSample>,
 }
 
-/// How one controller did on all draws.
+/// The results of one controller on all random scenarios.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ControllerSample {
-    /// The controller's name.
+    /// Name of the controller.
     pub controller: String,
-    /// Draws in which a vehicle under test touched another.
+    /// Number of scenarios in which a vehicle under test collides.
     pub collisions: u64,
-    /// Draws that ended because its controller gave no answer: failures, and no collisions.
+    /// Scenarios in which the controller gave no answer: failures, but no collisions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// Draws that ended when vehicles that are not under test touched: they say nothing of the controller.
+    /// Number of scenarios that end with a collision of other vehicles: no evidence about the controller.
     pub cut_short: u64,
-    /// Draws in which a vehicle under test hit the one ahead first.
+    /// Number of scenarios in which a vehicle under test first hits its leader.
     pub hit: u64,
-    /// Draws in which a vehicle under test was hit from behind first.
+    /// Number of scenarios in which a vehicle under test is first hit from behind.
     pub was_hit: u64,
-    /// The share of collisions, and of draws without an answer, in percent, and its exact bounds.
+    /// Failure rate in percent, with exact bounds: collisions and scenarios without an answer.
     pub rate_percent: PercentInterval,
-    /// Smallest gap ahead of a vehicle under test over all draws, in metres.
+    /// Smallest gap ahead of a vehicle under test over all scenarios, in metres.
     pub min_gap_ahead_m: Option<Rounded<2>>,
-    /// Smallest gap behind a vehicle under test over all draws, in metres.
+    /// Smallest gap behind a vehicle under test over all scenarios, in metres.
     pub min_gap_behind_m: Option<Rounded<2>>,
     /// Mean impact speed of the collisions, in m/s.
     pub mean_impact_speed_mps: Option<Rounded<1>>,
-    /// What failures come to per hour and per 1000 km; none where the space does not say in how much driving it was seen.
+    /// Failures per hour and per 1000 km; absent if the space states no exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
     pub rate_per_exposure: Option<RatePerExposure>,
-    /// How the first controller and this one fare on the same draws; none for the first itself.
+    /// Comparison with the first controller on the same scenarios; absent for the first itself.
     pub paired: Option<PairedCounts>,
 }
 
@@ -86,7 +85,7 @@ pub struct ControllerSample {
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PercentInterval {
-    /// The share that was observed.
+    /// Observed share.
     pub observed: Rounded<2>,
     /// Lower bound.
     pub lower: Rounded<2>,
@@ -95,13 +94,12 @@ pub struct PercentInterval {
 }
 
 impl PercentInterval {
-    /// Formats the interval.
     pub(super) fn format_bounds(&self) -> String {
         format!("{} – {}", self.lower, self.upper)
     }
 
-    /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards. What those that were cut short would
-    /// have come to is not known: they count where that is worse, and not where it is better.
+    /// Returns the share of `count` and its exact bounds, rounded outwards. Runs that ended early count in the upper
+    /// bound only.
     pub(super) fn clopper_pearson([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
         let bounds = |count| RateInterval::clopper_pearson(count, total, confidence);
         let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
@@ -113,19 +111,18 @@ impl PercentInterval {
     }
 }
 
-/// Two controllers on the same draws. Draws in which the first gave no answer are not among those in which only it fails.
+/// A paired comparison of two controllers. Scenarios in which the first gave no answer are not in `only_first`.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PairedCounts {
-    /// Both fail.
+    /// Number of scenarios in which both fail.
     pub both: u64,
-    /// Only the first controller collides.
+    /// Number in which only the first controller collides.
     pub only_first: u64,
-    /// Only this one fails.
+    /// Number in which only this controller fails.
     pub only_this: u64,
 }
 
-/// What is kept of one run.
 pub(super) struct SampledRun {
     pub(super) verdict: CaseVerdict,
     impact_speed_mps: Option<f64>,
@@ -133,20 +130,19 @@ pub(super) struct SampledRun {
 }
 
 impl ControllerSample {
-    /// Draws that its controller gave no answer in.
     #[must_use]
     pub(crate) fn unanswered_runs(&self) -> u64 {
         self.unanswered.as_ref().map_or(0, |silent| silent.runs)
     }
 
-    /// Draws that it fails, in whatever way.
+    /// Returns the number of failures: collisions and scenarios without an answer.
     #[must_use]
     pub fn failures(&self) -> u64 {
         self.collisions.saturating_add(self.unanswered_runs())
     }
 
-    /// What the draws say of the claim that it fails in fewer of them than another. Those in which the other gave no answer may have gone
-    /// either way.
+    /// Returns the strength of the claim to fail less often. Scenarios without an answer of the other controller are
+    /// open.
     fn strength_against(&self, other: &Self, draws: u64) -> Strength {
         let beside = [other.collisions, other.cut_short.saturating_add(other.unanswered_runs())];
         match (Strength::from_paired_counts([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
@@ -157,7 +153,6 @@ impl ControllerSample {
         }
     }
 
-    /// The exact bounds on the share of collisions.
     fn rate_strength(&self, distribution: &SpaceSample) -> Strength {
         Strength::Between {
             lower_percent: self.rate_percent.lower,
@@ -175,7 +170,6 @@ impl SpaceSamples {
         Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
     }
 
-    /// What was seen of each controller: on the draws, of the rate, and beside the first controller.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let mut all = Vec::new();
         for drawn in self.spaces.iter().filter(|drawn| drawn.draws > 0) {
@@ -287,7 +281,6 @@ impl SpaceSample {
         ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
-    /// Of each controller that gave no answer in some draws: in how many, and why.
     fn unanswered_notes(&self) -> Vec<String> {
         let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
         let words = silent.map(|(sampled, silent)| {
@@ -324,7 +317,7 @@ impl SpaceSample {
     }
 }
 
-/// What comes of each, none recorded but in its sums.
+/// Simulates each scenario without recording its trace.
 pub(super) fn run_samples(
     scenarios: &[Scenario],
     controller: &NamedController,
@@ -351,12 +344,10 @@ impl SampledRun {
     }
 }
 
-/// How a controller fared in a draw, as far as it is set beside another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum SampleOutcome {
     Passes,
     Fails,
-    /// It gave no answer.
     Unanswered,
 }
 
@@ -370,7 +361,6 @@ impl SampleOutcome {
     }
 }
 
-/// Sums over draws.
 #[derive(Default)]
 struct SampleTally {
     draws: u64,
@@ -410,7 +400,7 @@ impl SampleTally {
                 ) => self.paired.both += 1,
                 (SampleOutcome::Fails, SampleOutcome::Passes) => self.paired.only_first += 1,
                 (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.only_this += 1,
-                // What the first gave no answer in does not count in favour of this one.
+                // A scenario without an answer of the first controller does not count in favour of this one.
                 (SampleOutcome::Unanswered | SampleOutcome::Passes, SampleOutcome::Passes) => {}
             }
         }

@@ -19,33 +19,32 @@ use crate::draw::{
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 
-/// What came of every controller in one scenario.
+/// The results of every controller in one scenario.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ScenarioCases {
     /// Name of the scenario.
     pub scenario: String,
-    /// Why it exists.
+    /// Purpose of the scenario.
     pub about: String,
-    /// How to run it again, but for the controller.
+    /// Command that repeats the run, without the controller.
     pub replay: CrumpleCommand,
-    /// The best that a driver could have made of it; none if that was not asked.
+    /// Avoidability and best escape; absent if not computed.
     #[serde(rename = "best")]
     pub avoidance: Option<RoundedAvoidance>,
-    /// One case a controller.
+    /// One case per controller.
     pub cases: Vec<CaseResult>,
-    /// The scenario and the names of its vehicles, for figures.
+    /// Scenario with the names of its vehicles, for figures.
     #[serde(skip)]
     full_scenario: Scenario,
     #[serde(skip)]
     labels: Vec<String>,
-    /// Of what `best` says of every driver.
+    /// Certificate of the claims of `avoidance` about every driver.
     #[serde(skip)]
     certificate: Option<Certificate>,
 }
 
-/// What runs say of "no contact" in all these scenarios together, controller after controller. Runs in which others crash
-/// first do not count.
+/// Returns the evidence of `NoContact` per controller, without runs in which other vehicles collide first.
 pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part: &str) -> Vec<Evidence> {
     let of = |(index, subject): (usize, Subject)| {
         let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
@@ -62,7 +61,6 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
     plan.claim_subjects().into_iter().enumerate().map(of).collect()
 }
 
-/// These scenarios as a domain.
 pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     let about = match part {
         super::paper::ANCHOR => "the paper's scenarios",
@@ -73,7 +71,6 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
 }
 
 impl ScenarioCases {
-    /// The cases of a scenario, and the command that runs it.
     pub(in crate::assessment) fn new(scenario: &Scenario, replay: CrumpleCommand, cases: Vec<CaseResult>) -> Self {
         Self {
             scenario: scenario.spec().name.clone(),
@@ -87,7 +84,7 @@ impl ScenarioCases {
         }
     }
 
-    /// With the best that a driver could have made of the scenario, and each controller's regret.
+    /// Adds the avoidance of the scenario, and each controller's regret.
     pub(in crate::assessment) fn with_avoidance(
         mut self,
         CertifiedAvoidance { avoidance: best, certificate }: CertifiedAvoidance,
@@ -99,17 +96,14 @@ impl ScenarioCases {
         self
     }
 
-    /// A certificate of what no driver can do, if there is one, and the name of its scenario.
     pub(in crate::assessment) fn named_certificate(&self) -> Option<(&str, &Certificate)> {
         Some((&self.scenario, self.certificate.as_ref()?))
     }
 
-    /// The best that a driver could have made of it, in a sentence.
     pub(in crate::assessment) fn describe_avoidance(&self) -> String {
         self.avoidance.as_ref().map(RoundedAvoidance::describe).unwrap_or_default()
     }
 
-    /// Returns outcomes and the measures to look at first, one row a controller.
     pub(super) fn table(&self) -> ReportTable {
         ReportTable::from_items(
             &self.cases,
@@ -130,7 +124,7 @@ impl ScenarioCases {
         )
     }
 
-    /// Returns the other measures, one row a controller.
+    /// Returns the other measures, one row per controller.
     pub(super) fn further_measures(&self) -> ReportTable {
         ReportTable::from_items(
             &self.cases,
@@ -151,23 +145,19 @@ impl ScenarioCases {
         )
     }
 
-    /// Writes both tables, the second one folded away.
     pub(in crate::assessment) fn write_tables(&self, out: &mut ReportDocument) {
         out.table(&self.table());
         out.collapsible("further measures", |out| out.table(&self.further_measures()));
     }
 
-    /// How to run one case again.
     pub(in crate::assessment) fn replay_command(&self, case: &CaseResult) -> Option<CrumpleCommand> {
         Some(self.replay.clone().with_args(["--controller", case.controller_arg.as_deref()?]))
     }
 
-    /// The same, as a reader sees it.
     pub(in crate::assessment) fn replay_html(&self, case: &CaseResult) -> Markup {
         html! { @if let Some(command) = self.replay_command(case) { code { (command) } " " } }
     }
 
-    /// The paper's three diagrams of one case.
     pub(in crate::assessment) fn figure(&self, case: &CaseResult) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
         let title = format!("{}, {}", self.scenario, case.controller);
@@ -175,12 +165,12 @@ impl ScenarioCases {
         draw_motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
     }
 
-    /// The motion of several cases beside each other, on the same axes.
+    /// Draws the motion of several cases next to each other, on the same axes.
     pub(in crate::assessment) fn figures_side_by_side(&self, cases: &[&CaseResult]) -> Markup {
         self.with_figures(cases, draw_motions_side_by_side)
     }
 
-    /// The motion of several cases as a file of its own.
+    /// Draws the motion of several cases as a separate file.
     pub(in crate::assessment) fn combined_figure(&self, cases: &[&CaseResult]) -> Svg {
         self.with_figures(cases, |figures| draw_motion_columns(&self.scenario, &self.scenario, figures))
     }
@@ -204,14 +194,13 @@ impl ScenarioCases {
         draw(&figures)
     }
 
-    /// What a case looked like from above.
     pub(in crate::assessment) fn animation(&self, case: &CaseResult) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
         let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.describe());
         draw_animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.full_scenario, impacts)
     }
 
-    /// The figure of one case, folded away behind its outcome.
+    /// Draws the figure of one case, folded behind its outcome.
     pub(in crate::assessment) fn collapsible_figure(&self, case: &CaseResult) -> Markup {
         html! {
             details {

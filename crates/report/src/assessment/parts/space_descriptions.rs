@@ -1,4 +1,4 @@
-//! The spaces that scenarios are drawn from and searched in, in numbers.
+//! Descriptions of the scenario spaces of an assessment.
 
 use maud::html;
 use serde::Serialize;
@@ -11,37 +11,37 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 
-/// What varies in each space, within which range and by which law.
+/// The parameters of each scenario space, with ranges and probability distributions.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceDescriptions {
-    /// One entry a space.
+    /// One entry per scenario space.
     pub spaces: Vec<SpaceDescription>,
 }
 
-/// A space.
+/// A scenario space.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceDescription {
-    /// Its name.
+    /// Name of the space.
     pub name: String,
-    /// What it covers.
+    /// Content of the space.
     pub about: String,
-    /// What varies.
+    /// Parameters of the space.
     pub parameters: Vec<ParameterDescription>,
-    /// Whether some parameters depend on others.
+    /// True if some parameters depend on others.
     pub has_dependence: bool,
 }
 
-/// Something that varies.
+/// A parameter of a scenario space.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ParameterDescription {
-    /// The field of the scenario.
+    /// Field of the scenario.
     pub field: String,
-    /// Its unit.
+    /// Unit of the parameter.
     pub unit: String,
-    /// The range and the law within it, in words.
+    /// Range and probability distribution, in words.
     #[serde(rename = "law")]
     pub distribution: String,
 }

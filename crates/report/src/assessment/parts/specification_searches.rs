@@ -1,5 +1,4 @@
-//! Searches for what a controller must not do besides touching somebody: braking without cause, braking imposed on others, disturbances
-//! enlarged, or any formula.
+//! Searches for violations of specifications other than collisions, such as unnecessary or induced braking.
 
 use maud::html;
 use serde::Serialize;
@@ -20,72 +19,70 @@ use crumple_search::falsify::counterexample::Counterexample;
 use crumple_world::measure::{DrivingRule, Specification};
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
-/// The part's anchor in the page.
 const ANCHOR: &str = "rules";
 
-/// What was searched for violations of rules, and what was found.
+/// The results of all searches for violations of specifications.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpecificationSearches {
-    /// An entry a space and rule.
+    /// One entry per scenario space and specification.
     pub searches: Vec<SpaceSpecificationSearches>,
 }
 
-/// Every controller, in one space, by one rule.
+/// The searches of every controller for one scenario space and specification.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSpecificationSearches {
-    /// The space.
+    /// Scenario space.
     pub space: ContentId,
-    /// The rule, as `--spec` takes it.
+    /// Specification, in the syntax of `--spec`.
     #[serde(rename = "rule")]
     pub specification: String,
-    /// An entry a controller.
+    /// One entry per controller.
     pub controllers: Vec<SpecificationSearch>,
 }
 
-/// What was found of one controller.
+/// The search of one controller.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpecificationSearch {
-    /// The controller.
+    /// Name of the controller.
     pub controller: String,
-    /// Evaluations of all methods.
+    /// Number of simulations of all methods.
     pub evaluations: u64,
-    /// How many of them broke the rule.
+    /// Number of simulations that violate the specification.
     pub violations: u64,
-    /// Evaluations in which the controller gave no answer: these neither keep a rule nor break it.
+    /// Simulations without an answer of the controller: neither satisfied nor violated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// How many of the violations are distinct.
+    /// Number of distinct violations.
     pub distinct: usize,
-    /// In which of its runs, from 1, the search met the first.
+    /// Index of the search's simulation with the first violation, from 1.
     pub first: Option<u64>,
-    /// The one that goes furthest.
+    /// Violation with the least robustness.
     pub worst: Option<SpecificationViolation>,
-    /// How to search again; none of a controller from outside.
+    /// Command that repeats the search; absent for an external controller.
     pub command: Option<CrumpleCommand>,
 }
 
-/// A run that broke a rule, shrunk.
+/// A run that violates a specification, after shrinking.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpecificationViolation {
-    /// The scenario file, from the folder of the report.
+    /// Path of the scenario file, relative to the report folder.
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// How to see it happen; none of a controller from outside.
+    /// Command that simulates the violation; absent for an external controller.
     pub replay: Option<CrumpleCommand>,
-    /// How far the rule holds: negative, in the rule's unit.
+    /// Robustness: negative, in the unit of the specification.
     pub robustness: Rounded<3>,
-    /// What is not nominal.
+    /// Parameters that are not nominal.
     pub changed: Vec<String>,
     #[serde(skip)]
     text: String,
 }
 
-/// One search.
 pub(in crate::assessment) struct SpecificationSearchPlan<'p> {
     pub(in crate::assessment) space: &'p NamedSpace,
     pub(in crate::assessment) specification: &'p str,
@@ -93,7 +90,6 @@ pub(in crate::assessment) struct SpecificationSearchPlan<'p> {
 }
 
 impl<'p> SpecificationSearchPlan<'p> {
-    /// All of a plan.
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
         plan.spaces.iter().flat_map(move |space| {
             plan.config.search.specifications.iter().flat_map(move |rule| {
@@ -106,7 +102,7 @@ impl<'p> SpecificationSearchPlan<'p> {
         })
     }
 
-    /// For readers; one of a kind in a plan.
+    /// Returns a name for readers, unique in a plan.
     pub(in crate::assessment) fn name(&self) -> String {
         format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.specification)
     }
@@ -203,7 +199,6 @@ impl<'p> SpecificationSearchPlan<'p> {
 }
 
 impl SpecificationSearches {
-    /// None if the plan has no rules.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -222,7 +217,6 @@ impl SpecificationSearches {
         Ok((!searches.is_empty()).then_some(Self { searches }))
     }
 
-    /// What each search says.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let of = |searches: &SpaceSpecificationSearches| {
             let domain = searches.domain(plan);
@@ -246,24 +240,20 @@ impl SpecificationSearches {
         self.searches.iter().flat_map(|one| &one.controllers).filter_map(|search| search.worst.as_ref())
     }
 
-    /// Scenarios that broke a rule, each a file of the report.
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
         self.violations().map(|one| (one.file.clone(), one.text.clone().into_bytes()))
     }
 
-    /// How to see rules broken.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.violations().filter_map(|one| one.replay.as_ref())
     }
 }
 
 impl SpaceSpecificationSearches {
-    /// What was tried of the space, as a domain.
     pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
         Domain::Search { space: self.space.clone(), seed: plan.config.seed, budget: plan.config.search.budget }
     }
 
-    /// What is claimed by the rule.
     pub(in crate::assessment) fn property(&self) -> Property {
         match self.specification.parse() {
             Ok(DrivingRule::NoUnnecessaryBraking) => Property::NoUnnecessaryBraking,
@@ -293,7 +283,6 @@ impl SpaceSpecificationSearches {
         )
     }
 
-    /// Of each controller that gave no answer in some runs: in how many, and why.
     fn unanswered_notes(&self) -> impl Iterator<Item = String> {
         let silent = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
         silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.describe(search.evaluations)))

@@ -1,4 +1,4 @@
-//! What a line of vehicles under one controller makes of a disturbance.
+//! String stability: the effect of a disturbance on a line of vehicles under one controller.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,31 +9,31 @@ use crumple_world::measure::SpeedAmplification;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario};
 use crumple_world::sim::{FailedControllerRuns, RecordingLevel, Run, RunError, RunOptions, simulate};
 
-/// What a line of vehicles makes of a disturbance of its leader.
+/// The effect of a disturbance of the leader on a line of vehicles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum StringStabilityVerdict {
-    /// No vehicle deviates more than the one ahead.
+    /// No vehicle deviates more than its leader.
     Damps {
-        /// The last one's deviation, relative to the leader's.
+        /// Deviation of the last vehicle, relative to that of the leader.
         gain: Rounded<2>,
     },
-    /// Some vehicle deviates more than the one ahead.
+    /// Some vehicle deviates more than its leader.
     Amplifies {
-        /// The last one's deviation, relative to the leader's.
+        /// Deviation of the last vehicle, relative to that of the leader.
         gain: Rounded<2>,
     },
-    /// The line does not drive at one speed to begin with.
+    /// The line does not reach a common speed before the disturbance.
     DoesNotSettle,
-    /// Vehicles touch.
+    /// Vehicles collide.
     #[serde(rename = "fails")]
     Collides,
-    /// Its controller gave no answer.
+    /// A controller gave no answer.
     #[serde(rename = "no_answer")]
     Unanswered {
-        /// When and why.
+        /// Time and reason.
         because: String,
     },
 }
@@ -54,7 +54,7 @@ impl StringStabilityVerdict {
         }))
     }
 
-    /// What it says of the claim that no disturbance grows: of a line that drives at no one speed nothing.
+    /// Returns the strength of the claim that no disturbance grows; a line without a common speed is no evidence.
     pub(super) fn strength(&self) -> Strength {
         match self {
             Self::Damps { .. } => Strength::from_counts(0, 1),
@@ -67,7 +67,6 @@ impl StringStabilityVerdict {
         }
     }
 
-    /// Whether no disturbance grew.
     pub(in crate::assessment) fn is_string_stable(&self) -> bool {
         matches!(self, Self::Damps { .. })
     }

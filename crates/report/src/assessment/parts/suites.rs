@@ -1,4 +1,4 @@
-//! Tests after regulations: suites, each with its matrix.
+//! Suites of tests that are modelled on regulations, each with its matrix.
 
 use std::collections::BTreeMap;
 
@@ -20,10 +20,8 @@ use crumple_suites::{ControllerResult, DISCLAIMER, FailedPoint, TestVerdict, run
 use crumple_world::scenario::file;
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
-/// The part's anchor in the page.
 const ANCHOR: &str = "suites";
 
-/// What one suite found, kept in the store.
 pub(in crate::assessment) fn gather_suite(
     plan: &AssessmentPlan,
     planned: &PlannedSuite,
@@ -39,84 +37,84 @@ pub(in crate::assessment) fn gather_suite(
     Ok(kept)
 }
 
-/// What suites found.
+/// The findings of all suites.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Suites {
-    /// What it is and is not.
+    /// Disclaimer of the suites.
     pub statement: &'static str,
-    /// One entry a suite.
+    /// One entry per suite.
     pub suites: Vec<SuiteFindings>,
-    /// Scenarios that failed, by their paths from the folder of the report.
+    /// Failed scenarios by path, relative to the report folder.
     #[serde(skip)]
     files: BTreeMap<String, String>,
 }
 
-/// What one suite found.
+/// The findings of one suite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFindings {
-    /// The suite.
+    /// Identifier of the suite.
     pub suite: ContentId,
-    /// The document that it is after, and its edition.
+    /// Document that the suite is modelled on, and its edition.
     pub document: String,
-    /// What its figures were read from.
+    /// Source of the figures.
     pub figures_from: String,
-    /// What the document asks for and the model does not have.
+    /// Requirements of the document that are outside the model.
     pub outside: Vec<String>,
-    /// Figures that were left out, and why.
+    /// Omitted figures, with reasons.
     pub left_out: Vec<String>,
-    /// Whom it tests, in the order of the outcomes of each test.
+    /// Tested controllers, in the order of the outcomes of each test.
     pub controllers: Vec<String>,
-    /// Its tests.
+    /// Tests of the suite.
     pub tests: Vec<SuiteTest>,
 }
 
-/// What was found of a test.
+/// The findings of one test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteTest {
-    /// The clause.
+    /// Clause of the document.
     pub clause: String,
-    /// The test.
+    /// Name of the test.
     pub test: String,
-    /// Whether the document states its figures; else some were chosen.
+    /// True if the document states all figures; otherwise some were chosen.
     pub is_as_stated: bool,
-    /// An entry a controller.
+    /// One entry per controller.
     pub outcomes: Vec<SuiteOutcome>,
 }
 
-/// How a test ended for a controller.
+/// The outcome of a test for one controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteOutcome {
-    /// Whether it passed; none if it could not be run.
+    /// True if the test passed; absent if it could not be run.
     pub passed: Option<bool>,
-    /// The worst of the points of its grid, in words.
+    /// Worst point of the grid, in words.
     pub verdict: String,
-    /// Points of the grid.
+    /// Number of points of the grid.
     pub points: u64,
-    /// How many of them passed.
+    /// Number of points that passed.
     pub points_passed: u64,
-    /// How many of them failed; the rest cannot be run.
+    /// Number of points that failed; the rest cannot be run.
     pub points_failed: u64,
-    /// In how many of those that failed the controller gave no answer.
+    /// Failed points at which the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// How many points were run, of the grid and of the search within ranges and tolerances.
+    /// Number of simulated points, of the grid and of the search within ranges and tolerances.
     pub runs: u64,
-    /// How many of them failed.
+    /// Number of simulated points that failed.
     pub failures: u64,
-    /// In how many of those that the search ran the controller gave no answer.
+    /// Failed points of the search at which the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "unanswered_within")]
     pub unanswered_in_tolerance: Option<FailedControllerRuns>,
-    /// How far it can be pushed until it fails, in words.
+    /// Margins to failure, in words.
     pub margins: Vec<String>,
-    /// The worst point found within the ranges and tolerances of the clause, in words; none where there are none.
+    /// Worst point found within the ranges and tolerances of the clause, in words; absent if the clause has none.
     #[serde(rename = "within")]
     pub worst_in_tolerance: Option<String>,
-    /// The failure with the fastest impact.
+    /// Failure with the highest impact speed.
     pub worst: Option<SuiteFailure>,
 }
 
@@ -124,24 +122,23 @@ pub struct SuiteOutcome {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFailure {
-    /// The scenario's file, from the folder of the report.
+    /// Path of the scenario file, relative to the report folder.
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// How to see it happen; none of a controller from outside, and of one that failed.
+    /// Command that simulates the failure; absent for an external controller and for one that failed.
     pub replay: Option<CrumpleCommand>,
-    /// The point.
+    /// Parameters of the point.
     pub point: String,
-    /// What happened.
+    /// Description of the failure.
     pub what: String,
-    /// Who could have prevented it.
+    /// Preventability by reference drivers.
     pub preventable: String,
-    /// How it could have been avoided, where it is avoidable.
+    /// Escape, if the failure is avoidable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape: Option<EscapeFile>,
 }
 
-/// A suite's findings as they are kept, with the scenarios that failed.
 #[derive(Serialize, Deserialize)]
 pub(in crate::assessment) struct SuiteCacheEntry {
     #[serde(rename = "found")]
@@ -150,7 +147,6 @@ pub(in crate::assessment) struct SuiteCacheEntry {
 }
 
 impl Suites {
-    /// None if the plan has no suites.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -167,7 +163,6 @@ impl Suites {
         Ok(Some(all))
     }
 
-    /// What these runs say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let each = plan.suites.iter().zip(&self.suites);
         let of = |(planned, found): (&PlannedSuite, &SuiteFindings)| {
@@ -183,12 +178,12 @@ impl Suites {
                     outcomes().for_each(|one| FailedControllerRuns::merge(&mut all, of(one).clone()));
                     all
                 };
-                // A point without an answer is a failure of the controller, and none of its driving.
+                // A point without an answer is a failure of the controller, but no collision.
                 let strength = |failed: u64, points: u64, silent: Option<FailedControllerRuns>| {
                     let touching = failed.saturating_sub(silent.as_ref().map_or(0, |silent| silent.runs));
                     Strength::from_counts_with_unanswered(touching, points, silent.as_ref(), true)
                 };
-                // A search goes where it fails: how many of its points do says nothing of the tests.
+                // A search concentrates on failures, so its failure count is no evidence about the tests.
                 let of_tests = strength(failed, points, silent(|one| &one.unanswered));
                 let (strength, made) = match of_tests.is_refutation() {
                     true => (of_tests, format!("{points} points that the tests state")),
@@ -205,12 +200,12 @@ impl Suites {
         each.flat_map(of).collect()
     }
 
-    /// A claim a suite of every controller; none of those that it does not test.
+    /// Returns one claim per suite and controller; `None` for controllers that the suite does not test.
     pub(in crate::assessment) fn claims(plan: &AssessmentPlan) -> impl Iterator<Item = Vec<Option<AssuranceClaim>>> {
         plan.suites.iter().map(|planned| claims(plan, planned))
     }
 
-    /// How a controller did in every test of the suite at that place of the plan.
+    /// Returns the outcomes of a controller in the suite with that index in the plan.
     pub(in crate::assessment) fn controller_outcomes<'s>(
         &'s self,
         place: usize,
@@ -223,12 +218,10 @@ impl Suites {
         })
     }
 
-    /// Scenarios that failed, each a file of the report.
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
         self.files.iter().map(|(name, text)| (name.clone(), text.clone().into_bytes()))
     }
 
-    /// How to see failures happen.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.suites.iter().flat_map(SuiteFindings::replay_commands)
     }
@@ -244,7 +237,6 @@ fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<Assurance
     (0..plan.controllers.len()).map(claim).collect()
 }
 
-/// Runs a suite.
 fn run_planned_suite(
     plan: &AssessmentPlan,
     planned: &PlannedSuite,
@@ -300,16 +292,15 @@ impl SuiteOutcome {
         })
     }
 
-    /// Runs that its controller gave no answer in, of the grid and of the search, and why in the first of them.
+    /// Returns the number of runs without an answer, of grid and search, and the reason of the first.
     pub(in crate::assessment) fn total_unanswered(&self) -> Option<FailedControllerRuns> {
         let mut all = self.unanswered.clone();
         FailedControllerRuns::merge(&mut all, self.unanswered_in_tolerance.clone());
         all
     }
 
-    /// In a few words, for a matrix.
     fn table_cell(&self) -> ReportCell {
-        // Why it gave none stands below: it may be long.
+        // The reason for no answer is below the table, because it may be long.
         let silent = self.total_unanswered().map_or(0, |silent| silent.runs);
         let contact = self.worst.as_ref().filter(|_| silent < self.failures);
         let mut words = match (self.points, self.passed, contact) {
@@ -351,7 +342,6 @@ impl SuiteFailure {
         Ok(Self { file, sha256, replay, point, what, preventable: describe_preventability(failed), escape })
     }
 
-    /// How to see it happen, and what would have avoided it.
     fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
     }
@@ -401,7 +391,6 @@ impl SuiteFindings {
         )
     }
 
-    /// Of each controller that gave no answer in some runs: in how many, and why.
     fn unanswered_notes(&self) -> Vec<String> {
         let of = |(column, controller): (usize, &String)| {
             let (mut all, mut runs) = (None, 0);
@@ -428,7 +417,6 @@ impl SuiteFindings {
     }
 }
 
-/// What the figures of the matrix are.
 const INTRODUCTION: &str = "Tests of documents as data: every combination of their figures is a scenario, and it passes if nothing \
     touches before the test ends. A cell says how many of them pass, and the fastest impact. What regulations ask for besides is \
     outside the model.";

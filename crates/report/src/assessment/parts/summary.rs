@@ -1,4 +1,4 @@
-//! The verdict: claims about each controller, and how strongly each is supported.
+//! The verdict: claims about each controller, and the strength of their evidence.
 
 use maud::html;
 use serde::Serialize;
@@ -20,28 +20,28 @@ use crumple_world::sim::{ControllerKind, NamedController};
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimSummary {
-    /// The controller that the question is about.
+    /// Controller that the question is about.
     pub subject: Option<String>,
-    /// Names of the controllers, in the order of each claim's standings.
+    /// Names of the controllers, in the order of each claim's statuses.
     pub controllers: Vec<String>,
-    /// What the names of controllers and spaces stand for, in a few words each.
+    /// Explanations of the names of controllers and scenario spaces.
     pub named: Vec<NameExplanation>,
-    /// The claims.
+    /// One row per claim.
     pub claims: Vec<ClaimRow>,
-    /// What had to hold, and whether it does.
+    /// Results of the gates.
     pub gates: Vec<GateResult>,
-    /// The first controller, the subject, and whatever learned.
+    /// Indices of the first controller, the subject, and the learned ones.
     #[serde(skip)]
     main_columns: Vec<usize>,
 }
 
-/// A name, and what it stands for.
+/// A name and its explanation.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct NameExplanation {
-    /// The name.
+    /// Name of a controller or scenario space.
     pub name: String,
-    /// What it is.
+    /// Explanation in a few words.
     pub what: String,
 }
 
@@ -49,18 +49,18 @@ pub struct NameExplanation {
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimRow {
-    /// What is claimed.
+    /// Claim in words.
     pub claim: String,
-    /// The part of the report with the evidence.
+    /// Anchor of the part with the evidence.
     pub part: &'static str,
-    /// The claim as it is made of each controller; none where it makes no sense of one.
+    /// Claim about each controller; absent if it does not apply.
     pub claims: Vec<Option<AssuranceClaim>>,
-    /// How it stands with each controller.
+    /// Status of the claim for each controller.
     #[serde(rename = "standings")]
     pub statuses: Vec<ClaimStatus>,
 }
 
-/// What the claims of a verdict are made about.
+/// The parts of the report that claims refer to.
 pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
     pub(in crate::assessment) distributions: &'a SpaceSamples,
@@ -74,7 +74,6 @@ pub(in crate::assessment) struct GatheredEvidence<'a> {
 }
 
 impl GatheredEvidence<'_> {
-    /// All evidence there is.
     pub(in crate::assessment) fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
         let mut all = Vec::new();
         all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
@@ -90,7 +89,7 @@ impl GatheredEvidence<'_> {
     }
 }
 
-/// The largest share of collisions that still counts as rare, in percent.
+/// Largest failure rate that counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
 impl ClaimSummary {
@@ -136,13 +135,11 @@ impl ClaimSummary {
         )
     }
 
-    /// Those the question is about, and the others.
     fn split_columns(&self) -> (Vec<usize>, Vec<usize>) {
         (0..self.controllers.len()).partition(|index| self.main_columns.contains(index))
     }
 }
 
-/// The controllers, and the spaces that claims are about.
 fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<NameExplanation> {
     let controllers = plan
         .controllers
@@ -162,7 +159,6 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
     all
 }
 
-/// What drives, in a few words.
 fn describe_controller(kind: &ControllerKind) -> String {
     match kind {
         ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
@@ -191,12 +187,11 @@ fn describe_controller(kind: &ControllerKind) -> String {
     }
 }
 
-/// An FMU runs in a process of its own, and is none for its user.
+/// An FMU runs in its own process, but the user sees an FMU.
 fn describe_process(process: &ProcessController) -> &'static str {
     if process.setup().program.is_some() { "an FMU" } else { "a process" }
 }
 
-/// Every claim, each of all controllers.
 fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
     let mut rows = Vec::new();
     let mut add = |part, words: Option<String>, claims: Vec<Option<AssuranceClaim>>| {
@@ -242,7 +237,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
             let fewer = Property::FailsLessOften { than: first.controller };
             for (part, domain) in [("distribution", in_draws()), ("proofs", Domain::Space { space: space() })] {
                 let mut claims = of_all(fewer.clone(), domain, own);
-                // Of itself nobody fails less often.
+                // The first controller cannot fail less often than itself.
                 claims[0] = None;
                 add(part, None, claims);
             }
@@ -262,7 +257,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
-    // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
+    // For a whole space only a proof could support the claim; one failure refutes it.
     let mut spaces: Vec<&ContentId> = Vec::new();
     let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
     for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.content_id)) {
@@ -281,7 +276,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     let shielded = |controller: &NamedController| matches!(controller.kind, ControllerKind::Shielded(_));
     let domain = |controller: &NamedController| kernel_domain(&shield_kernels(controller));
     for one in plan.controllers.iter().filter(|one| shielded(one)) {
-        // Shields of other limits prove other things.
+        // Shields with other limits prove other claims.
         let claim = |(index, other): (usize, &NamedController)| {
             let is_same = shielded(other) && domain(other) == domain(one);
             let subject = plan.claim_subject(index, own).filter(|_| is_same)?;

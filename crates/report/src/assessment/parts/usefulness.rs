@@ -1,4 +1,4 @@
-//! Usefulness: what a controller does where nothing threatens, beside what it survives where something does.
+//! Usefulness: the behaviour of a controller in everyday traffic, compared with its failures in dangerous scenarios.
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -25,77 +25,74 @@ use crumple_world::sim::{
     FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
 };
 
-/// The part's anchor in the page.
 const ANCHOR: &str = "usefulness";
 
-/// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
 
-/// The spaces without and with danger, by their built-in names.
+/// The built-in spaces of everyday traffic and of dangerous scenarios.
 pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
 
-/// Vehicles behind the leader of the line in which a disturbance is followed.
 const FOLLOWERS: usize = 5;
 
-/// Time gap at which they start, in seconds.
+/// Initial time gap of the line, in seconds.
 const TIME_GAP_S: f64 = 1.5;
 
 /// Every controller in everyday traffic, in danger, and in a line.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct UsefulnessReport {
-    /// Where nothing threatens, and where something does.
+    /// Scenario spaces: everyday traffic, and dangerous scenarios.
     pub spaces: [ContentId; 2],
-    /// The line in which a disturbance is followed.
+    /// Scenario of the line for string stability.
     #[serde(rename = "line")]
     pub platoon: ContentId,
-    /// Draws of each space for each controller.
+    /// Number of random scenarios of each space for each controller.
     pub draws: u64,
-    /// Seed of the draws.
+    /// Seed of the random scenarios.
     pub seed: u64,
-    /// Confidence of the bounds.
+    /// Confidence level of the bounds.
     pub confidence: f64,
-    /// One entry a controller.
+    /// One entry per controller.
     pub controllers: Vec<ControllerUsefulness>,
 }
 
-/// How one controller gets on. Means are over the drives in which there is such a value.
+/// The usefulness of one controller. Means are over the drives that have the value; pairs are everyday traffic and
+/// danger.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ControllerUsefulness {
-    /// The controller's name.
+    /// Name of the controller.
     pub controller: String,
-    /// Drives in traffic in which it touched, was touched or failed.
+    /// Everyday drives in which a vehicle under test collided or its controller failed.
     pub failures: u64,
-    /// Drives in traffic, and draws where something threatens, that ended when others touched: they say nothing of it.
+    /// Scenarios that ended with a collision of other vehicles: no evidence about the controller.
     pub cut_short: [u64; 2],
-    /// Draws where something threatens in which it failed.
+    /// Dangerous scenarios that the controller failed.
     pub high_risk_failures: u64,
-    /// Drives in traffic, and draws where something threatens, in which a vehicle under test hit the one ahead first.
+    /// Scenarios in which a vehicle under test first hit its leader.
     #[serde(default)]
     pub hit: [u64; 2],
-    /// Those in which a vehicle under test was hit from behind first.
+    /// Scenarios in which a vehicle under test was first hit from behind.
     #[serde(default)]
     pub was_hit: [u64; 2],
-    /// Drives in traffic, and draws where something threatens, that ended because its controller gave no answer. They are failures, and say
-    /// nothing of how it drives.
+    /// Scenarios without an answer of the controller: failures, but no evidence about its driving.
     #[serde(default, skip_serializing_if = "all_answered")]
     pub unanswered: [Option<FailedControllerRuns>; 2],
-    /// Drives in traffic with braking without cause.
+    /// Everyday drives with unnecessary braking.
     #[serde(rename = "needless")]
     pub unnecessary_braking: u64,
-    /// Their share, in percent, and its exact bounds.
+    /// Share of these drives in percent, with exact bounds.
     #[serde(rename = "needless_percent")]
     pub unnecessary_braking_percent: PercentInterval,
-    /// Mean time of braking without cause in a drive, in seconds.
+    /// Mean time of unnecessary braking in a drive, in seconds.
     #[serde(rename = "needless_s")]
     pub unnecessary_braking_s: Option<Rounded<2>>,
-    /// Drives in traffic with hard braking where little had a cause.
+    /// Everyday drives with hard braking where little braking was required.
     #[serde(rename = "hard")]
     pub hard_braking: u64,
-    /// Drives in traffic at whose end it was left behind.
+    /// Everyday drives at whose end the vehicle had fallen behind.
     pub left_behind: u64,
-    /// Mean distance driven, relative to the vehicle ahead's.
+    /// Mean distance driven, relative to that of the leader.
     pub progress: Option<Rounded<2>>,
     /// Mean time gap, in seconds.
     pub time_gap_s: Option<Rounded<2>>,
@@ -105,13 +102,13 @@ pub struct ControllerUsefulness {
     pub rms_acceleration_mps2: Option<Rounded<2>>,
     /// Mean of a drive's root mean square of jerk, in m/s³.
     pub rms_jerk_mps3: Option<Rounded<2>>,
-    /// Mean of the hardest deceleration of the vehicle behind, in m/s².
+    /// Mean of the hardest deceleration of the follower, in m/s².
     #[serde(rename = "imposed_brake_mps2")]
     pub induced_brake_mps2: Option<Rounded<2>>,
-    /// What a line of five makes of a disturbance.
+    /// String stability of a line of these controllers.
     #[serde(rename = "line")]
     pub string_stability: StringStabilityVerdict,
-    /// The share of failures where something threatens, in percent, and its exact bounds.
+    /// Share of failures in dangerous scenarios in percent, with exact bounds.
     pub high_risk_percent: PercentInterval,
 }
 
@@ -119,15 +116,12 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
 }
 
-/// What is kept of one drive in traffic.
 struct EverydayDrive {
     verdict: CaseVerdict,
     usefulness: Option<measure::UsefulnessMeasures>,
 }
 
 impl UsefulnessReport {
-    /// None if the plan makes no such drives. The motion of each is looked at: these are slower than draws whose contacts
-    /// alone are counted.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -163,24 +157,21 @@ impl UsefulnessReport {
         Ok(Some(Self { spaces, platoon: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
-    /// The drives as domains: where nothing threatens, and where something does.
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
         let (seed, draws) = (self.seed, self.draws);
         self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
     }
 
-    /// The spaces with what they are.
     pub(super) fn space_summaries(&self) -> Vec<(String, String)> {
         let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
         EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
     }
 
-    /// Of one controller.
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerUsefulness> {
         self.controllers.iter().find(|useful| useful.controller == controller)
     }
 
-    /// Returns how a controller fared in a space, if that is one of the two.
+    /// Returns the counts of a controller in a space, if it is one of the two.
     pub(in crate::assessment) fn space_tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
         let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.find(controller)?);
         let failures = [useful.failures, useful.high_risk_failures];
@@ -193,12 +184,10 @@ impl UsefulnessReport {
         })
     }
 
-    /// The line as a domain.
     pub(in crate::assessment) fn platoon_domain(&self) -> Domain {
         Domain::Scenarios { about: UncomparedText(self.platoon.name.clone()), all: vec![self.platoon.clone()] }
     }
 
-    /// What these drives say of contacts on both sides, of braking without cause and of keeping up.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let [traffic, danger] = self.domains();
         let mut all = Vec::new();
@@ -255,7 +244,7 @@ impl UsefulnessReport {
                 ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
             }),
             ("brakes without cause %", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
-                // What was not driven was not driven without needless braking.
+                // A drive without an answer is no evidence for the absence of unnecessary braking.
                 (0, [silent, _]) if silent > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
                 (needless, _) => ReportCell::with_verdict(one.unnecessary_braking_percent.observed, needless == 0),
             }),
@@ -279,7 +268,6 @@ impl UsefulnessReport {
         ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
-    /// Of each controller that gave no answer somewhere: how often, and why.
     fn unanswered_notes(&self) -> Vec<String> {
         let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
@@ -297,7 +285,7 @@ impl UsefulnessReport {
         self.controllers.iter().flat_map(of).collect()
     }
 
-    /// Both sides: a row a controller, and nothing at the right is better.
+    /// Draws both shares: one row per controller, 0 at the left, lower is better.
     pub(super) fn figure(&self, id: &str) -> Svg {
         let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
         let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
@@ -351,7 +339,7 @@ impl EverydayDrive {
 }
 
 impl ControllerUsefulness {
-    /// Drives in traffic, and draws where something threatens, in which its controller gave no answer.
+    /// Returns the number of everyday drives and of dangerous scenarios in which the controller gave no answer.
     #[must_use]
     pub fn unanswered_runs(&self) -> [u64; 2] {
         self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
@@ -363,7 +351,7 @@ impl ControllerUsefulness {
         danger: &[SampledRun],
         line: StringStabilityVerdict,
     ) -> Self {
-        // A drive that its controller ended by giving no answer shows neither how it drives nor that it is not left behind.
+        // A drive without an answer is no evidence about driving or keeping up.
         let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
         let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
         let mut unanswered = [None, None];
@@ -376,7 +364,7 @@ impl ControllerUsefulness {
         };
         let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
         let needless = count(&|one| !one.unnecessary.is_empty());
-        // What those would have come to is not known.
+        // The results of these drives are unknown.
         let silent = unanswered[0].as_ref().map_or(0, |silent: &FailedControllerRuns| silent.runs);
         let (drives_end, danger_ends) =
             (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
@@ -414,11 +402,10 @@ impl ControllerUsefulness {
     }
 }
 
-/// How runs end, counted.
 #[derive(Default)]
 struct EndCounts {
     failures: u64,
-    /// By others.
+    /// Runs that a collision of other vehicles ended.
     cut_short: u64,
     hit: u64,
     was_hit: u64,

@@ -1,4 +1,4 @@
-//! The gentlest lead braking that makes each controller collide.
+//! The mildest braking of the leader that makes each controller collide.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -20,43 +20,42 @@ use crumple_search::worst_case::{Attack, AttackMethod, AttackObjective, AttackRe
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RunOptions};
 
-/// The scenario whose leader brakes.
 const SCENARIO: &str = "paper-1";
 
-/// Most simulations for each controller, roughly: what `crumple worst-case` does unless told otherwise.
+/// Approximate maximum number of simulations per controller: the default of `crumple worst-case`.
 pub(in crate::assessment) const ATTACK_BUDGET: usize = 3000;
 
 /// The mildest braking of the leader found against every controller.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WorstProfiles {
-    /// The scenario whose leader brakes.
+    /// Scenario whose leader brakes.
     pub scenario: &'static str,
-    /// Its length, in seconds.
+    /// Duration of the scenario, in seconds.
     pub duration_s: Rounded<2>,
-    /// Hardest braking the leader was allowed, in m/s².
+    /// Maximum deceleration of the leader, in m/s².
     pub max_brake_mps2: Rounded<2>,
-    /// Fastest change of its acceleration, in m/s³.
+    /// Maximum jerk of the leader, in m/s³.
     pub max_jerk_mps3: Rounded<1>,
-    /// One entry a controller.
+    /// One entry per controller.
     pub profiles: Vec<WorstProfile>,
     #[serde(skip)]
     content_id: ContentId,
 }
 
-/// What was found against one controller.
+/// The result of the search against one controller.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WorstProfile {
-    /// The controller.
+    /// Name of the controller.
     pub controller: String,
-    /// How to find it again; none of a controller from outside.
+    /// Command that repeats the search; absent for an external controller.
     pub replay: Option<CrumpleCommand>,
-    /// Simulations spent.
+    /// Number of simulations.
     pub evaluations: usize,
-    /// Convex programs solved.
+    /// Number of convex programs solved.
     pub programs: usize,
-    /// The mildest braking that makes it collide; none if none was found.
+    /// Mildest braking that makes the controller collide; absent if none was found.
     pub mildest: Option<MildestAttack>,
 }
 
@@ -68,27 +67,25 @@ pub struct MildestAttack {
     pub peak_brake_mps2: Rounded<2>,
     /// ∫ a² of the leader, in m²/s³.
     pub effort_m2ps3: Rounded<2>,
-    /// What follows.
+    /// Verdict on the run.
     pub verdict: CaseVerdict,
-    /// What follows if all vehicles drive on after that.
+    /// Further collisions if all vehicles drive on after the first one.
     pub pile_up: Option<PileUp>,
-    /// Whether a driver could have avoided it.
+    /// Avoidability of the collision.
     #[serde(rename = "best")]
     pub avoidance: RoundedAvoidance,
-    /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s. None where the
-    /// controller gave no answer.
+    /// Margin predicted by the last convex program, in metres: smallest gap, or minus v²/10 of an impact at v m/s.
     pub predicted_margin_m: Option<Rounded<3>>,
-    /// The margin that the simulation has, in metres; none where the controller gave no answer.
+    /// Margin in the simulation, in metres; absent if the controller gave no answer.
     pub margin_m: Option<Rounded<3>>,
     /// Search that found it, which decides if a milder one is ruled out on this grid.
     pub method: AttackMethod,
-    /// The profile, for the figure.
     #[serde(skip)]
     pub(super) profile: Option<PiecewiseAcceleration>,
 }
 
 impl WorstProfiles {
-    /// What is braked for; none if the plan leaves the paper out.
+    /// Returns the scenario and the limits of its leader; `None` if the plan leaves the paper out.
     pub(in crate::assessment) fn scenario(plan: &AssessmentPlan) -> Result<Option<(Scenario, Envelope)>, AssessError> {
         let Some(scenario) = built_in_scenario(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
@@ -96,7 +93,6 @@ impl WorstProfiles {
         Ok(Some((scenario, envelope)))
     }
 
-    /// None if the scenario is not shipped.
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         work: &GatherContext<'_>,
@@ -116,7 +112,6 @@ impl WorstProfiles {
         }))
     }
 
-    /// What the search against each controller says.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let of = |(subject, profile): (Subject, &WorstProfile)| {
             let strength = match &profile.mildest {
@@ -124,7 +119,7 @@ impl WorstProfiles {
                     Strength::from_counts_with_unanswered(0, 1, mildest.verdict.unanswered().as_ref(), true)
                 }
                 Some(mildest) => Strength::AttackFound { peak_brake_mps2: mildest.peak_brake_mps2 },
-                // A search that found nothing is as many tests.
+                // Each simulation of a search without a result counts as a test.
                 None => Strength::from_counts(0, profile.evaluations as u64),
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: self.domain() };
@@ -137,12 +132,10 @@ impl WorstProfiles {
         plan.claim_subjects().into_iter().zip(&self.profiles).map(of).collect()
     }
 
-    /// The scenario with any braking of its leader, as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
         Domain::AnyLeaderBraking { scenario: self.content_id.clone() }
     }
 
-    /// Commands that find the profiles again.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.profiles.iter().filter_map(|profile| profile.replay.as_ref())
     }
@@ -200,7 +193,6 @@ impl WorstProfiles {
         format!("Another driver would have avoided {avoidable} of these {found} collisions.")
     }
 
-    /// For each controller that withstood, how hard was tried.
     fn describe_withstood(&self) -> Vec<String> {
         let none = self.profiles.iter().filter(|profile| profile.mildest.is_none());
         none.map(|profile| {
@@ -222,7 +214,7 @@ impl WorstProfile {
         work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let item = format!("worst profile against {}", controller.name);
-        // The profile stands beside: evidence that is published holds rounded numbers only.
+        // Cached next to the evidence, because published evidence holds only rounded numbers.
         let (mut found, profile): (Self, Option<PiecewiseAcceleration>) =
             work.get_or_gather(&item, &(plan.config.seed, plan.identity(controller)), || {
                 let found = Self::search(scenario, controller, envelope, plan)?;

@@ -1,4 +1,4 @@
-//! The leader's acceleration against each controller: one small chart each, all to the same scale.
+//! Charts of the leader's acceleration against each controller, all to the same scale.
 
 use maud::{Markup, html};
 
@@ -9,10 +9,9 @@ use crumple_world::scenario::PiecewiseAcceleration;
 
 const HEIGHT: f64 = 96.0;
 
-/// How long a profile is shown after the contact, in seconds.
+/// Time for which a profile is shown after the collision, in seconds.
 const TIME_AFTER_CONTACT_S: f64 = 1.0;
 
-/// Both arrangements, of which the page shows the one that fits.
 pub(super) fn draw_responsive<'a>(
     profiles: impl Iterator<Item = (&'a str, &'a MildestAttack)>,
     duration_s: f64,
@@ -66,7 +65,6 @@ fn contact_s(mildest: &MildestAttack) -> Option<f64> {
     }
 }
 
-/// The corners of a script that holds its accelerations.
 fn step_corners(profile: &PiecewiseAcceleration, end_s: f64) -> Vec<(f64, f64)> {
     let until_s = profile.from_s.iter().skip(1).copied().chain([end_s]);
     let pieces = profile.from_s.iter().zip(until_s).zip(&profile.accel_mps2);

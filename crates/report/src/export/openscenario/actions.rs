@@ -1,7 +1,7 @@
-//! What scripted vehicles do, as actions.
+//! Actions of scripted vehicles.
 //!
-//! Braking at a constant rate is a speed action by rate. All else is a speed profile, whose entries are the speeds that the
-//! simulation gives the vehicle when it drives alone, so that its limits and the road's are in them.
+//! Braking at a constant rate is a speed action by rate. Every other script is a speed profile with the speeds that the
+//! simulation gives the vehicle alone on the road, which include the limits of the vehicle and the road.
 
 use std::io;
 
@@ -12,27 +12,25 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
-/// How far a speed profile may be from the simulated speeds, in m/s: a millimetre in a quarter of an hour.
+/// Maximum error of a speed profile, in m/s: one millimetre in a quarter of an hour.
 const PROFILE_TOLERANCE_MPS: f64 = 1e-6;
-/// Where another vehicle stands that has nothing to do with the script: a line has two at least, and this one is never reached.
+/// Position of a second vehicle, which a scenario requires and which the scripted one never meets.
 const DUMMY_FOLLOWER_POSITION_M: f64 = -1e6;
 
-/// What one scripted vehicle does.
 pub(super) struct ScriptedVehicle {
     index: usize,
     action: ScriptedAction,
 }
 
 enum ScriptedAction {
-    /// Brakes from a time on, at a rate, to a speed.
+    /// Braking from a time on, at a rate, to a speed.
     Brake { onset_s: f64, rate_mps2: f64, final_speed_mps: f64 },
-    /// Speeds, each a time after the one before, in seconds.
+    /// Pairs of a time after the previous entry, in seconds, and a speed.
     Profile(Vec<(f64, f64)>),
-    /// Drives on.
+    /// Constant speed.
     KeepSpeed,
 }
 
-/// One move a scripted vehicle.
 pub(super) fn scripted_vehicles(scenario: &Scenario) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
     let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
         Driver::Profile(profile) => {
@@ -51,7 +49,7 @@ fn scripted_action(
     let usable_mps2 = scenario.usable_brake_mps2(index);
     let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
     let brake = |onset_s, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
-        // A rate of nothing never ends.
+        // With a rate of 0 the action would never end.
         rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps => {
             ScriptedAction::Brake { onset_s, rate_mps2, final_speed_mps }
         }
@@ -83,7 +81,7 @@ fn scripted_action(
     }
 }
 
-/// The scripted vehicle on the same road with nobody near, without noise.
+/// Returns the scripted vehicle alone on the same road, without noise.
 fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String> {
     let edited = scenario.edited(|spec| {
         let Some(mut scripted) = spec.vehicles.get(index).cloned() else { return };
@@ -102,7 +100,6 @@ fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String
 }
 
 impl ScriptedVehicle {
-    /// The fastest speed that it states, in m/s.
     pub(super) fn max_speed_mps(&self) -> f64 {
         match &self.action {
             ScriptedAction::Profile(entries) => entries.iter().map(|&(_, mps)| mps).fold(0.0, f64::max),
@@ -110,7 +107,6 @@ impl ScriptedVehicle {
         }
     }
 
-    /// Entries of its speed profile.
     pub(super) fn profile_entry_count(&self) -> usize {
         if let ScriptedAction::Profile(entries) = &self.action { entries.len() } else { 0 }
     }

@@ -1,16 +1,16 @@
-//! The vehicles: categories, boxes, limits.
+//! The vehicles: categories, bounding boxes, limits.
 
 use std::io;
 
 use super::{Xml, attribute_text, entity_name, format_number, write_element, write_empty_element};
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
-/// The rear axle's distance from the rear bumper, as a share of the length. The front axle has the same from the front.
+/// Distance of each axle from the bumper on its side, as a share of the length.
 pub(super) const REAR_OVERHANG_SHARE: f64 = 0.2;
-/// Fastest that a scenario lets a vehicle start, in m/s.
+/// Maximum initial speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
 
-/// What a class looks like, where crumple does not care: a mid-size car, and a lorry as wide as the law allows.
+/// The shape of a vehicle class, which crumple does not model: a mid-size car, and a lorry of the maximum legal width.
 struct VehicleShape {
     category: &'static str,
     width_m: f64,
@@ -25,7 +25,6 @@ fn vehicle_shape(class: VehicleClass) -> VehicleShape {
     }
 }
 
-/// The name of what drives a vehicle, if it is no script.
 pub(super) fn controller_name(vehicle: &VehicleSpec) -> Option<&'static str> {
     match vehicle.driver {
         Driver::Profile(_) => None,
@@ -33,7 +32,7 @@ pub(super) fn controller_name(vehicle: &VehicleSpec) -> Option<&'static str> {
     }
 }
 
-/// All vehicles; with a controller for each that drives by one, if the user is to fill it.
+/// Writes all vehicles; with a controller element, for the user to fill, for each that has no script.
 pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controllers: bool) -> io::Result<()> {
     write_element(xml, "Entities", &[], |xml| {
         for (index, vehicle) in scenario.vehicles().iter().enumerate() {
@@ -87,7 +86,6 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
     })
 }
 
-/// Limits on a dry road.
 fn write_performance(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
     let [speed, accel, brake] = [MAX_SPEED_MPS, vehicle.max_accel_mps2(), vehicle.max_brake_mps2()].map(format_number);
     let jerk = vehicle.jerk_limit_mps3.map(format_number);

@@ -1,11 +1,11 @@
 //! Runs and scenarios for other simulators: ASAM OpenSCENARIO XML 1.2, on a straight road in ASAM OpenDRIVE 1.7.
 //!
-//! [`trajectories`] says what every vehicle did, as timed polylines; [`actions`] says what the scripted vehicles do, as
-//! actions with triggers, and leaves all that are driven by controllers to those of the user.
+//! [`export_trajectories`] writes the motion of every vehicle as timed polylines. [`export_actions`] writes the
+//! scripted vehicles as actions with triggers, and leaves the others to the user's controllers.
 //!
-//! x runs along the road and y = 0 is the middle of its one lane. Positions of OpenSCENARIO are those of a vehicle's
-//! reference point, under the middle of its rear axle; crumple's are those of its front bumper. Between them lie four fifths
-//! of the vehicle's length, and the bounding box says so. Widths, heights and axles are ours: crumple's vehicles have none.
+//! x runs along the road and y = 0 is the middle of its one lane. Positions of OpenSCENARIO refer to the point below
+//! the middle of the rear axle, those of crumple to the front bumper. The distance is four fifths of the vehicle's
+//! length, as the bounding box states. Widths, heights and axles are assumptions, because crumple's vehicles have none.
 
 mod actions;
 mod entities;
@@ -23,39 +23,39 @@ use crumple_world::sim::Trace;
 
 use crate::draw::strip_unprintable;
 
-/// Most vertices of one file: 100 MB of them.
+/// Maximum number of vertices of one file: 100 MB.
 pub(crate) const MAX_VERTICES: usize = 1_000_000;
 
 /// A scenario for other simulators.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenScenario {
-    /// The OpenSCENARIO file.
+    /// Content of the OpenSCENARIO file.
     pub scenario: Vec<u8>,
-    /// The OpenDRIVE file that it names.
+    /// Content of the OpenDRIVE file that it names.
     pub road: Vec<u8>,
-    /// Vertices of polylines, or entries of speed profiles.
+    /// Number of vertices of polylines, or of entries of speed profiles.
     pub vertices: usize,
 }
 
-/// Why a scenario could not be exported.
+/// An error of exporting a scenario.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenScenarioError {
-    /// More vertices than any simulator should have to read.
+    /// There are more vertices than the limit.
     #[error("takes {found} vertices, and an OpenSCENARIO file may have {MAX_VERTICES}: shorten the scenario")]
     TooLong {
-        /// How many it takes.
+        /// Number of vertices.
         found: usize,
     },
-    /// The road has one lane.
+    /// Vehicles change lanes, but the exported road has one lane.
     #[error("vehicles enter or leave the lane, and the road that is exported has one lane")]
     LaneChanges,
-    /// A script that cannot be driven by itself.
+    /// A script cannot be simulated alone.
     #[error("vehicle {vehicle}: cannot be driven alone: {why}")]
     Script {
-        /// The scripted vehicle.
+        /// Index of the scripted vehicle.
         vehicle: usize,
-        /// Why.
+        /// Reason in words.
         why: String,
     },
     /// The writer failed.
@@ -65,21 +65,21 @@ pub enum OpenScenarioError {
 
 type Xml = Writer<Vec<u8>>;
 
-/// Refuses who drives beside the lane: on a road of one lane it would drive through the others.
+/// Rejects vehicles outside the lane: on a road of one lane they would drive through others.
 fn check_single_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
     if scenario.keeps_lanes() { Ok(()) } else { Err(OpenScenarioError::LaneChanges) }
 }
 
-/// What every vehicle did: one polyline each, in absolute time. Where the run ended in a contact, so do they; a second later
-/// a last vertex holds the place, so that no simulator takes over before the scenario stops.
+/// Exports the motion of every vehicle as one polyline each, in absolute time. Polylines end where the run ended; a
+/// last vertex one second later holds the position, so that no simulator takes over before the scenario stops.
 ///
-/// Read back, positions are within `POSITION_TOLERANCE_M`, and speeds over more than one step within `SPEED_TOLERANCE_MPS`.
-/// `controller` names what drove the vehicles under test, for the header; a description of the scenario may name another one. `road`
-/// is the name of the OpenDRIVE file as the scenario gives it.
+/// Read back, positions are within `POSITION_TOLERANCE_M`, and speeds over more than one step within
+/// `SPEED_TOLERANCE_MPS`. `controller` names the controller of the vehicles under test, for the header. `road` is the
+/// name of the OpenDRIVE file as the scenario states it.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
-/// lane.
+/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] if vehicles enter or
+/// leave the lane.
 pub fn export_trajectories(
     scenario: &Scenario,
     trace: &Trace,
@@ -106,14 +106,14 @@ pub fn export_trajectories(
     })
 }
 
-/// What the scripted vehicles do, whatever the others do. The others keep a controller that the user fills: those under test,
-/// and those that crumple drives by a rule, whose name the controller then has.
-///
-/// Noise of a scripted vehicle's acceleration is left out.
+/// Exports the actions of the scripted vehicles, which are independent of the others. The others have a controller that
+/// the user fills: vehicles under test, and those of a built-in controller, with its name. Acceleration noise of
+/// scripted vehicles is omitted.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
-/// lane, and [`OpenScenarioError::Script`] for a script that cannot be driven alone, which no valid scenario has.
+/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] if vehicles enter or
+/// leave the lane, and [`OpenScenarioError::Script`] for a script that cannot be simulated alone, which no valid
+/// scenario has.
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
     let moves = actions::scripted_vehicles(scenario)?;
@@ -142,7 +142,6 @@ fn write_document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Resul
     Ok(text)
 }
 
-/// An element with others in it.
 fn write_element(
     xml: &mut Xml,
     name: &str,
@@ -153,36 +152,32 @@ fn write_element(
     Ok(())
 }
 
-/// An element without others in it.
 fn write_empty_element(xml: &mut Xml, name: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
     xml.create_element(name).with_attributes(attributes.iter().copied()).write_empty()?;
     Ok(())
 }
 
-/// A number to a billionth, which no place on a road is known to.
+/// Formats a number with at most nine decimals, more than any position needs.
 fn format_number(value: f64) -> String {
     // Adding zero turns -0 into 0.
     ((value * 1e9).round() / 1e9 + 0.0).to_string()
 }
 
-/// What a user wrote, as the value of an attribute: one line of what XML allows. What begins with a dollar sign is a
-/// parameter's name in OpenSCENARIO, so it gets a blank before it.
+/// Returns text as an attribute value: one line of characters that XML allows. A leading dollar sign would start a
+/// parameter name in OpenSCENARIO, so a blank is put before it.
 fn attribute_text(written: &str) -> String {
     let text = strip_unprintable(written);
     if text.starts_with('$') { format!(" {text}") } else { text }
 }
 
-/// The name of a vehicle among the entities.
 fn entity_name(index: usize) -> String {
     format!("vehicle_{index}")
 }
 
-/// Where the reference point is when the front bumper is at `front_m`.
 fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
     front_m - length_m * (1.0 - entities::REAR_OVERHANG_SHARE)
 }
 
-/// A scenario's name and what it is about, as a description.
 fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
     let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };

@@ -1,4 +1,4 @@
-//! What a vehicle did, as a polyline with as few vertices as its place and speed allow.
+//! The motion of a vehicle as a polyline with as few vertices as position and speed permit.
 
 use std::io;
 
@@ -8,22 +8,21 @@ use super::storyboard::VehicleManeuver;
 use super::{Xml, format_number, reference_point_m, write_element, write_empty_element};
 use crumple_world::sim::{Trace, Track};
 
-/// How far a polyline may be from where the vehicle was, in metres.
+/// Maximum position error of a polyline, in metres.
 pub(crate) const POSITION_TOLERANCE_M: f64 = 0.002;
-/// How far the speed along a polyline may be from the vehicle's, in m/s, wherever it passes over more than one step: within one,
-/// it is the mean speed.
+/// Maximum speed error of a polyline, in m/s, over segments of more than one step.
 pub(crate) const SPEED_TOLERANCE_MPS: f64 = 0.005;
-/// Least time between two vertices, in seconds: rounding must not decide the speed between them.
+/// Minimum time between two vertices, in seconds: shorter ones would let rounding determine the speed.
 const MIN_STEP_S: f64 = 1e-6;
-/// How long after the end the last vertex holds the place, in seconds.
+/// Time for which the last vertex holds the position after the end, in seconds.
 const HOLD_S: f64 = 1.0;
 
-/// The samples of a track that are vertices, first and last always among them.
+/// Returns the indices of the samples that are vertices, always including the first and last.
 pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
     let spread =
         |index: usize| track.speed_mps.get(index).map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS]);
     let mut kept = simplify_polyline(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
-    // A contact may be a billionth of a second after a step.
+    // A collision may be a nanosecond after a step.
     if let [.., before, last] = *kept
         && let (Some(from_s), Some(to_s)) = (time_s.get(before), time_s.get(last))
         && to_s - from_s < MIN_STEP_S
@@ -34,8 +33,8 @@ pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
     kept
 }
 
-/// The fewest samples, greedily, between which a straight line stays within `tolerance` of all that it passes over and has a
-/// slope within what each of them allows, its ends included. One step from sample to sample is always allowed.
+/// Returns the fewest samples, chosen greedily, such that each segment stays within `tolerance` of the values it
+/// passes, with a slope that each of them allows, including its ends. A segment of one step is always allowed.
 pub(super) fn simplify_polyline(
     time_s: &[f64],
     values: &[f64],
@@ -114,7 +113,7 @@ impl VehicleManeuver for Trajectory<'_> {
 }
 
 impl Trajectory<'_> {
-    /// As text, a line a vertex: numbers alone need no escapes, and a simulation makes thousands.
+    /// Writes one line of text per vertex, without an XML writer: numbers need no escapes, and there are thousands.
     fn write_vertices(&self, xml: &mut Xml) -> io::Result<()> {
         let Some(track) = self.trace.vehicles.get(self.index) else { return Ok(()) };
         let samples = self

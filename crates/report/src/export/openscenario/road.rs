@@ -1,4 +1,4 @@
-//! The road: straight, one lane, as long as somebody drives.
+//! A straight road of one lane, long enough for the run.
 
 use std::io;
 
@@ -10,10 +10,9 @@ use crumple_world::sim::Trace;
 
 /// Width of the lane, in metres: that of a German motorway lane of type RQ 31 (RAA 2008).
 const LANE_WIDTH_M: f64 = 3.75;
-/// Road behind the last place and ahead of the first, in metres.
+/// Length of road behind the last position and ahead of the first, in metres.
 const MARGIN_M: f64 = 100.0;
 
-/// A road under all that is driven in a run.
 pub(super) fn road_for_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u8>, OpenScenarioError> {
     let tracks = || trace.vehicles.iter();
     let rears_m = tracks().filter_map(|track| Some(track.position_m.first()? - track.length_m));
@@ -21,7 +20,7 @@ pub(super) fn road_for_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u
     straight_road(scenario, rears_m, fronts_m)
 }
 
-/// A road that is long enough for whoever drives twice as fast all the time as anybody starts or a script says, and as 30 m/s.
+/// Returns a road for vehicles at twice the largest initial or scripted speed, and at least twice 30 m/s.
 pub(super) fn road_for_scenario(scenario: &Scenario, scripts_mps: f64) -> Result<Vec<u8>, OpenScenarioError> {
     let duration_s = scenario.spec().duration_s;
     let vehicles = || scenario.vehicles().iter();
@@ -49,14 +48,14 @@ fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Resul
             "header",
             &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")],
         )?;
-        // An identity that is a number: tools want one.
+        // The identifier is a number, because some tools require one.
         write_element(
             xml,
             "road",
             &[("name", "road"), ("length", length), ("id", "1"), ("junction", "-1"), ("rule", "RHT")],
             |xml| {
                 write_element(xml, "planView", &[], |xml| {
-                    // The right-hand lane hangs below the reference line, so that y = 0 is its middle.
+                    // The right-hand lane is below the reference line, so that y = 0 is its middle.
                     let (x, y) = (format_number(from_m), format_number(LANE_WIDTH_M / 2.0));
                     let start = [("s", "0"), ("x", &x), ("y", &y), ("hdg", "0"), ("length", length)];
                     write_element(xml, "geometry", &start, |xml| write_empty_element(xml, "line", &[]))

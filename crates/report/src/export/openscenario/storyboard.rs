@@ -1,4 +1,4 @@
-//! What surrounds the moves: header, road, start, triggers and end.
+//! The frame of the maneuvers: header, road, initial state, triggers and end.
 
 use std::io;
 
@@ -7,26 +7,22 @@ use super::{
 };
 use crumple_world::scenario::Scenario;
 
-/// The file that moves are written into.
+/// A file to which maneuvers are written.
 pub(super) struct OpenScenarioFile<'a> {
     pub(super) scenario: &'a Scenario,
-    /// Name of the road's file.
     pub(super) road: &'a str,
-    /// What the file says of the scenario.
     pub(super) about: &'a str,
-    /// When it is over, in seconds.
+    /// End of the scenario, in seconds.
     pub(super) end_s: f64,
-    /// Whether who drives by a rule is left to a controller.
+    /// True if vehicles without a script get a controller element.
     pub(super) uses_controllers: bool,
 }
 
-/// What one vehicle does.
+/// The maneuver of one vehicle.
 pub(super) trait VehicleManeuver {
-    /// The vehicle.
     fn vehicle_index(&self) -> usize;
-    /// The event's name, and when it starts, in seconds; none if the vehicle has nothing to do but to drive on.
+    /// Returns the name and start time of the event, in seconds; `None` if the vehicle keeps its speed.
     fn start_event(&self) -> Option<(&'static str, f64)>;
-    /// The private action.
     fn write_action(&self, xml: &mut Xml) -> io::Result<()>;
 }
 
@@ -34,7 +30,7 @@ impl OpenScenarioFile<'_> {
     pub(super) fn write(&self, xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
         write_element(xml, "OpenSCENARIO", &[], |xml| {
             let description = describe_scenario(self.scenario, self.about);
-            // No clock: the same scenario makes the same file.
+            // A fixed date: the same scenario gives the same file.
             let made = [("author", "crumple"), ("date", "1970-01-01T00:00:00"), ("description", &description)];
             write_empty_element(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
             write_empty_element(xml, "ParameterDeclarations", &[])?;
@@ -126,7 +122,6 @@ fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> 
     })
 }
 
-/// A trigger by time.
 fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
     write_element(xml, "ConditionGroup", &[], |xml| {
         write_element(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
@@ -141,14 +136,13 @@ fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io:
     })
 }
 
-/// A place on the road.
 fn write_position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
     write_element(xml, "Position", &[], |xml| {
         write_empty_element(xml, "WorldPosition", &[("x", &format_number(x_m)), ("y", "0")])
     })
 }
 
-/// A speed to reach: how it changes, what the number says, and the number.
+/// Writes a speed action. Arguments of the dynamics: shape, dimension, and value.
 pub(super) fn write_speed_action(
     xml: &mut Xml,
     (shape, dimension, value): (&str, &str, f64),

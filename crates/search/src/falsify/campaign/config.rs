@@ -1,4 +1,4 @@
-//! What a campaign is: everything that decides its results, as a file.
+//! Configuration of a campaign: everything that decides its results, and its file.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 use crumple_world::sim::NamedController;
 
-/// The version of the campaign file this release reads and writes.
+/// Version of the campaign file that this release reads and writes.
 pub const CAMPAIGN_VERSION: u32 = 2;
 
 /// Everything that decides a campaign's results.
@@ -35,19 +35,19 @@ pub const CAMPAIGN_VERSION: u32 = 2;
 /// ```
 #[derive(Debug, Clone)]
 pub struct Campaign {
-    /// What is put under test.
+    /// Controller under test.
     pub controller: NamedController,
-    /// What the vehicles under test look through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// Where failures are looked for.
+    /// Scenario space of the search.
     pub space: ScenarioSpace,
-    /// What must hold.
+    /// Requirement of each simulation.
     pub specification: Specification,
-    /// What else must be so for a failure to count; none if every one does.
+    /// Additional condition for a failure to count; `None` if every failure counts.
     pub failure_criterion: Option<FailureCriterion>,
     /// The search method.
     pub method: Method,
-    /// What the search is after once it knows failures. The reference searches do not look.
+    /// Objective of the search after the first failure. The reference searches ignore it.
     pub objective: SearchObjective,
     /// Evaluations of the method, and of each reference search.
     pub budget: u64,
@@ -64,7 +64,7 @@ pub struct CampaignOptions {
     pub resume: bool,
 }
 
-/// What is kept of the evaluations themselves.
+/// Amount of evaluations that a campaign records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -82,28 +82,27 @@ impl EvaluationLog {
     }
 }
 
-/// How a campaign was put together of shards, where that makes it another one than that of one machine.
+/// Division of a campaign that was merged from shards, if it differs from the undivided campaign.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sharding {
-    /// Searches by the method, each by a seed of its own; of a reference search 1, for it is the same however divided.
+    /// Number of searches by the method, each with its own seed; 1 for a reference search.
     pub searches: u64,
-    /// Of how many shards; none where they are of several numbers.
+    /// Number of shards; `None` if the shards are of several divisions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub of_shards: Option<u32>,
-    /// Those that are missing, where all are of one number.
+    /// Missing shards, if all are of one division.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing_shards: Vec<u32>,
-    /// Evaluations of each method that are missing: the number of the first and of the last, from 1.
+    /// Missing evaluations of each method: ranges of the first and the last number, from 1.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing_evaluations: Vec<[u64; 2]>,
 }
 
 impl Sharding {
-    /// How the campaign in a folder was put together; none if it was not, or the folder holds none.
+    /// Reads the division of the campaign in a folder; `None` for an undivided campaign or another folder.
     #[must_use]
     pub fn load_from_folder(folder: &Path) -> Option<Self> {
-        /// The rest is of no interest.
         #[derive(Deserialize)]
         struct Record {
             #[serde(rename = "divided")]
@@ -114,7 +113,7 @@ impl Sharding {
         toml::from_str::<Record>(std::str::from_utf8(&bytes).ok()?).ok()?.sharding
     }
 
-    /// Evaluations of each method that are missing.
+    /// Returns the number of missing evaluations of each method.
     #[must_use]
     pub fn missing_evaluation_count(&self) -> u64 {
         let length = |[first, last]: &[u64; 2]| last.saturating_sub(*first).saturating_add(1);
@@ -122,7 +121,7 @@ impl Sharding {
     }
 }
 
-/// The longest `campaign.toml` that is read.
+/// Maximum size of a `campaign.toml` that is read.
 const MAX_CONFIGURATION_BYTES: u64 = 64 << 20;
 
 /// The file `campaign.toml`.
@@ -133,7 +132,7 @@ pub(in crate::falsify) struct CampaignRecord {
     pub(in crate::falsify) crumple: String,
     pub(in crate::falsify) controller: String,
     pub(in crate::falsify) policy_sha256: Option<String>,
-    /// Identity of a controller whose name does not say what it is.
+    /// Identity of the controller, if its name does not determine it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(in crate::falsify) controller_sha256: Option<String>,
     pub(in crate::falsify) estimator: EstimatorKind,
@@ -180,7 +179,6 @@ impl CampaignRecord {
     }
 }
 
-/// The methods in the order in which they run: the one asked for, then the reference searches.
 pub(in crate::falsify) fn with_reference_methods(asked_for: &Method) -> Vec<Method> {
     let mut methods = vec![asked_for.clone()];
     methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != asked_for));
@@ -188,8 +186,7 @@ pub(in crate::falsify) fn with_reference_methods(asked_for: &Method) -> Vec<Meth
 }
 
 impl Campaign {
-    /// Creates the campaign that `crumple falsify` runs by default: a search for collisions by the method `auto` with 2000 evaluations,
-    /// through the Kalman filter, with seed 0.
+    /// Creates the default campaign: a search for collisions by `auto`, 2000 evaluations, Kalman filter, seed 0.
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace) -> Self {
         Self {
@@ -205,19 +202,18 @@ impl Campaign {
         }
     }
 
-    /// Hash of the policy under test; none for other controllers.
+    /// Returns the hash of the policy under test; `None` for other controllers.
     #[must_use]
     pub fn policy_sha256(&self) -> Option<String> {
         self.controller.policy().map(|policy| policy.digest())
     }
 
-    /// The methods in the order in which they run: the one asked for, then the reference searches.
+    /// Returns the methods in the order in which they run: the requested one, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
         with_reference_methods(&self.method)
     }
 
-    /// How scenarios are judged.
     pub(in crate::falsify) fn evaluator(&self) -> Evaluator<'_> {
         Evaluator {
             specification: &self.specification,
@@ -227,13 +223,13 @@ impl Campaign {
         }
     }
 
-    /// Everybody who is put under test: the controller, and the one that it is set against.
+    /// Returns the controller under test, and the partner controller of a differential criterion.
     pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
         let other = self.failure_criterion.as_ref().map(|contrast| contrast.partner_controller(&self.controller));
         std::iter::once(&self.controller).chain(other)
     }
 
-    /// The text of `campaign.toml`.
+    /// Returns the text of `campaign.toml`.
     ///
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.

@@ -1,14 +1,13 @@
-//! How much of a space was tried.
+//! Coverage of a scenario space.
 
 use serde::{Deserialize, Serialize};
 
-/// Parts that the range of each coordinate is cut into.
 const BINS: usize = 10;
 
-/// Which cells of a space were tried: for each coordinate and each pair of coordinates, cut into ten parts each.
+/// Covered bins of each coordinate, and cells of each pair of coordinates, with ten bins per coordinate.
 ///
-/// Pairs are the measure of combinatorial testing (t-way coverage with t = 2): most failures need one or two particular
-/// values together, and a search that sits in one corner shows here.
+/// Pairs measure the combinatorial coverage (t-way coverage with t = 2): most failures need one or two particular
+/// values together, and the measure shows a search that stays in one corner.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Coverage {
@@ -22,9 +21,9 @@ pub(super) struct Coverage {
 /// Coverage in percent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CoveragePercentages {
-    /// Share of tenths of a coordinate that were tried, over all coordinates.
+    /// Share of the bins that were covered, over all coordinates.
     pub tenths_percent: f64,
-    /// Share of cells of a tenth by a tenth that were tried, over all pairs of coordinates.
+    /// Share of the cells of two bins that were covered, over all pairs of coordinates.
     pub pairs_percent: f64,
 }
 
@@ -54,13 +53,11 @@ impl Coverage {
         CoveragePercentages { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
     }
 
-    /// Whether it is of a space of so many coordinates.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         let empty = Self::new(dimension);
         (self.dimension, self.single.len(), self.pairs.len()) == (dimension, empty.single.len(), empty.pairs.len())
     }
 
-    /// Takes in what another one covers.
     pub(super) fn merge(&mut self, other: &Self) {
         self.single.iter_mut().zip(&other.single).for_each(|(cell, other)| *cell |= other);
         self.pairs.iter_mut().zip(&other.pairs).for_each(|(cell, other)| *cell |= other);

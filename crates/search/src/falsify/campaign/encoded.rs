@@ -1,6 +1,5 @@
-//! Verdicts and cells as text: the bytes of the journal, and bits, in hexadecimal. Exact, and a twentieth of what names would take.
+//! Exact and compact text for verdicts and cells: journal bytes, or bits, in hexadecimal.
 
-/// Verdicts.
 pub(in crate::falsify) mod verdict {
     use crumple_world::measure::RunVerdict;
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -15,13 +14,12 @@ pub(in crate::falsify) mod verdict {
         let text = String::deserialize(from)?;
         let read = super::parse_hex(&text).and_then(|bytes| bytes.try_into().ok());
         let verdict = read.as_ref().map(journal::decode).filter(|verdict| !verdict.robustness.is_nan());
-        // What was written is read back as it was: no braking and no class that there is not.
+        // Reject bytes that are not written back identically, such as an unknown braking level or class.
         let is_whole = |verdict: &RunVerdict| super::to_hex(&journal::encode(verdict)) == text;
         verdict.filter(is_whole).ok_or_else(|| de::Error::custom("not a verdict"))
     }
 }
 
-/// Cells that are marked or not.
 pub(super) mod cells {
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 

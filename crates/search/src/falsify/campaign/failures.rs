@@ -1,4 +1,4 @@
-//! Failures as they come in: which kinds there are, and which of each are worth a closer look.
+//! Failures of a campaign, grouped by kind, and the choice of those that are examined.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,18 +8,17 @@ use crate::falsify::Method;
 use crumple_world::measure::{BrakingLevel, RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, VehicleClass};
 
-/// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
-/// brake had fired), and the class of the vehicle that hits.
+/// Kind of a failure, which distinguishes the colliding vehicles, the ego vehicle's braking and the rear class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum FailureKind {
-    /// Vehicles touched.
+    /// A collision.
     Contact {
         /// Index of the vehicle that is hit.
         front_vehicle: u32,
         /// Index of the vehicle that hits it.
         rear_vehicle: u32,
-        /// How hard the vehicle under test among the two had braked.
+        /// Braking of the vehicle under test among the two.
         ego_braking: BrakingLevel,
         /// Class of the vehicle that hits.
         rear_class: VehicleClass,
@@ -29,15 +28,15 @@ pub enum FailureKind {
         /// Index of its vehicle.
         vehicle: u32,
     },
-    /// A formula or a rule is violated. Which vehicles touch makes no further difference: it need not be the cause.
+    /// A formula or a rule is violated, whichever vehicles collide.
     Violation {
-        /// Whether vehicles touched as well.
+        /// True if vehicles collided as well.
         has_contact: bool,
     },
 }
 
 impl FailureKind {
-    /// The kind of a verdict by a specification; none if that holds.
+    /// Returns the kind of a verdict by a specification; `None` if the specification holds.
     #[must_use]
     pub fn from_verdict(verdict: &RunVerdict, specification: &Specification) -> Option<Self> {
         if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
@@ -57,7 +56,7 @@ impl FailureKind {
         })
     }
 
-    /// Indices of the vehicle that is hit and of the one that hits it; none if it is not about a contact.
+    /// Returns the indices of the vehicle that is hit and of the one that hits it; `None` without a collision.
     #[must_use]
     pub fn vehicles(&self) -> Option<[u32; 2]> {
         match self {
@@ -66,7 +65,7 @@ impl FailureKind {
         }
     }
 
-    /// Whether the same two vehicles touch, or both are violations of the formula.
+    /// Returns true if the rear vehicle or the failed controller is the same, or both violate the formula.
     #[must_use]
     pub fn is_same_pair(&self, other: &Self) -> bool {
         match (self, other) {
@@ -77,7 +76,7 @@ impl FailureKind {
         }
     }
 
-    /// In words, for scenarios like `scenario`.
+    /// Describes the kind, for scenarios like `scenario`.
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
@@ -109,20 +108,20 @@ impl FailureKind {
     }
 }
 
-/// A failure that may be looked at more closely.
+/// A failure that may be examined.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FailureCandidate {
-    /// Which method found it.
+    /// Method that found it.
     pub method: Method,
-    /// At which of its evaluations, from 1.
+    /// Number of the evaluation of this method, from 1.
     pub number: u64,
-    /// The values, one a coordinate.
+    /// Values, one per coordinate.
     pub values: Vec<f64>,
-    /// What the run was worth.
+    /// Verdict of the simulation.
     #[serde(with = "super::encoded::verdict")]
     pub verdict: RunVerdict,
-    /// Logarithm of its density under the space's distribution, relative to an even one.
+    /// Logarithm of its density under the space's distribution, relative to the uniform density.
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
@@ -130,18 +129,17 @@ pub struct FailureCandidate {
     pub distance_from_nominal: f64,
 }
 
-/// All failures of one kind.
 #[derive(Debug, Clone)]
 pub(super) struct FailureGroup {
     pub(super) kind: FailureKind,
-    /// For each method that found it: how often, and at which of its evaluations first.
+    /// For each method that found this kind: the number of failures, and the number of its first failing evaluation.
     pub(super) by_method: Vec<(Method, u64, u64)>,
     pub(super) first: FailureCandidate,
     pub(super) severest: FailureCandidate,
     pub(super) likeliest: FailureCandidate,
 }
 
-/// Failures by kind, in the order of their discovery. Memory does not grow with the number of evaluations.
+/// Failures by kind, in the order of their discovery. Memory does not depend on the number of evaluations.
 #[derive(Debug, Clone)]
 pub(super) struct Failures {
     pub(super) specification: Specification,
@@ -187,8 +185,8 @@ impl Failures {
         }
     }
 
-    /// Takes in those of other evaluations by the same methods, which are named in the order in which they run. Which come first
-    /// makes no difference: of equal failures the one that is found earlier stands, as in a search without a break.
+    /// Merges failures of other evaluations. `methods` are in the order of execution; of equal failures the earlier
+    /// stays.
     pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
         let order = |method: &Method| methods.iter().position(|known| known == method);
         let position = |found: &FailureCandidate| (order(&found.method), found.number);
@@ -225,12 +223,11 @@ impl Failures {
         self.groups.sort_by_key(|kind| position(&kind.first));
     }
 
-    /// What is looked at closely: of the most frequent kinds, at most so many.
     pub(super) fn examination_candidates(&self, kinds: usize) -> Vec<&FailureCandidate> {
         self.by_frequency().into_iter().take(kinds).flat_map(FailureGroup::examination_candidates).collect()
     }
 
-    /// The most frequent kinds first, and of equally frequent ones the first to be found.
+    /// Returns the kinds by descending frequency; equally frequent ones in the order of discovery.
     pub(super) fn by_frequency(&self) -> Vec<&FailureGroup> {
         let mut kinds: Vec<_> = self.groups.iter().collect();
         kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
@@ -239,7 +236,7 @@ impl Failures {
 }
 
 impl FailureCandidate {
-    /// By likelihood; where that is equal, by nearness to nominal.
+    /// Returns true if this failure is likelier; if equally likely, nearer to nominal.
     fn is_likelier_than(&self, other: &Self) -> bool {
         let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.distance_from_nominal);
         key(self) > key(other)
@@ -247,7 +244,7 @@ impl FailureCandidate {
 }
 
 impl FailureGroup {
-    /// The failures of this kind to look at: the severest, the likeliest and the first, without repetition.
+    /// Returns the failures of this kind to examine: the severest, the likeliest and the first, without repetition.
     pub(super) fn examination_candidates(&self) -> Vec<&FailureCandidate> {
         let mut picks = vec![&self.severest];
         for candidate in [&self.likeliest, &self.first] {
@@ -258,7 +255,6 @@ impl FailureGroup {
         picks
     }
 
-    /// How often it was found.
     pub(super) fn count(&self) -> u64 {
         self.by_method.iter().map(|(_, count, _)| count).sum()
     }

@@ -1,4 +1,4 @@
-//! Everything that is remembered of evaluations, of a whole campaign or of a part; parts are joined in any order.
+//! Results of evaluations, of a whole campaign or of a shard. The order of merging does not matter.
 
 use std::ops::Range;
 
@@ -11,7 +11,6 @@ use super::resolved_config::ResolvedConfig;
 use super::{EvaluatedPoint, FailureKind};
 use crate::falsify::Method;
 
-/// What one method has reached.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MethodResults {
@@ -22,12 +21,12 @@ pub(super) struct MethodResults {
     #[serde(with = "crate::falsify::non_finite")]
     pub(super) best: f64,
     pub(super) coverage: Coverage,
-    /// Of a reference search: which of its first points fail, in order.
+    /// Failing evaluations among the first points, in order; only for a reference search.
     pub(super) failing: Vec<u64>,
-    /// Evaluations beside which the other controller gave no answer.
+    /// Evaluations for which the partner controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) other_unanswered: Option<UnansweredRuns>,
-    /// Evaluations whose robustness has no bound: there is no other scenario to set them against, or nothing to touch.
+    /// Evaluations of infinite robustness: there is no partner scenario, or no vehicle to collide with.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub(super) unbounded: u64,
 }
@@ -36,19 +35,16 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// Evaluations beside which the other controller gave no answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct UnansweredRuns {
-    /// How many.
     pub(super) runs: u64,
-    /// The first of them, its values, and why.
+    /// Number of the first one, its values, and the reason.
     pub(super) first: u64,
     pub(super) values: Vec<f64>,
     pub(super) because: String,
 }
 
-/// Everything that is remembered of evaluations.
 #[derive(Debug, Clone)]
 pub(super) struct CampaignFindings {
     pub(super) method_results: Vec<MethodResults>,
@@ -81,7 +77,7 @@ impl MethodResults {
         }
         self.unbounded +=
             u64::from(evaluated.verdict.failure.is_none() && evaluated.verdict.robustness == f64::INFINITY);
-        // It is the other's where this one does not fail.
+        // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
             let silent = self.other_unanswered.get_or_insert_with(|| UnansweredRuns {
                 runs: 0,
@@ -117,7 +113,7 @@ impl MethodResults {
         self.failing.sort_unstable();
     }
 
-    /// Whether it can be what the evaluations after the first, in a space of so many coordinates, came to.
+    /// Returns true if the evaluations `made`, in a space of that dimension, can have these results.
     pub(super) fn is_consistent_with(&self, made: &Range<u64>, dimension: usize) -> bool {
         let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
         let sampled = if self.method.is_blind() { MAX_POINTS as u64 } else { 0 };
@@ -139,12 +135,10 @@ impl MethodResults {
 }
 
 impl CampaignFindings {
-    /// Nothing yet.
     pub(super) fn new(terms: &ResolvedConfig) -> Self {
         Self { method_results: Vec::new(), failures: Failures::new(terms.specification.clone()) }
     }
 
-    /// Takes in what other evaluations by the same methods came to.
     pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
         if self.method_results.is_empty() {
             self.method_results = other.method_results;
@@ -160,8 +154,7 @@ impl CampaignFindings {
         self.failures.add(&reached.method, evaluated);
     }
 
-    /// Where failures lie, by the first points of the reference searches: those points again, and what is known of each. Some may be
-    /// missing.
+    /// Finds regions with the first points of the reference searches, generated again. Skips missing evaluations.
     pub(super) fn find_regions(&self, terms: &ResolvedConfig, missing: &[Range<u64>]) -> Vec<Region> {
         let mut sample = LabelledPoints::default();
         let is_missing = |index: u64| {

@@ -1,4 +1,4 @@
-//! Severity against likelihood: the failures that no other beats in both.
+//! Pareto front of severity and likelihood.
 
 use std::cmp::Ordering;
 
@@ -8,34 +8,33 @@ use super::{FailureCandidate, FailureKind};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 
-/// Most failures kept: a front of random points has some ten, and memory must not grow with the budget whatever they are.
+/// Maximum number of failures on the front. Random points give about ten, but memory must not grow with the budget.
 const MAX_FAILURES: usize = 1000;
 
-/// The Pareto front of all failing evaluations, the severest first: smaller robustness against greater likelihood, equal
-/// likelihoods by nearness to nominal.
+/// The Pareto front of severity and likelihood, the severest first; ties in likelihood by distance from nominal.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ParetoFront {
     failures: Vec<FailureCandidate>,
 }
 
-/// A failure that no other one beats both in severity and in likelihood.
+/// A failure on the Pareto front of severity and likelihood.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrontPoint {
-    /// Which method found it.
+    /// Method that found it.
     pub method: String,
-    /// At which of its evaluations, from 1: the row of the log.
+    /// Number of the evaluation of this method, from 1; identifies the row of the log.
     pub evaluation: u64,
-    /// What happens, in words.
+    /// Description of the failure.
     pub kind: String,
-    /// Robustness: the smaller, the severer.
+    /// Robustness; smaller is severer.
     #[serde(with = "crate::falsify::non_finite")]
     pub robustness: f64,
-    /// Difference of the speeds of the two vehicles that touch first, in m/s, if any do.
+    /// Relative speed of the first collision, in m/s; `None` without a collision.
     pub impact_speed_mps: Option<f64>,
-    /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
+    /// Logarithm of the density under the space's distribution, relative to the uniform density.
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
-    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
+    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference relative to the range.
     #[serde(rename = "departure")]
     pub distance_from_nominal: f64,
 }
@@ -46,7 +45,6 @@ fn compare_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Order
 }
 
 impl ParetoFront {
-    /// Of what another front held; in any order.
     pub(super) fn from_failures(failures: Vec<FailureCandidate>) -> Self {
         let mut front = Self::default();
         failures.iter().for_each(|failure| front.insert(failure, usize::MAX));
@@ -57,7 +55,7 @@ impl ParetoFront {
         self.insert(candidate, MAX_FAILURES);
     }
 
-    /// Takes in one of another front; of equal ones the earlier stays. Whatever the order, all that nothing beats is there in the end.
+    /// Adds a failure of another front. The result does not depend on the order; of equal failures the earlier stays.
     pub(super) fn merge(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
         let is_equal = |known: &&mut FailureCandidate| {
             known.verdict.robustness.total_cmp(&candidate.verdict.robustness) == Ordering::Equal
@@ -70,7 +68,7 @@ impl ParetoFront {
         }
     }
 
-    /// All of it; of more than are kept, some evenly over its length.
+    /// Returns the front with at most [`MAX_FAILURES`] failures, chosen evenly along it.
     pub(super) fn thin(mut self) -> Self {
         let all = self.failures.len();
         if all > MAX_FAILURES {
@@ -87,7 +85,7 @@ impl ParetoFront {
     }
 
     fn insert(&mut self, candidate: &FailureCandidate, most: usize) {
-        // Severest first means least likely first; a failure that beats the new one is at its place or before it.
+        // Sorted by severity, so likelihood increases. A failure that dominates the new one is at its index or before.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
         let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
@@ -126,7 +124,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What is kept is what brute force finds, whatever the order, the ties and the infinities.
+        /// The front equals that of a brute-force search, for any order, ties and infinities.
         #[test]
         fn the_front_is_that_of_brute_force(found in prop::collection::vec((0..9_i8, 0..9_i8, 0..3_i8), 1..60)) {
             let candidates: Vec<FailureCandidate> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| FailureCandidate {

@@ -1,8 +1,7 @@
-//! Shards of a campaign, put together to one: in any order, some perhaps twice, some perhaps missing.
+//! Merging the shards of a campaign, in any order, perhaps with duplicates and gaps.
 //!
-//! Everything that is remembered of evaluations is joined such that the order makes no difference, so that a shard is read, joined and
-//! let go: memory grows with kinds of failures, the front and the number of shards, not with that of evaluations. What is looked at
-//! closely in the end was looked at in its shard already: the severest failure of a kind is the severest of its shard.
+//! The order of merging does not matter, so each shard is read, merged and dropped: memory does not grow with the
+//! number of evaluations. Each shard has examined its own failures, among them the severest of each kind.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -28,15 +27,15 @@ use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD_FILE, Sharded
 pub struct MergedCampaign {
     sharded: ShardedCampaign,
     config: ResolvedConfig,
-    /// Of each method's evaluations; with the digests of what they came to.
+    /// Evaluations of each method, with the digests of their results.
     parts: Parts<String>,
     findings: CampaignFindings,
-    /// Failures that were looked at and may be told, by who found them and when.
+    /// Examined failures that may be reported, by method and number of the evaluation.
     examined: BTreeMap<(usize, u64), ExaminedFailure>,
 }
 
 impl MergedCampaign {
-    /// Begins with a shard.
+    /// Creates a merge of one shard.
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
@@ -51,10 +50,10 @@ impl MergedCampaign {
         Ok(merged)
     }
 
-    /// Takes in another shard. After an error it is as it was.
+    /// Adds another shard. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read, or does not go with the others.
+    /// [`MergeError`] if it cannot be read, or belongs to another campaign.
     pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
         let (shard, work, part) = read_shard(found)?;
         if let Some(field) = self.sharded.differing_field(&work) {
@@ -82,28 +81,27 @@ impl MergedCampaign {
         Ok(())
     }
 
-    /// Evaluations of each method that no shard has made, counted from 0.
+    /// Returns the evaluations of each method that no shard contains, counted from 0.
     #[must_use]
     pub fn missing_ranges(&self) -> Vec<Range<u64>> {
         self.parts.missing_ranges(self.config.record.budget)
     }
 
-    /// Which shards are missing.
+    /// Returns the missing shards.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
     }
 
-    /// How many shards there are, and how many were given more than once.
+    /// Returns the number of distinct shards, and of duplicates.
     #[must_use]
     pub fn shard_counts(&self) -> (u64, u64) {
         (self.parts.shard_count(), self.parts.duplicates())
     }
 
-    /// What makes it another campaign than that of one machine, if anything does.
+    /// Returns the division of the campaign, if it differs from the undivided campaign.
     fn sharding(&self) -> Option<Sharding> {
         let missing = self.missing_ranges();
-        // A part that is missing is a search that is not there.
         let searches = if self.config.record.method.is_blind() { 1 } else { self.parts.shard_count() };
         let MissingShards { shard_count: of_shards, missing_shards } = self.parts.missing_shards();
         (searches > 1 || !missing.is_empty()).then(|| Sharding {
@@ -114,7 +112,6 @@ impl MergedCampaign {
         })
     }
 
-    /// What the shards come to, and the failures that it tells, the severest first.
     fn merged_findings(&self) -> (ResolvedConfig, CampaignFindings, Vec<ExaminedFailure>) {
         let mut terms = self.config.clone();
         terms.record.sharding = self.sharding();
@@ -129,12 +126,13 @@ impl MergedCampaign {
         (terms, findings, distinct)
     }
 
-    /// Writes the folder of a campaign, and says what it found. A folder in which it is already is left as it is. Where nothing is
-    /// missing, and the method is a reference search or there is one shard, it is the folder of the campaign by one machine that
-    /// keeps no log, to the byte.
+    /// Writes the run folder of the campaign, unless the folder contains it already, and returns its summary.
+    ///
+    /// Without missing parts, a reference search or a single shard equals the undivided campaign without a log byte for
+    /// byte.
     ///
     /// # Errors
-    /// [`CampaignError`] if the folder cannot be used, or holds something else.
+    /// [`CampaignError`] if the folder cannot be used, or contains anything else.
     pub fn write_to(&self, folder: &Path) -> Result<CampaignSummary, CampaignError> {
         let (terms, findings, distinct) = self.merged_findings();
         let configuration = terms.record.to_toml()?;
@@ -155,13 +153,13 @@ impl MergedCampaign {
             };
         }
         results.write(CONFIGURATION_FILE, configuration).write(SUMMARY_TEXT_FILE, summary.to_text());
-        // There is a journal where the same campaign was broken off in the folder.
+        // An interrupted run of the same campaign leaves a journal in the folder.
         results.write(SUMMARY_FILE, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(summary)
     }
 
-    /// The same without writing it.
+    /// Returns the summary without writing it.
     ///
     /// # Errors
     /// [`CampaignError`] in principle, if a file cannot be encoded.

@@ -21,7 +21,6 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 
 const BUDGET: u64 = 40;
-/// The most shards that anything is divided into here.
 const MAX_TEST_SHARDS: u32 = 4;
 
 fn campaign(method: Method, seed: u64) -> Campaign {
@@ -38,12 +37,10 @@ fn summary_only(resume: bool) -> CampaignOptions {
     CampaignOptions { log: EvaluationLog::Summary, resume }
 }
 
-/// An observer that stops a campaign at once.
 fn stop_immediately() -> impl Observer<CampaignProgress> {
     |_: &CampaignProgress| ControlFlow::Break(())
 }
 
-/// All shards of all numbers, each in a folder of its own.
 fn run_all_shards(campaign: &Campaign, root: &Path) {
     for of in 1..=MAX_TEST_SHARDS {
         for index in 1..=of {
@@ -91,7 +88,7 @@ fn run_unsharded(campaign: &Campaign) -> TempDir {
     folder
 }
 
-/// Shards of a random division, some of them divided once more, in a random order, with some twice.
+/// Generates a random division, with some shards divided again, in random order, and with duplicates.
 fn divisions() -> impl Strategy<Value = Vec<ShardId>> {
     let halves = |shard: ShardId| {
         [2 * shard.index() - 1, 2 * shard.index()].map(|index| ShardId::new(index, 2 * shard.count()).unwrap())
@@ -110,8 +107,7 @@ fn divisions() -> impl Strategy<Value = Vec<ShardId>> {
     divided.prop_shuffle()
 }
 
-/// Divisions of a reference search come to the folder of one machine, to the byte; so do those that were incomplete and were
-/// completed.
+/// A merged reference search equals the undivided one byte for byte, also if missing shards were added later.
 #[test]
 fn a_divided_reference_search_is_that_of_one_machine() {
     for (method, seed) in [(Method::Uniform, 3), (Method::Halton, 4)] {
@@ -129,13 +125,12 @@ fn a_divided_reference_search_is_that_of_one_machine() {
                 prop_assert!(read_files(out.path()) == expected);
             }
         });
-        // What it wrote is the campaign's own folder.
+        // The result is a complete folder of the campaign.
         assert!(campaign.run(single.path(), summary_only(true), &stop_immediately()).is_ok());
     }
 }
 
-/// Of another method, whatever the order and however often some are given, it is one campaign: evaluations and failures are the sums,
-/// and what is missing is said.
+/// With other methods, evaluations and failures are sums, in any order, and the summary names missing parts.
 #[test]
 fn a_divided_search_is_one_campaign_with_what_is_missing() {
     let (campaign, root) = (campaign(Method::Auto, 5), tempfile::tempdir().unwrap());
@@ -169,7 +164,7 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
         }
         prop_assert_eq!(summary.failures.iter().map(|kind| kind.count).sum::<u64>(),
             summary.methods.iter().map(|method| method.failures).sum::<u64>());
-        // No failure of any shard beats one of the front.
+        // No failure of any shard dominates one on the front.
         for found in alone.iter().flat_map(|one| &one.front) {
             let key = |p: &super::super::FrontPoint| (-p.robustness, p.ln_likelihood, -p.distance_from_nominal);
             prop_assert!(!summary.front.iter().any(|kept| key(found).0 > key(kept).0 && (key(found).1, key(found).2) > (key(kept).1, key(kept).2)));
@@ -178,11 +173,10 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
         let divided = summary.sharding.clone();
         prop_assert_eq!(divided.is_some(), sorted.len() > 1 || missing > 0);
         if missing == 0 {
-            // The reference searches are those of one machine.
             prop_assert_eq!(&summary.methods[1..], &of_one.methods[1..]);
             prop_assert_eq!(&summary.regions, &of_one.regions);
         }
-        // In another order, and with everything twice, it is the same folder.
+        // Another order and duplicates give the same folder.
         let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         merged.write_to(here.path()).unwrap();
         let again: Vec<PathBuf> = folders.iter().rev().chain(&folders).cloned().collect();
@@ -211,7 +205,7 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
     let error = own.run_shard(ShardId::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &Quiet);
     assert!(error.unwrap_err().to_string().contains("there are 40 evaluations of each method"));
-    // Every place that is changed is named.
+    // Any change of a file is detected, and the error names the file.
     let d = make(&own, 2, 2, "d");
     for name in ["shard.json", "findings.json", "work.json"] {
         let path = d.join(name);
@@ -228,7 +222,7 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     assert!(merge(&[a.clone(), d]).is_ok());
 }
 
-/// Broken off at any moment, it ends with the same bytes, in four files.
+/// A shard that is interrupted at any time ends with the same bytes, in four files.
 #[test]
 fn an_interrupted_shard_ends_with_the_same_files() {
     let (campaign, root) = (campaign(Method::CmaEs, 6), tempfile::tempdir().unwrap());
@@ -246,7 +240,7 @@ fn an_interrupted_shard_ends_with_the_same_files() {
     assert!(read_files(&part) == read_files(&whole));
 }
 
-/// Where the same campaign was broken off, what is put together there leaves nothing of it.
+/// A merge into the folder of the interrupted campaign replaces it.
 #[test]
 fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
     let (campaign, root) = (campaign(Method::Halton, 6), tempfile::tempdir().unwrap());
@@ -261,7 +255,7 @@ fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
     assert!(read_files(&broken_off) == read_files(run_unsharded(&campaign).path()));
 }
 
-/// What no evaluations can have come to is refused, though files and manifest fit together.
+/// Impossible findings are refused, although files and manifest are consistent.
 #[test]
 fn findings_that_cannot_be_are_refused() {
     let campaign = campaign(Method::Halton, 4);

@@ -1,22 +1,24 @@
-//! Campaigns: a space, a controller and a specification, and a search for failures with a budget.
+//! Campaigns: a search for failures of a controller in a scenario space, with a specification and a budget.
 //!
-//! A campaign has a folder:
+//! A campaign has a run folder:
 //!
-//! | file | what it holds |
+//! | file | content |
 //! |---|---|
-//! | `campaign.toml` | everything that decides the results; its hash names the campaign in the summary |
+//! | `campaign.toml` | everything that decides the results; the summary contains its hash |
 //! | `evaluations/part-*.csv.gz` | every evaluation, one row each |
-//! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found, `escapes/` how those that are avoidable could have been |
-//! | `counterexamples/expected.verdicts` | the recorded verdict of each of them, in TOML |
-//! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
-//! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9`, for the build that wrote it |
-//! | `work.json`, `work.lock` | what all of these are (see [`crumple_store::work`]); locked by the process that works there |
+//! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files |
+//! | `counterexamples/originals/` | the same failures as they were found |
+//! | `counterexamples/escapes/` | for avoidable failures: a scenario that avoids them |
+//! | `counterexamples/expected.verdicts` | their recorded verdicts, in TOML |
+//! | `summary.json`, `summary.txt` | results of each method |
+//! | `evaluations.journal` | evaluations of a running campaign, which survive `kill -9`; for one build |
+//! | `work.json`, `work.lock` | manifest and lock (see [`crumple_store::run_folder`]) |
 //!
-//! The reference searches, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
-//! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
+//! The reference searches (uniform points and a Halton sequence) always run with the budget of the requested method, to
+//! show if it is better than random. Results depend neither on the number of threads nor on interruptions.
 //!
-//! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
-//! and of failures a few of each kind and those on the front of severity and likelihood are remembered.
+//! Apart from the state of the search itself, memory does not grow with the budget. Evaluations are written to disk, 65
+//! 536 at a time. Memory holds a few failures of each kind and those on the Pareto front.
 
 mod config;
 mod coverage;
@@ -63,21 +65,21 @@ use crumple_world::sim::{RefusedController, RunError};
 /// One evaluation of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EvaluatedPoint {
-    /// Which one of its method, from 1.
+    /// Number of the evaluation of its method, from 1.
     pub number: u64,
-    /// Where in the unit cube.
+    /// Point in the unit cube.
     pub point: Vec<f64>,
-    /// The values there, one a coordinate.
+    /// Values at the point, one per coordinate.
     pub values: Vec<f64>,
-    /// Logarithm of the distribution's density there, relative to one that is even over the ranges.
+    /// Logarithm of the density under the space's distribution, relative to the uniform density.
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
     pub distance_from_nominal: f64,
-    /// What the run was worth.
+    /// Verdict of the simulation.
     pub verdict: RunVerdict,
 }
 
-/// Why a campaign stops.
+/// An error of running or reading a campaign.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CampaignError {
@@ -87,24 +89,24 @@ pub enum CampaignError {
     /// The folder holds another campaign.
     #[error("{0}")]
     Folder(String),
-    /// The folder cannot be worked in.
+    /// The folder cannot be used as a run folder.
     #[error(transparent)]
     Work(#[from] RunFolderError),
-    /// A scenario cannot be run with this controller.
+    /// A scenario cannot be simulated with this controller.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A point of the space is no scenario.
+    /// A point of the space is not a valid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
-    /// The specification does not fit the runs.
+    /// The specification does not fit the simulations.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
-    /// The controller cannot be told from others, so nothing that was done with it can be gone on with.
+    /// The controller has no identity, so a campaign with it cannot be resumed.
     #[error(
         "the controller `{0}` states no identity: a campaign with it cannot be resumed; begin it anew, without --resume, in another --out"
     )]
     NoIdentity(String),
-    /// The same, where it would be several machines that go on.
+    /// The controller has no identity, so shards with it cannot be merged.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
     NoIdentityInShards(String),
     /// The method of a divided campaign is not built in.
@@ -119,7 +121,7 @@ pub enum CampaignError {
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
-    /// A controller is set against itself.
+    /// A controller is compared with itself.
     #[error("`{0}` is set against itself: what the one fails the other fails as well")]
     ComparedWithItself(String),
     /// A controller contradicted itself, or cannot be started any more.

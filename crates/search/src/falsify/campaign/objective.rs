@@ -1,4 +1,4 @@
-//! What a search is after once it knows failures.
+//! Objective of a search after the first failure.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::EvaluatedPoint;
 
-/// Which failure is the best one to find. Until there is one, every search follows the robustness.
+/// Definition of the best failure. Until a failure is found, every search minimises the robustness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum SearchObjective {
-    /// The smallest robustness: after a contact the hardest impact.
+    /// The smallest robustness: after a collision the highest impact speed.
     #[default]
     Severest,
     /// The greatest density under the space's distribution.
@@ -21,7 +21,7 @@ pub enum SearchObjective {
     Nearest,
 }
 
-/// A name that is not that of an aim.
+/// The error of a name that is not that of an objective.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is no aim `{name}`; there are: {}", SearchObjective::ALL.map(SearchObjective::name).join(", "))]
 pub struct UnknownObjective {
@@ -30,10 +30,10 @@ pub struct UnknownObjective {
 }
 
 impl SearchObjective {
-    /// All of them.
+    /// All objectives.
     pub const ALL: [Self; 3] = [Self::Severest, Self::Likeliest, Self::Nearest];
 
-    /// The name used on the command line and in files.
+    /// Returns the name used on the command line and in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -43,8 +43,7 @@ impl SearchObjective {
         }
     }
 
-    /// What a search is told, smaller being better: the robustness where nothing fails; below that, for failures, a number
-    /// that is the smaller the nearer they are to the aim.
+    /// Returns the cost to minimise: the robustness; for failures a lower value, which falls towards the objective.
     #[must_use]
     pub(crate) fn cost(self, evaluated: &EvaluatedPoint) -> f64 {
         let robustness = evaluated.verdict.robustness;
@@ -57,7 +56,7 @@ impl SearchObjective {
     }
 }
 
-/// From all numbers, infinite ones included, to those between -1 and 1, in the same order.
+/// Maps all numbers, infinite ones included, monotonically to -1..1.
 fn squash(x: f64) -> f64 {
     if x.is_infinite() { x.signum() } else { x / (1.0 + x.abs()) }
 }
@@ -96,7 +95,7 @@ mod tests {
     }
 
     proptest! {
-        /// A failure is better than none, and of two the one that is nearer to the aim is.
+        /// A failure is better than none, and of two failures the one nearer to the objective is better.
         #[test]
         fn failures_come_first_and_are_ordered_by_the_aim(
             safe in 0.0..100.0f64,

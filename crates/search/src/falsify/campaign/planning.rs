@@ -1,4 +1,4 @@
-//! How fast evaluations go and how much shards of a campaign leave behind: for planning one.
+//! Estimates of the speed and size of a campaign and its shards.
 
 use std::time::{Duration, Instant};
 
@@ -7,15 +7,14 @@ use super::{Campaign, CampaignError, EvaluationLog};
 use crate::falsify::Method;
 use crumple_store::jobs::run_on_one_core;
 
-/// Bytes of a shard's failures, more or less: three of each of six kinds, each with two scenarios, and a front of thirty.
+/// Approximate bytes of a shard's failures: three of each of six kinds, each with two scenarios, and a front of thirty.
 const FAILURE_BYTES: u64 = 90_000;
 
 impl Campaign {
-    /// Evaluations in a second of one core, measured with uniform points for about as long as is said. What it takes to look at failures
-    /// closely comes besides, in every shard.
+    /// Measures the evaluations per second on one core, with uniform points for about `during`, without examinations.
     ///
     /// # Errors
-    /// [`CampaignError`] if a run cannot be made.
+    /// [`CampaignError`] if a scenario cannot be simulated.
     pub fn evaluations_per_second(&self, during: Duration) -> Result<f64, CampaignError> {
         let terms = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
         self.check(&terms.nominal)?;
@@ -29,16 +28,16 @@ impl Campaign {
         })
     }
 
-    /// Bytes that all shards leave behind, more or less.
+    /// Returns the approximate bytes that all shards write.
     #[must_use]
     pub fn estimated_bytes(&self, shards: u32) -> u64 {
         let dimension = self.space.dimension() as u64;
-        // Four cells a hexadecimal digit.
+        // A hexadecimal digit holds four cells.
         let cells = 10 * dimension + 100 * (dimension * dimension.saturating_sub(1) / 2);
         u64::from(shards) * (FAILURE_BYTES + self.methods().len() as u64 * cells / 4)
     }
 
-    /// The most shards that it can be divided into.
+    /// Returns the maximum number of shards of the campaign.
     #[must_use]
     pub fn max_shards(&self) -> u32 {
         u32::try_from(self.budget).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)

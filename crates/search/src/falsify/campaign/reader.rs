@@ -1,7 +1,7 @@
-//! Looking at a campaign while it runs, and afterwards. Nothing is locked and nothing written: the campaign does not know.
+//! Read-only view of a running or finished campaign. Takes no lock and writes nothing.
 //!
-//! While it runs, the journal has what every evaluation was worth, and the search, asked again and told the same values, says
-//! where each of them was. Once it is complete, the tables have both, checked by their hashes as everything else that is read then.
+//! While the campaign runs, verdicts come from the journal, and points from the search, which is run again with these
+//! values. A complete campaign has both in its tables, which are checked by their hashes.
 
 use std::path::{Path, PathBuf};
 
@@ -19,13 +19,12 @@ use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::NamedController;
 
-/// Most evaluations that are looked at: the first ones. Each takes some 400 bytes.
+/// Maximum number of evaluations that are read, the first ones. Each takes about 400 bytes.
 pub const MAX_READ_EVALUATIONS: usize = 200_000;
 
-/// Most bytes of `campaign.toml`.
 const MAX_CONFIGURATION_BYTES: u64 = file::MAX_BYTES;
 
-/// What can be seen of a campaign in a folder.
+/// A view of the campaign in a folder.
 #[derive(Debug)]
 pub struct CampaignReader {
     folder: PathBuf,
@@ -35,31 +34,28 @@ pub struct CampaignReader {
     stage: ReaderStage,
 }
 
-/// How far it was when it was looked at last.
 #[derive(Debug)]
 enum ReaderStage {
     Running(JournalTail),
     Finished { finished: CompletedRun, summary: Box<CampaignSummary>, parts: Vec<String> },
 }
 
-/// Where a search is that is asked again.
+/// State of the search that is run again.
 #[derive(Debug)]
 struct JournalTail {
     identity: String,
-    /// Which of the methods, and its search.
     method: usize,
     search: Option<Box<dyn SearchAlgorithm>>,
-    /// Evaluations of this method.
     evaluation_count: u64,
     pending_points: Vec<Vec<f64>>,
     pending_costs: Vec<f64>,
 }
 
 impl CampaignReader {
-    /// Looks at the campaign in a folder for the first time; [`Self::go_on`] reads evaluations.
+    /// Opens the campaign in a folder. [`Self::poll`] reads evaluations.
     ///
     /// # Errors
-    /// [`CampaignError`] if there is none, it is damaged, or another build of crumple is at work on it.
+    /// [`CampaignError`] if there is none, it is damaged, or another build of crumple runs it.
     pub fn open(folder: &Path) -> Result<Self, CampaignError> {
         let damaged = |name: &str, problem: String| RunFolderError::damaged(&folder.join(name), problem);
         let other_kind = |found: String| RunFolderError::OtherKind {
@@ -105,16 +101,16 @@ impl CampaignReader {
         Ok(Self { folder: folder.to_owned(), config: terms, evaluations: Vec::new(), failures, stage })
     }
 
-    /// Reads on, at most some `most` evaluations or one table. Whether more may be there at once.
+    /// Reads at most `most` further evaluations, or one table. Returns true if more may be available.
     ///
     /// # Errors
-    /// [`CampaignError`] if what is there is damaged, or is not that campaign any more.
+    /// [`CampaignError`] if the data are damaged, or belong to another campaign.
     pub fn poll(&mut self, most: usize) -> Result<bool, CampaignError> {
         let most = most.min(MAX_READ_EVALUATIONS.saturating_sub(self.evaluations.len()));
         match &mut self.stage {
             ReaderStage::Finished { finished, parts, .. } => {
                 let Some(name) = parts.last() else { return Ok(false) };
-                // A damaged table stays the next one, so that every later call reports the damage, too.
+                // Keep a damaged table as the next one, so that every later call reports the damage, too.
                 let rows = table::decode_part(name, &finished.read_bytes(name)?, &self.config)?;
                 parts.pop();
                 let left = MAX_READ_EVALUATIONS.saturating_sub(self.evaluations.len());
@@ -128,7 +124,7 @@ impl CampaignReader {
                 Ok(!parts.is_empty())
             }
             ReaderStage::Running(_) if !matches!(run_folder::read_state(&self.folder)?, RunState::InProgress(_)) => {
-                // It has come to its end, and its tables have everything.
+                // The campaign is complete, and its tables contain all evaluations.
                 let now = Self::open(&self.folder)?;
                 if now.config.record != self.config.record {
                     return Err(CampaignError::Folder(format!(
@@ -147,7 +143,7 @@ impl CampaignReader {
                     known as u64,
                     most,
                 )?;
-                // Between its beginning and its journal, or between that and its end.
+                // The journal does not exist yet, or has just been removed.
                 let Some(verdicts) = verdicts else { return Ok(false) };
                 let is_more = most > 0 && verdicts.len() == most;
                 for verdict in verdicts {
@@ -162,13 +158,13 @@ impl CampaignReader {
         }
     }
 
-    /// Evaluations in the order in which they were made, as far as they were read and kept.
+    /// Returns the evaluations read so far, in the order in which they were made.
     #[must_use]
     pub fn evaluations(&self) -> &[(Method, EvaluatedPoint)] {
         &self.evaluations
     }
 
-    /// What was put under test.
+    /// Returns the name of the controller under test.
     #[must_use]
     pub fn controller(&self) -> &str {
         &self.config.record.controller
@@ -183,37 +179,37 @@ impl CampaignReader {
             && controller.disambiguating_hash() == record.controller_sha256
     }
 
-    /// What it looked through.
+    /// Returns the estimator of the vehicles under test.
     #[must_use]
     pub fn estimator(&self) -> EstimatorKind {
         self.config.record.estimator
     }
 
-    /// Where failures are looked for.
+    /// Returns the scenario space.
     #[must_use]
     pub fn space(&self) -> &ScenarioSpace {
         &self.config.space
     }
 
-    /// What must hold.
+    /// Returns the specification.
     #[must_use]
     pub fn specification(&self) -> &Specification {
         &self.config.specification
     }
 
-    /// The methods in the order in which they run.
+    /// Returns the methods in the order in which they run.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
         self.config.methods()
     }
 
-    /// Evaluations there will be, of all methods together.
+    /// Returns the number of evaluations of all methods in the complete campaign.
     #[must_use]
     pub fn total_evaluations(&self) -> u64 {
         self.config.record.budget.saturating_mul(self.methods().len() as u64)
     }
 
-    /// What it came to; none while it runs.
+    /// Returns the summary; `None` while the campaign runs.
     #[must_use]
     pub fn summary(&self) -> Option<&CampaignSummary> {
         match &self.stage {
@@ -222,8 +218,8 @@ impl CampaignReader {
         }
     }
 
-    /// Of all failures, those that no other one beats both in severity and in likelihood: of what was read while it runs, of
-    /// everything once it is complete.
+    /// Returns the Pareto front of severity and likelihood over the evaluations read so far, or all of a complete
+    /// campaign.
     #[must_use]
     pub fn front(&self) -> Vec<FrontPoint> {
         match &self.stage {
@@ -232,18 +228,18 @@ impl CampaignReader {
         }
     }
 
-    /// What happens in an evaluation, in words; none if nothing fails.
+    /// Describes the failure of an evaluation; `None` if it did not fail.
     #[must_use]
     pub fn describe_failure(&self, evaluated: &EvaluatedPoint) -> Option<String> {
         let verdict = &evaluated.verdict;
-        // A table does not say which controller failed.
+        // A table does not state which controller failed.
         if verdict.robustness == f64::NEG_INFINITY && verdict.contact.is_none() && verdict.failure.is_none() {
             return Some("a controller fails".to_owned());
         }
         FailureKind::from_verdict(verdict, &self.config.specification).map(|kind| kind.describe(&self.config.nominal))
     }
 
-    /// The scenario of values, with the campaign's noise.
+    /// Returns the scenario of these values, with the campaign's noise.
     ///
     /// # Errors
     /// [`CampaignError::Scenario`] for values outside the space.
@@ -251,7 +247,7 @@ impl CampaignReader {
         Ok(self.config.space.scenario(values)?)
     }
 
-    /// The file of a distinct failure, by its place in the summary; none if there is no such failure.
+    /// Reads the file of a distinct failure, by its index in the summary; `None` if there is no such failure.
     ///
     /// # Errors
     /// [`CampaignError`] if it is not as it was written.
@@ -264,11 +260,10 @@ impl CampaignReader {
     }
 }
 
-/// What kind of work a campaign is.
 const CAMPAIGN_KIND: &str = "campaign";
 
 impl JournalTail {
-    /// The evaluation that a verdict is of, as the search says that is told all of them; none beyond the last.
+    /// Returns the evaluation of the next verdict, from the search that receives all verdicts; `None` beyond the last.
     fn next_evaluation(&mut self, terms: &ResolvedConfig, verdict: RunVerdict) -> Option<(Method, EvaluatedPoint)> {
         let methods = terms.methods();
         let (seed, budget) = (terms.record.seed, terms.record.budget);
@@ -316,7 +311,7 @@ mod tests {
         while look.poll(37).unwrap() {}
     }
 
-    /// What is seen of a campaign at any moment is the beginning of what is seen of it in the end, to the last bit.
+    /// A view of a running campaign equals the beginning of the complete one, bit for bit.
     #[test]
     fn a_campaign_looks_the_same_while_it_runs_and_afterwards() {
         for (method, aim, space) in [
@@ -335,12 +330,12 @@ mod tests {
             let parent = tempfile::tempdir().unwrap();
             let folder = parent.path().join("campaign");
             assert!(CampaignReader::open(&folder).is_err());
-            // The early look, what it saw, and the reports of progress so far.
+            // The early reader, its observations, and the number of progress reports.
             let state = Mutex::new((None::<CampaignReader>, Vec::new(), 0));
             let observer = Listener(|progress: &CampaignProgress| {
                 let (early, seen, reports) = &mut *state.lock().unwrap();
                 *reports += 1;
-                // As it writes: now and then, beginning in its middle too.
+                // Poll occasionally, also starting in the middle.
                 if *reports % 5 == 2 {
                     let look = early.get_or_insert_with(|| CampaignReader::open(&folder).unwrap());
                     read_all(look);
@@ -358,7 +353,7 @@ mod tests {
             let mut finished = CampaignReader::open(&folder).unwrap();
             read_all(&mut finished);
             assert_eq!(finished.evaluations().len() as u64, finished.total_evaluations());
-            // Tables hold values, and of a choice any point of its share has the same.
+            // Tables contain values; all points in the share of a choice have the same value.
             let seen = |(method, one): &(Method, EvaluatedPoint)| {
                 (method.clone(), one.number, one.values.clone(), one.verdict)
             };
@@ -377,7 +372,7 @@ mod tests {
             assert!(early.counterexample(summary.counterexamples.len()).unwrap().is_none());
         }
     }
-    /// Every request after the first one, too, and until the table is whole again.
+    /// Every later request reports the damage, too, until the table is restored.
     #[test]
     fn damage_stays_visible_as_long_as_it_is_there() {
         let campaign = Campaign {

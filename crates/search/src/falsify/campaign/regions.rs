@@ -1,41 +1,37 @@
-//! Where failures lie: a small tree over the points of the reference searches.
+//! Regions of failures: a small decision tree over the points of the reference searches.
 
 use serde::{Deserialize, Serialize};
 
 use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 
-/// Splits on the way to a region, at most.
 const MAX_DEPTH: usize = 3;
-/// Thresholds that are tried for each coordinate.
 const THRESHOLD_COUNT: usize = 15;
-/// Least share of the points in a region.
 const MIN_SHARE: f64 = 0.02;
-/// Most points the tree is grown from: the first ones, which for both reference searches are as good as any.
+/// Maximum number of points for the tree: the first ones, which represent both reference searches.
 pub(super) const MAX_POINTS: usize = 40_000;
 
-/// Points of the reference searches and whether they fail: evenly spread over the space, so that shares of points are shares of the
-/// space. Points of a search would be where the search went.
+/// Points of the reference searches, with true for a failure. Even spread makes shares of points shares of the space.
 #[derive(Debug, Default)]
 pub(super) struct LabelledPoints {
     points: Vec<(Vec<f64>, bool)>,
 }
 
-/// A part of the space with its failures.
+/// A region of the space, with its failures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Region {
-    /// What holds in it, one condition a split; empty for the whole space.
+    /// Conditions of the region, one per split; empty for the whole space.
     pub conditions: Vec<String>,
     /// Points of the reference searches in it.
     #[serde(default)]
     pub points: usize,
-    /// How many of them fail.
+    /// Number of them that fail.
     #[serde(default)]
     pub failing: usize,
-    /// Its share of the space, in percent.
+    /// Share of the space, in percent.
     pub space_percent: f64,
-    /// Its share of failing points, in percent.
+    /// Share of failing points in the region, in percent.
     pub failing_percent: f64,
-    /// Share of all failing points that lie in it, in percent.
+    /// Share of all failing points that lie in the region, in percent.
     pub failures_percent: f64,
 }
 
@@ -50,7 +46,7 @@ impl LabelledPoints {
         self.points.len() >= MAX_POINTS
     }
 
-    /// The regions, the densest in failures first; none if nothing or everything fails.
+    /// Returns the regions, the highest share of failures first; empty if no point or every point fails.
     pub(super) fn find_regions(&self, space: &ScenarioSpace) -> Vec<Region> {
         let all: Vec<&(Vec<f64>, bool)> = self.points.iter().collect();
         let failing = count_failures(&all);
@@ -76,7 +72,6 @@ struct TreeGrower<'a> {
     regions: Vec<Region>,
 }
 
-/// A condition on one coordinate.
 #[derive(Debug, Clone, Copy)]
 struct Split {
     coordinate: usize,
@@ -107,7 +102,8 @@ impl TreeGrower<'_> {
         }
     }
 
-    /// The split that lowers the Gini impurity most (Breiman and others, Classification and regression trees, 1984).
+    /// Returns the split that lowers the Gini impurity most (Breiman et al., Classification and Regression Trees,
+    /// 1984).
     fn best_split(&self, points: &[&(Vec<f64>, bool)]) -> Option<Split> {
         let failing = count_failures(points);
         let least = (MIN_SHARE * self.total as f64).max(1.0);
@@ -136,7 +132,7 @@ impl TreeGrower<'_> {
     fn conditions(&self, path: &[(Split, bool)]) -> Vec<String> {
         let names = self.space.coordinate_names();
         let parameters: Vec<&SpaceParameter> = self.space.coordinate_parameters().collect();
-        // Several splits of one coordinate are one range.
+        // Combine several splits of one coordinate into one range.
         let mut coordinates: Vec<usize> = Vec::new();
         for (split, _) in path {
             if !coordinates.contains(&split.coordinate) {
@@ -172,8 +168,7 @@ impl Split {
     }
 }
 
-/// Thresholds spread evenly over a parameter's range on its own scale, rounded to a hundredth of the step to the next one so
-/// that they can be read out.
+/// Returns thresholds evenly over a parameter's range on its own scale, rounded to be readable.
 fn thresholds(parameter: &SpaceParameter) -> Vec<f64> {
     let [low, high] = parameter.range();
     if parameter.is_choice() {
@@ -201,7 +196,7 @@ mod tests {
         let mut sample = LabelledPoints::default();
         for index in 0..4000 {
             let values = space.values(&space.draw_point(3, index));
-            // Close behind a heavy follower.
+            // Small gap ahead of a heavy follower.
             let fails = values[2] < 22.0 && values[10] == 1.0;
             sample.add(values, fails);
         }

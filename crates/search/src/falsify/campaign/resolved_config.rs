@@ -1,4 +1,4 @@
-//! What a campaign is about, without the controller itself: enough to say what was found, not to search.
+//! Configuration of a campaign without the controller: enough to describe results, not to search.
 
 use std::path::Path;
 
@@ -9,17 +9,16 @@ use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
 
-/// What evaluations are of, and how what was found is told.
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct ResolvedConfig {
     pub(in crate::falsify) record: CampaignRecord,
-    /// Whether the controller says so of itself.
+    /// True if the controller declares itself non-deterministic.
     pub(in crate::falsify) nondeterministic: bool,
-    /// With its noise.
+    /// Space with the campaign's noise.
     pub(in crate::falsify) space: ScenarioSpace,
     pub(in crate::falsify) specification: Specification,
     pub(in crate::falsify) cube: UnitCube,
-    /// The nominal scenario, and where it is in the cube.
+    /// The nominal scenario, and its point in the cube.
     pub(in crate::falsify) nominal: Scenario,
     nominal_point: Vec<f64>,
 }
@@ -31,7 +30,6 @@ impl ResolvedConfig {
         Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
     }
 
-    /// From what a file says of a campaign that can be divided.
     pub(super) fn from_shard_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
         if record.sharding.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
             return Err("not a campaign that can be divided".to_owned());
@@ -39,12 +37,11 @@ impl ResolvedConfig {
         Self::from_record(record, nondeterministic)
     }
 
-    /// From what a file says.
     pub(super) fn from_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
             return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
         }
-        // A space is written with its base spelled out, so that no folder is looked into.
+        // The record contains the space with its base scenario, so no folder is searched.
         let space =
             ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
@@ -70,16 +67,13 @@ impl ResolvedConfig {
         Ok(Self { record, nondeterministic, space, specification, cube, nominal, nominal_point })
     }
 
-    /// The methods in the order in which they run.
     pub(super) fn methods(&self) -> Vec<Method> {
         with_reference_methods(&self.record.method)
     }
 
-    /// Distance from nominal: mean over the parameters.
     pub(in crate::falsify) fn distance_from_nominal(&self, point: &[f64]) -> f64 {
         self.cube.distance(point, &self.nominal_point) / self.cube.blocks().len() as f64
     }
 }
 
-/// The most evaluations of a method.
 pub(super) const MAX_BUDGET: u64 = 1_000_000_000;

@@ -19,33 +19,31 @@ use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 
-/// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
+/// Batches of a non-adaptive method that are evaluated together: enough to use the simulator on all cores.
 const BLIND_BATCHES: usize = 16;
-/// Kinds of failures that are looked at closely: the most frequent ones.
+/// Maximum number of failure kinds that are examined: the most frequent ones.
 pub(super) const MAX_EXAMINED_KINDS: usize = 12;
 
 /// Progress of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CampaignProgress {
-    /// The method at work; none once counterexamples are examined.
+    /// Current method; `None` while counterexamples are examined.
     pub method: Option<Method>,
-    /// Evaluations done, of all methods together.
+    /// Evaluations done, of all methods.
     pub evaluations: u64,
-    /// Evaluations there will be.
+    /// Evaluations of the complete campaign.
     pub total: u64,
-    /// Evaluations that failed.
+    /// Number of failing evaluations.
     pub failures: u64,
     /// Smallest robustness so far.
     pub best_robustness: f64,
 }
 
-/// A part of every method's budget, under way in a folder.
 pub(super) struct CampaignRun<'a> {
     pub(super) campaign: &'a Campaign,
     pub(super) config: &'a ResolvedConfig,
     pub(super) run_folder: &'a RunFolder,
     pub(super) journal: Journal,
-    /// Where every evaluation goes, if it is kept.
     pub(super) table: Option<EvaluationTable<'a>>,
     pub(super) findings: CampaignFindings,
     /// Evaluations of each method, counted from 0.
@@ -53,7 +51,7 @@ pub(super) struct CampaignRun<'a> {
 }
 
 impl Campaign {
-    /// Runs the campaign in `folder`. If `observer` stops it, the folder keeps the evaluations, and a run with `resume` continues.
+    /// Runs the campaign in `folder`. If `observer` stops it, the folder keeps its evaluations for `resume`.
     ///
     /// # Errors
     /// [`CampaignError`] if the folder cannot be used, a scenario cannot be run, or `observer` stops the campaign.
@@ -86,7 +84,7 @@ impl Campaign {
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
         let CampaignRun { table, findings, .. } = &mut searching;
-        // Until all of this is there, the journal is.
+        // The journal stays until all results are written.
         let mut results = work.transaction();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
         let progress = campaign_progress(None, &findings.method_results, self.total_evaluations(&(0..self.budget)));
@@ -112,7 +110,7 @@ impl Campaign {
         (part.end - part.start).saturating_mul(self.methods().len() as u64)
     }
 
-    /// What would fail at every point fails before anything is written.
+    /// Checks everything that would fail at every point, before any file is written.
     pub(super) fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NoVehicleUnderTest(self.space.name().to_owned()));
@@ -124,12 +122,11 @@ impl Campaign {
         self.ensure_all_trusted()
     }
 
-    /// Whether what was found with the controllers would come out again: asked before anything of it is kept or told.
+    /// Checks that the controllers are deterministic and available, before results are written or reported.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), CampaignError> {
         Ok(self.controllers().try_for_each(NamedController::ensure_trusted)?)
     }
 
-    /// Verdicts at points, in their order.
     pub(super) fn evaluate(
         &self,
         space: &ScenarioSpace,
@@ -144,7 +141,6 @@ impl Campaign {
 }
 
 impl CampaignRun<'_> {
-    /// Every method with its part of the budget.
     pub(super) fn search_all(&mut self, observer: &dyn Observer<CampaignProgress>) -> Result<(), CampaignError> {
         for method in self.campaign.methods() {
             let reached = self.search(method, observer)?;
@@ -153,7 +149,7 @@ impl CampaignRun<'_> {
         Ok(())
     }
 
-    /// Finds out why the other controller gave no answer where it did not: a journal does not say.
+    /// Finds the reasons why the partner controller gave no answer, because the journal does not record them.
     pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
         for reached in &mut self.findings.method_results {
             if let Some(silent) = &mut reached.other_unanswered {
@@ -185,7 +181,7 @@ impl CampaignRun<'_> {
         while reached.evaluations < budget {
             let mut points = search.ask();
             if method.is_blind() {
-                // It does not look at values: many batches may be asked for at once.
+                // The points do not depend on values, so many batches can be requested at once.
                 for _ in 1..BLIND_BATCHES {
                     points.extend(search.ask());
                 }
@@ -202,7 +198,7 @@ impl CampaignRun<'_> {
             }
             let known = verdicts.len();
             verdicts.extend(self.campaign.evaluate(space, points.get(known..).unwrap_or_default())?);
-            // An observer that stops the campaign may have ended runs early: their verdicts are not kept.
+            // An observer that stops the campaign may have ended simulations early: drop their verdicts.
             observer.notify(&self.progress(Some(&reached)))?;
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
                 self.run_folder.record_prefix(JOURNAL_FILE, durable)?;
@@ -230,7 +226,7 @@ impl CampaignRun<'_> {
     }
 }
 
-/// A folder for a campaign, if it is this one's or nobody's; where it is another's, the error says in what they differ.
+/// Opens the run folder of a campaign. If it contains another campaign, the error names the first field that differs.
 pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) -> Result<RunFolder, CampaignError> {
     let asked = RunFolderOptions {
         kind: CAMPAIGN_KIND,
@@ -256,10 +252,10 @@ pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) 
     }
 }
 
-/// Looks at the journal of a campaign that is half done, of which its folder's manifest knows the beginning only.
+/// Checks the journal of an incomplete campaign, of which the manifest knows only a prefix.
 ///
 /// # Errors
-/// [`WorkError::Disk`] if it cannot be read. What is damaged is in what was found, as for every other file.
+/// [`RunFolderError::Disk`] if it cannot be read. Damage is reported in the examination, as for every other file.
 pub fn verify_journal(folder: &Path, mut found: FolderExamination) -> Result<FolderExamination, RunFolderError> {
     let Some(identity) = &found.identity else { return Ok(found) };
     if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL_FILE) {
@@ -271,7 +267,7 @@ pub fn verify_journal(folder: &Path, mut found: FolderExamination) -> Result<Fol
     Ok(found)
 }
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of a campaign's run folder in its `work.json`.
 pub const CAMPAIGN_KIND: &str = "campaign";
 
 pub(super) const CONFIGURATION_FILE: &str = "campaign.toml";

@@ -1,11 +1,11 @@
 //! A shard of a campaign: a part of the budget of every method.
 //!
-//! Shard I of N makes the I-th of N parts of the evaluations that each method has. The reference searches do not look at values, so that a
-//! part of them is the same points as in a campaign by one machine. The method asked for is searched with anew in every shard, by a seed
-//! that follows from that of the campaign and from how many evaluations come before the shard: a campaign of N shards is N searches.
+//! Shard I of N makes the I-th of N parts of the evaluations of each method. The reference searches do not depend on
+//! values, so their parts are those of the undivided campaign. The requested method starts a new search in every shard,
+//! with a seed from the campaign's seed and the number of earlier evaluations.
 //!
-//! A folder holds `shard.json`, all that decides it, and `findings.json`, what is remembered of its evaluations, with its failures
-//! replayed, shrunk and classed. Evaluations themselves are not kept, but for the journal while it lasts.
+//! A run folder contains `shard.json`, the configuration, and `findings.json`, the results with replayed, shrunk and
+//! classified failures. Evaluations are not recorded, except in the journal while the shard runs.
 
 use std::ops::Range;
 use std::path::Path;
@@ -26,12 +26,11 @@ use crumple_core::observer::Observer;
 use crumple_store::run_folder::{CompletedRun, RunFolderError};
 use crumple_store::shard::{ShardId, Sharded, open_shard};
 
-/// What a folder of one is called in its `work.json`.
+/// Kind of a shard's run folder in its `work.json`.
 pub const CAMPAIGN_SHARD_KIND: &str = "shard of a campaign";
 
 const FINDINGS_FILE: &str = ShardedCampaign::RESULTS_FILE;
 
-/// Everything that decides a campaign that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct ShardedCampaign {
     pub(super) nondeterministic: bool,
@@ -68,12 +67,11 @@ struct FindingsFile {
     kinds: Vec<FailureGroupRecord>,
     front: Vec<FailureCandidate>,
     examined: Vec<ExaminedFailureRecord>,
-    /// Failures that were looked at and did not fail again, as a verdict within rounding of none may.
+    /// Examined failures that did not fail again, as happens at robustness within rounding of zero.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     not_reproduced: Vec<(Method, u64)>,
 }
 
-/// Failures of one kind, which is that of each of them.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FailureGroupRecord {
@@ -83,23 +81,23 @@ struct FailureGroupRecord {
     likeliest: FailureCandidate,
 }
 
-/// What came of a shard.
+/// Results of a shard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct ShardSummary {
-    /// Evaluations of all methods together.
+    /// Evaluations of all methods.
     pub evaluations: u64,
-    /// How many failed.
+    /// Number of failing evaluations.
     pub failures: u64,
-    /// Kinds of failures.
+    /// Number of failure kinds.
     pub kinds: usize,
 }
 
 impl Campaign {
-    /// Runs a shard of the campaign in `folder`; with `resume`, continues a shard that `observer` or an interruption stopped.
+    /// Runs a shard of the campaign in `folder`. With `resume`, continues an interrupted shard.
     ///
     /// # Errors
-    /// [`CampaignError`] if there are fewer evaluations than shards, the controller states no identity, the folder cannot be used, or a
-    /// scenario cannot be run, or `observer` stops the shard.
+    /// [`CampaignError`] if there are too few evaluations, the controller has no identity, the folder cannot be used, a
+    /// scenario cannot be simulated, or `observer` stops the shard.
     pub fn run_shard(
         &self,
         shard: ShardId,
@@ -138,7 +136,7 @@ impl Campaign {
         searching.find_unanswered_reasons()?;
         observer.notify(&searching.progress(None))?;
         let (findings, examiner) = (&searching.findings, Examiner::new(self, &terms));
-        // Of all kinds: which are the most frequent in the end is not known here.
+        // Examine all kinds: the most frequent ones of the whole campaign are unknown here.
         let mut examined = examiner.examine_all(&findings.failures.examination_candidates(usize::MAX))?;
         examiner.classify_all(&mut examined);
         self.ensure_all_trusted()?;
@@ -182,7 +180,7 @@ impl FindingsFile {
         }
     }
 
-    /// What it says, unless no evaluations in that part can have come to it.
+    /// Returns the findings, or an error if no evaluations of that part can have them.
     fn into_findings(
         self,
         terms: &ResolvedConfig,
@@ -203,7 +201,7 @@ impl FindingsFile {
             }
             failures.groups.push(kind);
         }
-        // Every failure is of one kind, and the severest of all is the severest of its own.
+        // Every failure has one kind, and the severest of all is the severest of its kind.
         for MethodResults { method, first, failures: failed, .. } in &self.methods {
             let by_method = || failures.groups.iter().flat_map(|kind| &kind.by_method).filter(|(by, ..)| by == method);
             let counted = by_method().map(|(_, count, _)| *count).fold(0, u64::saturating_add);
@@ -267,31 +265,29 @@ impl FailureGroupRecord {
 }
 
 impl FailureCandidate {
-    /// Its kind, if it is one that these evaluations can have met.
+    /// Returns the kind of the failure, if these evaluations can have it.
     fn checked_kind(&self, terms: &ResolvedConfig, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
         let is_made = methods.contains(&self.method)
             && part.contains(&self.number.wrapping_sub(1))
             && terms.space.contains(&self.values)
-            // But for rounding.
+            // Allows for rounding.
             && (0.0..=1.0 + 1e-9).contains(&self.distance_from_nominal)
             && !self.ln_likelihood.is_nan();
         FailureKind::from_verdict(&self.verdict, &terms.specification).filter(|_| is_made)
     }
 }
 
-/// Findings of a finished shard.
 pub(super) struct ShardFindings {
     pub(super) findings: CampaignFindings,
     pub(super) examined: Vec<ExaminedFailure>,
-    /// Text of the file.
     pub(super) text: String,
 }
 
 impl ShardFindings {
-    /// Reads the findings in the evaluations `part`.
+    /// Reads the findings of the evaluations `part`.
     ///
     /// # Errors
-    /// [`WorkError`] if the file is not as it was written, or no such part comes to it.
+    /// [`RunFolderError`] if the file is not as it was written, or no such part can have these findings.
     pub(super) fn read(
         found: &CompletedRun,
         part: &Range<u64>,

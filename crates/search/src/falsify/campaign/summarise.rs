@@ -1,4 +1,4 @@
-//! From everything that is remembered to a summary.
+//! Creation of a summary from findings.
 
 use std::ops::Range;
 
@@ -17,7 +17,7 @@ use crumple_core::digest::sha256;
 use crumple_world::sim::FailedControllerRuns;
 
 impl CampaignSummary {
-    /// What was found, with the distinct failures as they were written down. Evaluations may be missing.
+    /// Creates the summary from findings and the recorded distinct failures. Evaluations may be missing.
     pub(super) fn from_findings(
         terms: &ResolvedConfig,
         findings: &CampaignFindings,

@@ -1,4 +1,4 @@
-//! What a campaign found, for programs and for readers.
+//! Summary of a campaign, for programs and for readers.
 
 use std::fmt::Write;
 
@@ -13,13 +13,11 @@ use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::FailedControllerRuns;
 
-/// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
 
-/// Missing ranges that are printed.
 const MAX_SHOWN_RANGES: usize = 20;
 
-/// What a campaign found.
+/// Results of a campaign.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CampaignSummary {
     /// Version of the format: 1.
@@ -28,26 +26,26 @@ pub struct CampaignSummary {
     pub crumple: String,
     /// SHA-256 of `campaign.toml`.
     pub configuration_sha256: String,
-    /// What was put under test.
+    /// Controller under test.
     pub controller: String,
-    /// Hash of the policy, if that is what it is.
+    /// Hash of the policy; `None` for other controllers.
     pub policy_sha256: Option<String>,
-    /// Whether it says of itself that it is not deterministic: the same campaign may find something else.
+    /// True if the controller declares itself non-deterministic: the same campaign may have other results.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub nondeterministic: bool,
-    /// What it looked through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
     /// Name of the space.
     pub space: String,
-    /// What must hold.
+    /// Specification.
     pub specification: String,
-    /// What else must be so for a failure to count.
+    /// Additional condition for a failure to count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
     pub failure_criterion: Option<FailureCriterionRecord>,
-    /// The method asked for.
+    /// Requested method.
     pub method: String,
-    /// What the search was after once it knew failures.
+    /// Objective of the search after the first failure.
     #[serde(default = "default_objective")]
     #[serde(rename = "aim")]
     pub objective: String,
@@ -55,34 +53,34 @@ pub struct CampaignSummary {
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
-    /// Of a campaign that was put together of shards: how, where that makes it another than that of one machine.
+    /// Division of a campaign that was merged from shards, if it differs from the undivided campaign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "divided")]
     pub sharding: Option<Sharding>,
-    /// Evaluations of the method asked for.
+    /// Evaluations of the requested method.
     pub evaluations: u64,
-    /// Whether any method found a failure.
+    /// True if any method found a failure.
     pub falsified: bool,
-    /// At which of its evaluations, from 1, the method asked for found its first failure.
+    /// Number of the first failing evaluation of the requested method, from 1.
     pub first_falsification: Option<u64>,
-    /// Smallest robustness that the method asked for found.
+    /// Smallest robustness that the requested method found.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
     /// Distinct failures, the severest first.
     pub counterexamples: Vec<Counterexample>,
-    /// How many of them could have been avoided; none if that was not asked.
+    /// Number of avoidable distinct failures; `None` if they were not classified.
     #[serde(default)]
     pub avoidability: Option<AvoidabilitySummary>,
-    /// What each method reached: the one asked for, then the reference searches.
+    /// Results of each method: the requested one, then the reference searches.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
     pub failures: Vec<FailureKindSummary>,
-    /// Of all failing evaluations, those that no other one beats both in severity and in likelihood, the severest first.
+    /// Pareto front of severity and likelihood over all failing evaluations, the severest first.
     #[serde(default)]
     pub front: Vec<FrontPoint>,
-    /// How much of the space was tried.
+    /// Coverage of the space.
     pub coverage: CoverageSummary,
-    /// Where failures lie, the densest region first; empty if the reference searches found none, or nothing else.
+    /// Regions of failures, the densest first; empty if the reference searches found none, or only failures.
     pub regions: Vec<Region>,
 }
 
@@ -109,21 +107,21 @@ impl Sharding {
     }
 }
 
-/// How many distinct failures could have been avoided.
+/// Numbers of distinct failures by avoidability.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AvoidabilitySummary {
-    /// Those with an escape.
+    /// Number of failures with an escape.
     pub avoidable: usize,
-    /// Those with a proof that there is none.
+    /// Number of failures with a proof that there is none.
     pub unavoidable: usize,
-    /// Those with neither.
+    /// Number of failures with neither.
     pub undecided: usize,
-    /// Share of all three that was avoidable.
+    /// Share of avoidable failures among all three.
     pub avoidable_percent: f64,
 }
 
 impl AvoidabilitySummary {
-    /// Of a list of distinct failures; none if none of them was classed.
+    /// Counts the classes of distinct failures; `None` if none was classified.
     #[must_use]
     pub fn from_counterexamples(found: &[Counterexample]) -> Option<Self> {
         let count = |class| found.iter().filter(|one| one.avoidability.class() == class).count();
@@ -135,25 +133,24 @@ impl AvoidabilitySummary {
     }
 }
 
-/// What a method reached.
+/// Results of a method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodSummary {
-    /// Its name.
+    /// Name of the method.
     pub method: String,
-    /// Evaluations it made.
+    /// Number of evaluations.
     pub evaluations: u64,
-    /// At which of them, from 1, it found its first failure.
+    /// Number of its first failing evaluation, from 1.
     pub first_falsification: Option<u64>,
-    /// How many failed.
+    /// Number of failing evaluations.
     pub failures: u64,
     /// Smallest robustness.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
-    /// Evaluations that `contrast` says nothing of: there is no such other scenario.
+    /// Evaluations without a partner scenario, for which the failure criterion is undefined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub without_partner: Option<u64>,
-    /// Evaluations beside which the other controller, or the same one in the other scenario, gave no answer: whatever came of them, they do
-    /// not count as failures.
+    /// Evaluations whose partner simulation gave no answer; they do not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub other_unanswered: Option<FailedControllerRuns>,
 }
@@ -161,54 +158,53 @@ pub struct MethodSummary {
 /// Failures of one kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FailureKindSummary {
-    /// In words.
+    /// Description of the kind.
     pub kind: String,
-    /// Of a controller that gave no answer: when and why, in the severest of those that were looked at.
+    /// Time and reason of the controller's failure in the severest examined case; only for a controller failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// Index of the vehicle whose controller gave no answer; none if it is not about that.
+    /// Index of the vehicle whose controller gave no answer; `None` for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed_vehicle: Option<u32>,
-    /// Index of the vehicle that is hit; none if it is not about a contact.
+    /// Index of the vehicle that is hit; `None` without a collision.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub front_vehicle: Option<u32>,
     /// Index of the vehicle that hits it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rear_vehicle: Option<u32>,
-    /// How often it was found.
+    /// Number of failures.
     pub count: u64,
-    /// By whom.
+    /// Number of failures by method.
     pub by_method: Vec<FailuresByMethod>,
 }
 
 /// Failures of one kind found by one method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FailuresByMethod {
-    /// The method.
+    /// Name of the method.
     pub method: String,
-    /// How often it found one.
+    /// Number of failures.
     pub count: u64,
-    /// At which of its evaluations, from 1, it found the first one.
+    /// Number of its first failing evaluation, from 1.
     pub first: u64,
 }
 
-/// How much of the space was tried.
+/// Coverage of the space.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CoverageSummary {
-    /// By the method asked for.
+    /// Coverage by the requested method.
     pub method: Option<CoveragePercentages>,
-    /// By all methods together.
+    /// Coverage by all methods.
     #[serde(alias = "with_yardsticks")]
     pub with_reference_searches: CoveragePercentages,
 }
 
-/// Regions that are printed, beside the safest one.
+/// Maximum number of regions that are printed, in addition to the safest one.
 const MAX_SHOWN_REGIONS: usize = 3;
-/// Failures on the front that are printed.
 const MAX_SHOWN_FRONT_POINTS: usize = 6;
 
 impl CampaignSummary {
-    /// The text of `summary.json`.
+    /// Returns the text of `summary.json`.
     ///
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
@@ -219,12 +215,12 @@ impl CampaignSummary {
     /// Reads `summary.json`.
     ///
     /// # Errors
-    /// [`CampaignError::Encoding`] for anything else.
+    /// [`CampaignError::Encoding`] for any other content.
     pub fn from_json(text: &str) -> Result<Self, CampaignError> {
         serde_json::from_str(text).map_err(CampaignError::from_encoding_error)
     }
 
-    /// The summary for a reader.
+    /// Returns the summary for a reader.
     #[must_use]
     pub fn to_text(&self) -> String {
         let mut text = String::new();
@@ -233,7 +229,6 @@ impl CampaignSummary {
         text
     }
 
-    /// The front, thinned evenly where it is long.
     fn write_front(&self, out: &mut String) -> std::fmt::Result {
         let (all, last) = (self.front.len(), self.front.len().saturating_sub(1));
         if all < 2 {
@@ -264,7 +259,6 @@ impl CampaignSummary {
         Ok(())
     }
 
-    /// Of how many evaluations nothing is known, since the one they are set against gave no answer.
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
         let who = match &self.failure_criterion {
             Some(FailureCriterionRecord::Differential { controller, .. }) => format!("`{}`", TerminalText(controller)),
@@ -279,7 +273,6 @@ impl CampaignSummary {
         Ok(())
     }
 
-    /// How many evaluations there is no other scenario to set against.
     fn write_without_partner(&self, out: &mut String) -> std::fmt::Result {
         let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.failure_criterion else { return Ok(()) };
         for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
@@ -378,7 +371,6 @@ impl CampaignSummary {
                 out,
                 "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the reference searches fail"
             )?;
-            // The densest ones, and the safest one.
             let safest = self.regions.len() - 1;
             let shown = |index: &usize| *index < MAX_SHOWN_REGIONS || *index == safest;
             for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {

@@ -1,11 +1,11 @@
-//! Evaluation log: one row for each evaluation, in compressed CSV files `evaluations/part-00000.csv.gz` and so on. pandas and
-//! polars read each of them without options.
+//! Evaluation log: one row per evaluation, in CSV files `evaluations/part-00000.csv.gz` and so on, as pandas reads
+//! them.
 //!
-//! A part has 65 536 rows, the last part the rest, in the order of evaluation: first the requested method, then the reference
-//! searches. Columns, in this order: `method`; `evaluation` (from 1, for each method); one column for each coordinate in the unit
-//! of its parameter (a class or driver by its name); `ln_likelihood`; `robustness`; and, empty without a contact,
-//! `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`. Numbers are the shortest
-//! that read back as the same.
+//! A part has 65 536 rows, the last part the rest, in the order of evaluation: first the requested method, then the
+//! reference searches. Columns, in this order: `method`; `evaluation` (from 1, for each method); one column for each
+//! coordinate in the unit of its parameter (a class or driver by its name); `ln_likelihood`; `robustness`; and, empty
+//! without a collision, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`,
+//! `rear_class`. Numbers read back exactly.
 
 use std::io::Read;
 
@@ -22,16 +22,13 @@ use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 use crumple_world::scenario::space::{KEY_COLUMNS, RESULT_COLUMNS, ScenarioSpace, SpaceParameter};
 
-/// Rows of a part.
 const ROWS_PER_PART: usize = 65_536;
 
-/// Maximum bytes of a field, commas and quotes included: more than any number or name has.
+/// Maximum bytes of a field with commas and quotes: longer than any number or name.
 const MAX_FIELD_BYTES: usize = 64;
 
-/// File name extension of a part.
 const EXTENSION: &str = ".csv.gz";
 
-/// Writes rows to parts.
 pub(super) struct EvaluationTable<'a> {
     space: &'a ScenarioSpace,
     run_folder: &'a RunFolder,
@@ -56,7 +53,6 @@ impl<'a> EvaluationTable<'a> {
         Ok(self.run_folder.write(&name, part)?)
     }
 
-    /// Adds the last part to the results.
     pub(super) fn finish(self, results: &mut FolderTransaction<'_>) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
             let (name, part) = self.encode_part()?;
@@ -108,12 +104,12 @@ fn columns(space: &ScenarioSpace) -> Vec<String> {
     [texts(&KEY_COLUMNS), space.coordinate_names(), texts(&RESULT_COLUMNS)].concat()
 }
 
-/// Formats a number so that it reads back as the same, with an exponent where decimals would be long.
+/// Formats a number so that it reads back exactly, with an exponent if decimals would be long.
 fn format_number(value: f64) -> String {
     format!("{value:?}")
 }
 
-/// Reads the rows of a part. A log does not state the failure of a controller, so verdicts are without it.
+/// Reads the rows of a part. A log does not record the failure of a controller, so its verdicts omit it.
 ///
 /// # Errors
 /// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
@@ -146,7 +142,7 @@ pub(super) fn decode_part(
     Ok(rows)
 }
 
-/// Reads a row; none if crumple did not write it.
+/// Parses a row; `None` if crumple did not write it.
 fn parse_row(
     record: &StringRecord,
     parameters: &[&SpaceParameter],
@@ -186,7 +182,6 @@ fn parse_row(
     Some((method, evaluated))
 }
 
-/// Returns the number of a value that has a name.
 fn parse_named_value(parameter: &SpaceParameter, name: &str) -> Option<f64> {
     let [low, high] = parameter.range();
     (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.format_value(number) == name)

@@ -1,4 +1,4 @@
-//! How many evaluations a method needs until it falsifies each specification.
+//! Number of evaluations that a method needs to falsify each specification.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -10,55 +10,55 @@ use super::{
 use crate::falsify::{Method, UnitCube};
 use crumple_world::measure::stl::Formula;
 
-/// The result of a method on the six specifications.
+/// Results of a method on the six specifications.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Benchmark {
     /// Name of the method.
     pub method: String,
-    /// Most evaluations of a run.
+    /// Maximum number of evaluations of a run.
     pub budget: usize,
-    /// By how much a counterexample violates its specification at both steps, at least, in metres.
+    /// Minimum violation of a counterexample at both steps, in metres.
     pub margin_m: f64,
-    /// One row a specification.
+    /// One row per specification.
     pub rows: Vec<BenchmarkRow>,
 }
 
-/// One specification.
+/// Results of one specification.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BenchmarkRow {
     /// Name of the specification.
     pub spec: String,
-    /// Its formula: published ones differ.
+    /// Formula of the specification; published ones differ.
     pub formula: String,
-    /// Runs that found a counterexample which the replay confirmed.
+    /// Number of runs with a counterexample that the replay confirmed.
     pub successes: usize,
-    /// Runs.
+    /// Number of runs.
     pub seeds: usize,
-    /// Mean evaluations to the first counterexample, over the successful runs; none if there is none.
+    /// Mean number of evaluations to the first counterexample, over the successful runs; `None` without success.
     pub mean_evaluations: Option<f64>,
-    /// The runs, by seed.
+    /// Runs by seed.
     pub runs: Vec<BenchmarkRun>,
 }
 
-/// One run.
+/// Result of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BenchmarkRun {
-    /// Its seed.
+    /// Seed of the run.
     pub seed: u64,
-    /// Inputs evaluated, up to and with the first counterexample.
+    /// Evaluated inputs, including the first counterexample.
     pub evaluations: usize,
-    /// How many of them violated the specification, and were simulated at the finer step besides.
+    /// Number of them that violated the specification and were also simulated at the finer step.
     pub finer_simulations: usize,
-    /// Smallest robustness found, at that step of the two where it is larger.
+    /// Smallest robustness found, as the larger value of the two steps.
     pub best_robustness: f64,
-    /// What falsified the specification, if anything did.
+    /// Counterexample, if found.
     pub counterexample: Option<FalsifyingInputs>,
 }
 
-/// Inputs under which a specification is violated.
+/// Inputs that violate a specification.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FalsifyingInputs {
@@ -68,14 +68,14 @@ pub struct FalsifyingInputs {
     pub brake: Vec<f64>,
     /// Robustness by the model and monitor of the search.
     pub robustness: f64,
-    /// Robustness by the independent replay, with a monitor of its own.
+    /// Robustness by the independent replay, with its own monitor.
     pub replayed_robustness: f64,
     /// Robustness by the independent replay at a fifth of the step.
     pub finer_robustness: f64,
 }
 
 impl BenchmarkRun {
-    /// Whether a counterexample was found that the replay confirmed.
+    /// Returns true if the replay confirmed a counterexample.
     #[must_use]
     pub fn is_success(&self) -> bool {
         let is_violated = |robustness: f64| robustness < -MARGIN_M;
@@ -85,7 +85,7 @@ impl BenchmarkRun {
     }
 }
 
-/// Runs `method` on every specification with so many seeds from `first_seed` on, each run until its first counterexample.
+/// Runs `method` on every specification with `seeds` seeds from `first_seed` on, each until its first counterexample.
 ///
 /// # Errors
 /// [`ChasingCarsError`] if a specification does not fit the model.
@@ -117,10 +117,7 @@ pub fn run_benchmark(
     Ok(Benchmark { method: method.name().to_owned(), budget, margin_m: MARGIN_M, rows })
 }
 
-/// One search. Values are told a batch at a time, but a run ends at the first counterexample in the batch's order.
-///
-/// What is violated at one step need not be at a finer one, and is then no counterexample: the search is told the larger of both values
-/// and goes on.
+/// Runs one search until the first counterexample. It receives the larger robustness of the two steps.
 fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<BenchmarkRun, ChasingCarsError> {
     let mut run = BenchmarkRun {
         seed,

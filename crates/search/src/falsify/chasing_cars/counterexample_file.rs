@@ -1,4 +1,4 @@
-//! Counterexamples of the benchmark as files that need nothing else.
+//! Self-contained counterexample files of the benchmark.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::{
 };
 use crumple_world::scenario::file::{self, FileError};
 
-/// The version of the file format.
+/// Version of the file format.
 pub const COUNTEREXAMPLE_VERSION: u32 = 1;
 
 /// Inputs of Chasing Cars that violate a specification.
@@ -23,17 +23,17 @@ pub struct CounterexampleFile {
     pub problem: String,
     /// Name of the specification.
     pub spec: String,
-    /// The specification over y1 to y5.
+    /// Formula of the specification over y1 to y5.
     pub formula: String,
-    /// The method that found it.
+    /// Method that found the counterexample.
     pub method: String,
-    /// Seed of its run.
+    /// Seed of the run.
     pub seed: u64,
-    /// At which of its evaluations, from 1.
+    /// Number of the evaluation, from 1.
     pub evaluation: usize,
     /// Robustness by the model and monitor of the search.
     pub robustness: f64,
-    /// Robustness by the independent replay at a fifth of the step; files of version 0.1.0 do not say it.
+    /// Robustness by the independent replay at a fifth of the step; missing in files of version 0.1.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finer_robustness: Option<f64>,
     /// Throttle of each 5 s.
@@ -43,7 +43,7 @@ pub struct CounterexampleFile {
 }
 
 impl Benchmark {
-    /// Every counterexample as a file.
+    /// Returns every counterexample as a file.
     #[must_use]
     pub fn counterexample_files(&self) -> Vec<CounterexampleFile> {
         let mut files = Vec::new();
@@ -73,16 +73,16 @@ impl Benchmark {
 }
 
 impl CounterexampleFile {
-    /// A name that tells it from all others of one benchmark.
+    /// Returns a file name that is unique in a benchmark.
     #[must_use]
     pub fn file_name(&self) -> String {
         format!("{}-seed-{}.toml", self.spec, self.seed)
     }
 
-    /// The file as TOML.
+    /// Returns the file as TOML.
     ///
     /// # Errors
-    /// None in practice; the serializer's error is passed on rather than hidden.
+    /// [`toml::ser::Error`] in principle; does not occur in practice.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
     }
@@ -96,7 +96,7 @@ impl CounterexampleFile {
         file::parse_toml(&text, path)
     }
 
-    /// Robustness by the independent replay, which knows nothing but the file.
+    /// Returns the robustness by the independent replay, from the content of the file alone.
     ///
     /// # Errors
     /// [`ChasingCarsError`] if the formula does not fit the model.
@@ -105,7 +105,7 @@ impl CounterexampleFile {
         replayed_robustness(&self.formula.parse()?, &inputs)
     }
 
-    /// Returns whether the independent replay also violates the specification by more than `MARGIN_M`, at its step and at a fifth of it.
+    /// Returns true if the replay violates the specification by more than `MARGIN_M`, at its step and at a fifth of it.
     ///
     /// # Errors
     /// [`ChasingCarsError`] if the formula does not fit the model.

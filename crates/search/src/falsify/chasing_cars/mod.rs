@@ -1,9 +1,9 @@
-//! Chasing Cars: the public benchmark of falsification tools (ARCH-COMP, falsification category; first posed by Hu,
+//! Chasing Cars: a public benchmark of falsification tools (ARCH-COMP, falsification category; first posed by Hu,
 //! Lygeros and Sastry, Towards a theory of stochastic hybrid systems, HSCC 2000).
 //!
-//! Five cars follow one another for 100 s; throttle and brake of the first are the inputs, each in [0, 1] and constant
-//! over 20 pieces of 5 s (instance 2). Car 1 has `v' = -throttle - brake v` and `y' = v`. The others look at the gap
-//! `g = y_i - y_(i-1)` and switch between three modes, checked at the start of every step of 0.01 s:
+//! Five cars follow one another for 100 s. Inputs are throttle and brake of the first, each in [0, 1] and constant over
+//! 20 pieces of 5 s (instance 2). Car 1 has `v' = -throttle - brake v` and `y' = v`. The others observe the gap `g =
+//! y_i - y_(i-1)` and switch between three modes, checked at the start of every step of 0.01 s:
 //!
 //! | mode | motion | switches |
 //! |---|---|---|
@@ -23,23 +23,21 @@ pub use benchmark::{Benchmark, BenchmarkRow, BenchmarkRun, FalsifyingInputs, run
 pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
 pub(crate) use replay::{finer_robustness, replayed_robustness};
 
-/// Time step in seconds.
 pub(crate) const STEP_S: f64 = 0.01;
 /// Number of steps: 100 s.
 pub(crate) const STEPS: usize = 10_000;
-/// Pieces of each input.
+/// Number of pieces of each input.
 pub const PIECES: usize = 20;
 const STEPS_PER_PIECE: usize = STEPS / PIECES;
-/// Steps of a finer simulation for each step. The cars look at their guards as often: what is violated at one step need not be at the
-/// other.
+/// Ratio of the step to the finer step. Guards are checked per step, so violations may depend on it.
 pub(crate) const FINER_STEP_DIVISOR: usize = 5;
-/// A counterexample violates its specification by more than this at both steps, in metres.
+/// Minimum violation of a counterexample at both steps, in metres.
 pub(crate) const MARGIN_M: f64 = 0.01;
 
-/// The six specifications: names and formulas over y1 to y5.
+/// Names and formulas of the six specifications, over y1 to y5.
 ///
-/// Published ones differ: CC4 is found with an innermost window of 5 s, as here, and of 20 s; CC3 with `y5 - y4 >= 40`, as here, and
-/// with `<=`. What is said of one is not said of the other.
+/// Published versions differ: CC4 has an innermost window of 5 s, as here, or of 20 s; CC3 has `y5 - y4 >= 40`, as
+/// here, or `<=`. Results of one version do not apply to the other.
 pub const SPECIFICATIONS: [(&str, &str); 6] = [
     ("CC1", "always[0,100] y5 - y4 <= 40"),
     ("CC2", "always[0,70] eventually[0,30] y5 - y4 >= 15"),
@@ -53,7 +51,7 @@ pub const SPECIFICATIONS: [(&str, &str); 6] = [
     ),
 ];
 
-/// The inputs: throttle and brake over each piece, in [0, 1].
+/// Throttle and brake over each piece, in [0, 1].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChasingCarsInputs {
     /// Throttle over each 5 s.
@@ -63,7 +61,7 @@ pub struct ChasingCarsInputs {
 }
 
 impl ChasingCarsInputs {
-    /// Inputs from a point of the unit cube: throttle first, then brake; what is missing is 0.
+    /// Converts a point of the unit cube, first throttle, then brake; missing coordinates are 0.
     #[must_use]
     pub fn from_unit(point: &[f64]) -> Self {
         let at = |index: usize| point.get(index).copied().unwrap_or(0.0);
@@ -74,7 +72,7 @@ impl ChasingCarsInputs {
 /// Positions of the five cars at each of the 10 001 samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CarTrajectories {
-    /// y1 to y5.
+    /// Positions y1 to y5.
     pub position: [Vec<f64>; 5],
 }
 
@@ -98,8 +96,7 @@ impl Mode {
     }
 }
 
-/// The exact step of car 1 under constant inputs: `v(t) = v e^(-bt) - a k1(t)` and `y(t) = y + v k1(t) - a k2(t)`, where
-/// k1 is the integral of e^(-bt) and k2 that of k1.
+/// Exact step of car 1: `v(t) = v e^(-bt) - a k1(t)`, `y(t) = y + v k1(t) - a k2(t)`, k1 = ∫ e^(-bt), k2 = ∫ k1.
 struct LeaderStep {
     decay: f64,
     k1: f64,
@@ -111,7 +108,7 @@ impl LeaderStep {
     fn new(throttle: f64, brake: f64) -> Self {
         let x = brake * STEP_S;
         let k1 = if x == 0.0 { STEP_S } else { -(-x).exp_m1() / brake };
-        // (x - 1 + e^-x) / b² cancels at the small x there are here; its series does not.
+        // (x - 1 + e^-x) / b² cancels at small x; its series does not.
         let k2 = STEP_S * STEP_S * (0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0))));
         Self { decay: (-x).exp(), k1, k2, throttle }
     }
@@ -123,7 +120,7 @@ impl LeaderStep {
     }
 }
 
-/// Runs the model.
+/// Simulates the model.
 #[must_use]
 pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
     let (decay, lost) = ((-STEP_S).exp(), -(-STEP_S).exp_m1());
@@ -158,23 +155,23 @@ pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
     CarTrajectories { position }
 }
 
-/// Why a specification cannot be evaluated on a motion.
+/// An error of evaluating a specification on trajectories.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChasingCarsError {
-    /// The text of a formula.
+    /// The formula cannot be parsed.
     #[error(transparent)]
     Parse(#[from] FormulaParseError),
-    /// The signals.
+    /// The signals are invalid.
     #[error(transparent)]
     Signals(#[from] SignalsError),
-    /// The monitor.
+    /// The monitor cannot evaluate the formula.
     #[error(transparent)]
     Monitor(#[from] MonitorError),
 }
 
 impl CarTrajectories {
-    /// The motion as signals y1 to y5.
+    /// Returns the positions as signals y1 to y5.
     ///
     /// # Errors
     /// [`SignalsError`] if a position is not a number.
@@ -187,7 +184,7 @@ impl CarTrajectories {
     }
 }
 
-/// Robustness of a specification under some inputs.
+/// Returns the robustness of a specification for given inputs.
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.

@@ -1,11 +1,9 @@
-//! A second opinion: the model written down once more, as plainly as it is stated, and the naive monitor.
+//! Independent replay: a second, plain implementation of the model, and the naive monitor.
 
 use super::{ChasingCarsError, ChasingCarsInputs, FINER_STEP_DIVISOR, STEP_S};
 use crumple_world::measure::stl::{Formula, SampledSignals, naive_robustness};
 
-/// Robustness by an implementation that shares neither the model nor the monitor with [`super::robustness`].
-///
-/// Orders of magnitude slower: for rechecking counterexamples.
+/// Returns the robustness by an independent model and the naive monitor, which are orders of magnitude slower.
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
@@ -13,7 +11,7 @@ pub(crate) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs)
     Ok(naive_robustness(formula, &replay(inputs, 1)?, 0)?)
 }
 
-/// Robustness by the independent model at a step that is [`FINER`] times as fine.
+/// Returns the robustness by the independent model at a step that is [`FINER_STEP_DIVISOR`] times as fine.
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
@@ -21,7 +19,7 @@ pub(crate) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) ->
     Ok(formula.robustness(&replay(inputs, FINER_STEP_DIVISOR)?)?)
 }
 
-/// The motion, at so many steps for each one of [`STEP_S`].
+/// Returns the positions, simulated with `finer` steps per [`STEP_S`].
 fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ChasingCarsError> {
     let step_s = STEP_S / finer as f64;
     let mut cars: Vec<ReplayCar> =
@@ -60,7 +58,7 @@ impl ReplayCar {
     fn step_leader(&mut self, throttle: f64, brake: f64, h: f64) {
         let v = self.v;
         if brake < 1e-6 {
-            // The limit of the solution below, to second order in the brake.
+            // Taylor expansion of the solution below, to first order in the brake.
             self.v = v - throttle * h - brake * (v * h - throttle * h * h / 2.0);
             self.y += v * h - throttle * h * h / 2.0 - brake * (v * h * h / 2.0 - throttle * h * h * h / 6.0);
         } else {
@@ -111,7 +109,7 @@ mod tests {
                 let formula = text.parse().unwrap();
                 let (fast, plain) =
                     (robustness(&formula, &inputs).unwrap(), replayed_robustness(&formula, &inputs).unwrap());
-                // Rounding moves the instants at which cars switch by a step at most.
+                // Rounding shifts a switch of mode by at most one step.
                 assert!((fast - plain).abs() < 1e-6 * (1.0 + fast.abs()), "{name}, seed {seed}: {fast} and {plain}");
             }
         }

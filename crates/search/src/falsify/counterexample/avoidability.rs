@@ -1,4 +1,4 @@
-//! Could any driver have avoided the failure?
+//! Avoidability of failures.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,29 +6,29 @@ use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
-/// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
+/// Result of the question if any controller could have avoided a failure; see [`avoid`] for what each class asserts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "AvoidabilityOutput", from = "AvoidabilityInput")]
 #[non_exhaustive]
 pub enum Avoidability {
-    /// It was not asked: the specification is a formula, or the file is older than the question.
+    /// Not analysed: the specification is a formula, or the file is older than the analysis.
     #[default]
     NotAsked,
-    /// Some acceleration of the vehicles under test avoids it, and was replayed without contact.
+    /// Some acceleration of the vehicles under test avoids the failure. A replay without collision confirmed it.
     Avoidable {
-        /// Smallest gap that the best escape found keeps, in metres.
+        /// Smallest gap of the best escape found, in metres.
         best_min_gap_m: f64,
     },
-    /// None does, and the checker has accepted the proof.
+    /// No acceleration avoids the failure; the checker accepted the proof.
     Unavoidable,
     /// Neither could be shown.
     Undecided {
-        /// Why not.
+        /// Reason why the analysis failed.
         reason: String,
     },
 }
 
-/// An [`Avoidability`] as one word.
+/// The class of an [`Avoidability`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -44,17 +44,17 @@ pub enum AvoidabilityClass {
     Undecided,
 }
 
-/// What convex programming says about a failure, and how it could have been avoided where it says that.
+/// Avoidability of a failure, and an escape if it is avoidable.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AvoidabilityAnalysis {
-    /// The class.
+    /// Class of the failure.
     pub avoidability: Avoidability,
-    /// The escape of one that is avoidable: the scenario with a script in place of every vehicle under test, in which nobody touches.
+    /// Scenario with a script in place of every vehicle under test, without collision; only for avoidable failures.
     pub escape: Option<Scenario>,
 }
 
 impl AvoidabilityAnalysis {
-    /// Asked of contacts alone, where contact is what must not happen.
+    /// Analyses a failure if the specification is [`Specification::NoContact`] and the verdict is a collision.
     #[must_use]
     pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
         match (specification, verdict.contact) {
@@ -63,7 +63,7 @@ impl AvoidabilityAnalysis {
         }
     }
 
-    /// Of a scenario that ends in contact.
+    /// Analyses a scenario that ends in a collision.
     #[must_use]
     pub fn classify_contact(scenario: &Scenario) -> Self {
         let options = AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() };
@@ -80,19 +80,19 @@ impl AvoidabilityAnalysis {
 }
 
 impl Avoidability {
-    /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
+    /// Returns the avoidability if the specification is [`Specification::NoContact`] and the verdict is a collision.
     #[must_use]
     pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
         AvoidabilityAnalysis::classify(specification, verdict, scenario).avoidability
     }
 
-    /// What convex programming says about a scenario that ends in contact.
+    /// Returns the avoidability of a scenario that ends in a collision.
     #[must_use]
     pub fn classify_contact(scenario: &Scenario) -> Self {
         AvoidabilityAnalysis::classify_contact(scenario).avoidability
     }
 
-    /// The class alone.
+    /// Returns the class.
     #[must_use]
     pub fn class(&self) -> AvoidabilityClass {
         match self {
@@ -103,7 +103,7 @@ impl Avoidability {
         }
     }
 
-    /// Whether it could have been avoided, if that is known.
+    /// Returns true if the failure is avoidable; `None` if that is unknown.
     #[must_use]
     pub fn is_avoidable(&self) -> Option<bool> {
         match self {
@@ -113,19 +113,18 @@ impl Avoidability {
         }
     }
 
-    /// The smallest gap of the best escape found, in metres.
+    /// Returns the smallest gap of the best escape found, in metres.
     #[must_use]
     pub fn best_min_gap_m(&self) -> Option<f64> {
         if let Self::Avoidable { best_min_gap_m } = self { Some(*best_min_gap_m) } else { None }
     }
 
-    /// Why it is undecided, if it is.
     #[must_use]
     pub(crate) fn undecided_because(&self) -> Option<&str> {
         if let Self::Undecided { reason } = self { Some(reason) } else { None }
     }
 
-    /// In words; none if it was not asked.
+    /// Describes the result; `None` if it was not analysed.
     #[must_use]
     pub fn describe(&self) -> Option<String> {
         match self {
@@ -137,7 +136,6 @@ impl Avoidability {
     }
 }
 
-/// Beside the other fields of a counterexample in a summary.
 #[derive(Serialize)]
 struct AvoidabilityOutput {
     avoidable: Option<bool>,
@@ -146,7 +144,7 @@ struct AvoidabilityOutput {
     undecided_because: Option<String>,
 }
 
-/// What is read of [`AvoidabilityOutput`]: `avoidable` says nothing that the class does not.
+/// The fields of [`AvoidabilityOutput`] that are read; `avoidable` follows from the class.
 #[derive(Deserialize)]
 struct AvoidabilityInput {
     #[serde(default)]

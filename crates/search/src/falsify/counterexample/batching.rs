@@ -1,18 +1,17 @@
-//! Many that ask one question at a time, answered together.
+//! Batching of questions from several threads.
 //!
-//! Shrinking asks of one scenario after the other, and what it asks depends on the last answer. Runs are made far faster many at a
-//! time, most of all where a process or a callable decides; so all failures are shrunk at once, each on a thread that mostly waits.
+//! Shrinking evaluates one scenario after the other, but simulation is much faster in batches. All failures are
+//! therefore shrunk at once, each on a thread that mostly waits.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
-/// Most that ask at once.
 const MAX_BATCH_SIZE: usize = 64;
 
-/// What one of them says: which it is, and its question; none once it is done.
+/// A message of a thread: its index, and its question; `None` at its end.
 type AskerMessage<Q> = (usize, Option<Q>);
 
-/// Asks one question at a time.
+/// Client side of one thread, which asks one question at a time.
 struct Asker<Q, A> {
     index: usize,
     questions: Sender<AskerMessage<Q>>,
@@ -20,7 +19,7 @@ struct Asker<Q, A> {
 }
 
 impl<Q, A> Asker<Q, A> {
-    /// None only where nobody answers any more.
+    /// Sends a question and waits for the answer; `None` if the server has ended.
     fn ask(&self, question: Q) -> Option<A> {
         self.questions.send((self.index, Some(question))).ok()?;
         self.answers.recv().ok()
@@ -28,16 +27,14 @@ impl<Q, A> Asker<Q, A> {
 }
 
 impl<Q, A> Drop for Asker<Q, A> {
-    /// However it ends, nobody waits for it.
+    /// Reports the end of the thread, also on panic, so that the server does not wait for it.
     fn drop(&mut self) {
         let _ = self.questions.send((self.index, None));
     }
 }
 
-/// What `work` makes of each member. Its questions are answered by `answer`, those of all members that still ask at once, in the order of the
-/// members; what they learn does not depend on who else asks as long as answers do not.
-///
-/// `work` is told None only where `answer` has fewer answers than questions.
+/// Runs `work` for each member on its own thread. `answer` receives all waiting questions together, in the order of the
+/// members. The question function returns `None` only if `answer` returned too few answers.
 pub(super) fn run_batched<M: Sync, Q: Send, A: Send, R: Send>(
     members: &[M],
     work: impl Fn(&M, &mut dyn FnMut(Q) -> Option<A>) -> R + Sync,
@@ -67,7 +64,6 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
     })
 }
 
-/// Answers until nobody asks any more.
 fn serve<Q, A>(asked: &Receiver<AskerMessage<Q>>, mut desks: Vec<Option<Sender<A>>>, answer: &impl Fn(&[Q]) -> Vec<A>) {
     let mut waiting: Vec<(usize, Q)> = Vec::new();
     loop {
@@ -86,7 +82,6 @@ fn serve<Q, A>(asked: &Receiver<AskerMessage<Q>>, mut desks: Vec<Option<Sender<A
         let mut answers = answer(&questions).into_iter();
         for index in who {
             match (answers.next(), &desks[index]) {
-                // Who has gone meanwhile misses nothing.
                 (Some(answer), Some(desk)) => drop(desk.send(answer)),
                 _ => desks[index] = None,
             }
@@ -100,7 +95,7 @@ mod tests {
 
     use super::*;
 
-    /// Everybody learns what it would have learned alone, whoever ends when, and questions are answered together.
+    /// Results equal those of separate runs, whenever a thread ends, and questions are answered in batches.
     #[test]
     fn what_is_learned_together_is_what_is_learned_alone() {
         let members: Vec<u64> = (0..150).map(|i| i * i % 23).collect();

@@ -1,4 +1,4 @@
-//! A closer look at a failure that a search met: replayed, shrunk, classed.
+//! Examination of failures: replay, shrinking and classification.
 
 use std::path::Path;
 
@@ -14,13 +14,12 @@ use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
 
-/// Share of the impact speed, or of the violation of a formula, that shrinking must leave.
+/// Minimum share of the impact speed, or of the violation of a formula, that shrinking preserves.
 const MIN_SEVERITY_SHARE: f64 = 0.5;
 
-/// A scenario, in how many parts of its step, and what came of it; none where it is for the one who asks to find out.
+/// Simulates a scenario with its step divided by a number; `None` if the caller must simulate it itself.
 type EvaluateFn<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, SpecificationError>> + 'a;
 
-/// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
     campaign: &'a Campaign,
     config: &'a ResolvedConfig,
@@ -31,7 +30,7 @@ impl<'a> Examiner<'a> {
         Self { campaign, config: terms }
     }
 
-    /// Looks at all candidates. None is left out unless it cannot be reproduced, which the engines' agreement rules out.
+    /// Examines all candidates. Drops only those that cannot be reproduced.
     pub(in crate::falsify) fn examine_all(
         &self,
         candidates: &[&FailureCandidate],
@@ -47,7 +46,6 @@ impl<'a> Examiner<'a> {
         Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
-    /// Classes them: could any driver have avoided it?
     pub(in crate::falsify) fn classify_all(&self, examined: &mut [ExaminedFailure]) {
         let specification = &self.config.specification;
         examined
@@ -63,7 +61,7 @@ impl<'a> Examiner<'a> {
         let original = self.tidy(&candidate.values)?;
         let original_verdict = self.judge(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };
-        // After a contact that is the impact speed.
+        // After a collision, robustness is the negative impact speed.
         let most = MIN_SEVERITY_SHARE * original_verdict.robustness;
         let survives = |scenario: &Scenario, ask: &mut EvaluateFn<'_>| -> Result<bool, CampaignError> {
             let finer = self.kind(&self.judge(scenario, FINER_STEP_DIVISOR, ask)?);
@@ -90,13 +88,13 @@ impl<'a> Examiner<'a> {
                 return Err(error);
             }
         }
-        // From the text, not from memory: the file alone must fail.
+        // Read the text back: the file alone must fail.
         let (scenario, original) = (write_and_read_back(&self.tidy(&values)?)?, write_and_read_back(&original)?);
         let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
         let options = self.campaign.evaluator().run_options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let failed = aftermath.outcome.failed_controller();
-        // What does not come out again from the file alone is no counterexample: that of a controller from outside may not.
+        // With an external controller, drop a failure that the file alone does not reproduce.
         let is_again = self.kind(&verdict) == Some(kind)
             && verdict.failure.is_some() == (verdict.contact.is_none() && failed.is_some());
         if !is_again && self.campaign.controllers().any(|driver| driver.kind.is_external()) {
@@ -129,22 +127,21 @@ impl<'a> Examiner<'a> {
         Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.evaluator().evaluate(scenario, parts))?)
     }
 
-    /// The scenario of values as it will stand in its file: no trailing digits of rounding, no piece twice in a row.
+    /// Returns the scenario of values as its file will contain it: rounded, and without repeated pieces.
     fn tidy(&self, values: &[f64]) -> Result<Scenario, CampaignError> {
         let scenario = self.config.space.scenario(values)?;
-        // What tidying would make invalid, at the very edge of a range, stays as it is.
+        // Keep the original if rounding at the edge of a range makes it invalid.
         Ok(scenario.edited(tidy).unwrap_or(scenario))
     }
 }
 
-/// The scenario as a file holds it.
 fn write_and_read_back(scenario: &Scenario) -> Result<Scenario, CampaignError> {
     let text = file::to_toml(scenario).map_err(CampaignError::from_encoding_error)?;
     file::from_toml(&text, Path::new("counterexample")).map_err(CampaignError::from_encoding_error)
 }
 
 fn tidy(spec: &mut ScenarioSpec) {
-    /// To a billionth: far below any sensor, and enough to get rid of trailing digits. No negative zero.
+    /// Rounds to 1e-9, far below the accuracy of any sensor. Removes a negative zero.
     fn round(number: &mut f64) {
         *number = (*number * 1e9).round() / 1e9 + 0.0;
     }

@@ -1,4 +1,4 @@
-//! Recorded verdicts: which scenario file, under which controller, ends how; and their replay.
+//! Recorded verdicts of scenario files and controllers, and their replay.
 
 use std::path::{Path, PathBuf};
 
@@ -12,43 +12,42 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::sim::{NamedController, UnknownController};
 
-/// The version of the format of recorded verdicts.
 pub(crate) const EXPECTED_VERSION: u32 = 1;
 
-/// The file [`EXPECTED_FILE_NAME`](file::EXPECTED) beside scenario files: the verdict recorded for each.
+/// The file [`EXPECTED_FILE_NAME`](file::EXPECTED_FILE_NAME) beside scenario files, with their recorded verdicts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExpectedFile {
     /// Version of the format: 1.
     pub version: u32,
-    /// One entry a scenario and controller.
+    /// One entry per scenario and controller.
     #[serde(default)]
     pub expected: Vec<ExpectedVerdict>,
 }
 
-/// What a run of a scenario file is known to end in.
+/// Recorded verdict of a scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExpectedVerdict {
-    /// The scenario file, beside this one.
+    /// Name of the scenario file, beside this one.
     pub scenario: String,
-    /// The controller under test: a built-in name, or a policy file beside this one.
+    /// Controller under test: a built-in name, or a policy file beside this one.
     pub controller: String,
-    /// Hash of the policy, if that is what it is: another policy of that name is another controller.
+    /// Hash of the policy; another policy of that name is another controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policy_sha256: Option<String>,
     /// Identity of the controller, if name and policy do not determine it: of a network, a controller file or an FMU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controller_sha256: Option<String>,
-    /// What it looks through.
+    /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// What must hold: `no contact`, or a formula.
+    /// Specification: `no contact`, or a formula.
     pub specification: String,
-    /// Whether that is violated.
+    /// True if the specification is violated.
     pub violated: bool,
     /// Robustness.
     pub robustness: f64,
-    /// When vehicles first touch, in seconds, if they do.
+    /// Time of the first collision, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact_time_s: Option<f64>,
     /// Index of the vehicle that is hit.
@@ -57,67 +56,66 @@ pub struct ExpectedVerdict {
     /// Index of the vehicle that hits it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rear_vehicle: Option<u32>,
-    /// Whether the failure disappears at a tenth of the step.
+    /// True if the failure disappears at a tenth of the step.
     #[serde(default)]
     pub dt_fragile: bool,
-    /// Whether any controller could have avoided it.
+    /// Class of avoidability.
     #[serde(default)]
     pub avoidable: AvoidabilityClass,
-    /// If so, the smallest gap of the best escape found, in metres.
+    /// Smallest gap of the best escape found, in metres, if avoidable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub best_min_gap_m: Option<f64>,
-    /// If that is undecided, why.
+    /// Reason, if undecided.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub undecided_because: Option<String>,
-    /// What else must be so for a violation to count, and the robustness to be negative.
+    /// Additional condition for a violation to count and for the robustness to be negative.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
     pub failure_criterion: Option<FailureCriterionRecord>,
 }
 
-/// A replay beside what was expected.
+/// Result of a replay, and its agreement with the record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReplayResult {
-    /// The verdict at the scenario's own step.
+    /// Verdict at the scenario's step.
     pub nominal: RunVerdict,
-    /// The verdict at a tenth of it.
+    /// Verdict at a tenth of the step.
     pub finer: RunVerdict,
-    /// Whether both are as recorded: violated or not, the same vehicles, contact times within a millisecond at the own
-    /// step.
+    /// True if both verdicts are as recorded (violation and vehicles), and the contact time within a millisecond.
     pub as_recorded: bool,
 }
 
-/// Why a recorded verdict cannot be replayed.
+/// An error of replaying a recorded verdict.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// A file.
+    /// A file cannot be read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The controller.
+    /// The controller is unknown.
     #[error(transparent)]
     Controller(#[from] UnknownController),
-    /// The controller is another one than the recorded one.
+    /// The controller differs from the recorded one.
     #[error(
         "{scenario}: the recorded controller is not available: its SHA-256 is {expected}, and `{controller}` has {found}"
     )]
     OtherController {
-        /// The scenario file.
+        /// Name of the scenario file.
         scenario: String,
-        /// The controller's name.
+        /// Name of the controller.
         controller: String,
-        /// The hash recorded.
+        /// Recorded hash.
         expected: String,
-        /// The hash found.
+        /// Actual hash.
         found: String,
     },
-    /// The run, or the specification.
+    /// The simulation or the specification failed.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
 }
 
 impl ExpectedFile {
-    /// Reads the recorded verdicts of a folder, under the earlier name, too.
+    /// Reads the recorded verdicts of a folder, also under the earlier file name.
     ///
     /// # Errors
     /// [`FileError`] for a file that cannot be read or parsed.
@@ -147,7 +145,7 @@ impl ExpectedVerdict {
     /// Replays the scenario from its file, which is in `folder`.
     ///
     /// # Errors
-    /// [`ReplayError`] if something it names is not there or does not fit.
+    /// [`ReplayError`] if a named file or controller does not exist or does not fit.
     pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
@@ -183,17 +181,17 @@ impl ExpectedVerdict {
         Ok(ReplayResult { nominal, finer, as_recorded })
     }
 
-    /// Finds the controller that the verdict is about. A path starts at `folder`.
+    /// Finds the controller of the verdict. A path starts at `folder`.
     ///
     /// # Errors
-    /// [`ReplayError`] if there is none, or if it is another controller of that name.
+    /// [`ReplayError`] if there is none, or if another controller has that name.
     pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
         let found = NamedController::find(&self.controller, folder)?;
         self.check_identity(&found, self.policy_sha256.as_ref(), self.controller_sha256.as_ref())?;
         Ok(found)
     }
 
-    /// Checks that a controller has the recorded hashes. Records of earlier versions have none of a network.
+    /// Checks that a controller has the recorded hashes. Records of earlier versions omit the hash of a network.
     fn check_identity(
         &self,
         found: &NamedController,
@@ -218,10 +216,10 @@ impl ExpectedVerdict {
 }
 
 impl ExpectedVerdict {
-    /// What happens today in this scenario under this controller; whether it was avoidable is asked again if it fails.
+    /// Returns a new record of this scenario and controller. Analyses the avoidability again if it fails.
     ///
     /// # Errors
-    /// [`ReplayError`] if something it names is not there or does not fit.
+    /// [`ReplayError`] if a named file or controller does not exist or does not fit.
     pub fn renew(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let found = NamedController::find(&self.controller, folder)?;
@@ -246,18 +244,17 @@ impl ExpectedVerdict {
             undecided_because: class.undecided_because().map(str::to_owned),
             ..renewed
         };
-        // Everything else is as recorded now.
+        // All other fields are set, so a replay deviates only at the finer step.
         renewed.dt_fragile = !renewed.replay(folder)?.as_recorded;
         Ok(renewed)
     }
 }
 
-/// Parts of the step in which a failure must survive.
+/// Divisor of the step at which a failure must survive.
 pub(super) const FINER_STEP_DIVISOR: u32 = 10;
 
-/// The paths of all scenario files of an index.
 impl ExpectedFile {
-    /// The scenario files named, each once.
+    /// Returns the paths of all scenario files, each once.
     #[must_use]
     pub fn scenario_paths(&self, folder: &Path) -> Vec<PathBuf> {
         let mut paths: Vec<PathBuf> = self.expected.iter().map(|expected| folder.join(&expected.scenario)).collect();

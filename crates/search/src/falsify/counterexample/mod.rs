@@ -1,18 +1,17 @@
-//! Counterexamples that can be trusted: a scenario file that needs nothing else.
+//! Counterexamples: confirmed failures as self-contained scenario files.
 //!
-//! A failure found by a search counts once it has been replayed at the scenario's step and at a tenth of it; one that does
-//! not survive the finer step is kept as it was found and marked `dt_fragile`. The others are shrunk: fewer pieces, rounder
-//! values, nearer to nominal, as long as they fail at both steps in the same way (the same kind, see
-//! [`FailureKind`](super::campaign::FailureKind)) and with at least half the impact speed. What is recorded is the verdict
-//! on the file as it was written and read back.
+//! Each failure of a search is replayed at the scenario's step and at a tenth of it. If it does not survive the finer
+//! step, it is kept unchanged and marked `dt_fragile`. Others are shrunk to fewer pieces, rounder values, and values
+//! nearer to nominal. They must still fail at both steps in the same way (see
+//! [`FailureKind`](super::campaign::FailureKind)), with at least half the impact speed. The recorded verdict is that of
+//! the written file.
 //!
-//! Violations of a formula are failures of the formula, whichever vehicles touch meanwhile: shrinking keeps at least half of
-//! the violation, and the list is by how far they go.
+//! For a formula, shrinking preserves at least half of the violation, and the list is sorted by violation.
 //!
-//! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_FAILURE_DISTANCE`] in the unit
-//! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
+//! Two shrunk failures are *distinct* if they are of different kinds, or further apart than [`SAME_FAILURE_DISTANCE`]
+//! in the unit cube of the space (mean difference over the parameters). Otherwise only the severer one stays.
 //!
-//! Where contact is what must not happen, each distinct failure is then classed by convex programming: [`Avoidability`].
+//! If the specification forbids collisions, convex programming then classifies each distinct failure: [`Avoidability`].
 
 mod avoidability;
 mod batching;
@@ -37,66 +36,64 @@ pub use records::{RecordedVerdicts, VerdictRecordReader};
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Counterexample {
-    /// The scenario file, from the folder of the campaign.
+    /// Path of the scenario file, relative to the folder of the campaign.
     pub file: String,
-    /// The scenario as it was found.
+    /// Path of the scenario file as it was found.
     pub original_file: String,
-    /// The same with less of what should make no scenario worse, which the controller passes, where that is what was looked for.
+    /// Path of the partner scenario, which the controller passes; only for a metamorphic failure criterion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub partner_file: Option<String>,
-    /// How it could have been avoided, where it is avoidable: the same with a script in place of every vehicle under test, in which
-    /// nobody touches.
+    /// Path of an escape of an avoidable failure, with scripts in place of the vehicles under test, without collision.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape_file: Option<String>,
-    /// What happens, in words.
+    /// Description of the failure.
     pub kind: String,
-    /// Of a controller that gave no answer: when and why, with the last lines of its standard error.
+    /// Time and reason of the controller's failure, with the last lines of its standard error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
     /// Robustness of the file.
     #[serde(with = "crate::falsify::non_finite")]
     pub robustness: f64,
-    /// When vehicles first touch, in seconds; none if a formula is violated without a contact.
+    /// Time of the first collision, in seconds; `None` if a formula is violated without a collision.
     pub contact_time_s: Option<f64>,
     /// Index of the vehicle that is hit.
     pub front_vehicle: Option<u32>,
     /// Index of the vehicle that hits it.
     pub rear_vehicle: Option<u32>,
-    /// Difference of their speeds, in m/s.
+    /// Relative speed of the two vehicles at the collision, in m/s.
     pub impact_speed_mps: Option<f64>,
     /// Impact speed of the failure as it was found, in m/s.
     pub original_impact_speed_mps: Option<f64>,
-    /// Largest change of speed of any vehicle in any one impact, in m/s, when the run goes on after contact.
+    /// Largest change of speed of any vehicle in one impact, in m/s, if the simulation continues after the collision.
     pub max_delta_v_mps: Option<f64>,
-    /// Vehicles involved in some impact, when the run goes on after contact.
+    /// Number of vehicles in any impact, if the simulation continues after the collision.
     pub vehicles_involved: usize,
-    /// Logarithm of the density under the space's distribution, relative to one that is even over the ranges.
+    /// Logarithm of the density under the space's distribution, relative to the uniform density.
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
-    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
+    /// Distance from nominal, from 0 to 1: mean over the parameters of the difference relative to the range.
     #[serde(rename = "departure")]
     pub distance_from_nominal: f64,
-    /// Place among all by likelihood, from 1; equal ones by nearness to nominal. The list itself is by severity: impact
-    /// speed, then delta-v, both to whole m/s, then vehicles involved; of violations of a formula, how far they go.
+    /// Rank by likelihood, from 1; equal ones by distance from nominal. The list itself is sorted by severity: impact
+    /// speed, then delta-v, both to whole m/s, then vehicles involved; for a formula, the violation.
     pub likelihood_rank: usize,
-    /// Whether it disappears at a tenth of the step.
+    /// True if the failure disappears at a tenth of the step.
     pub dt_fragile: bool,
-    /// Whether any controller could have avoided it: in files the fields `avoidable` (true, false or null), `avoidability`,
-    /// `best_min_gap_m` and `undecided_because`.
+    /// Avoidability; in files `avoidable`, `avoidability`, `best_min_gap_m` and `undecided_because`.
     #[serde(flatten)]
     pub avoidability: Avoidability,
-    /// Which method found it.
+    /// Method that found it.
     pub found_by: String,
-    /// At which of its evaluations, from 1.
+    /// Number of the evaluation of this method, from 1.
     pub found_at: u64,
-    /// Parameters that are not nominal, with their values.
+    /// Parameters that are not nominal.
     pub changed: Vec<ChangedParameter>,
 }
 
 /// A parameter of a counterexample that is not nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChangedParameter {
-    /// Name; with the number of the piece for a signal whose pieces differ.
+    /// Name, with the number of the piece if the pieces of a signal differ.
     pub parameter: String,
     /// Value: a number, or a class.
     pub value: String,
@@ -105,7 +102,7 @@ pub struct ChangedParameter {
 }
 
 impl Counterexample {
-    /// For a reader; `of_formula` if it is a formula that is violated.
+    /// Writes a description for readers; `of_formula` is true if a formula is violated.
     pub(in crate::falsify) fn write(&self, out: &mut String, of_formula: bool) -> std::fmt::Result {
         let contact = self.impact_speed_mps.zip(self.contact_time_s);
         let contact = contact.map(|(speed, time)| format!("{speed:.1} m/s at {time:.1} s"));

@@ -1,4 +1,4 @@
-//! From failures that were looked at closely to counterexamples and their files: the distinct ones, the severest first. Nothing is run.
+//! Conversion of examined failures to counterexamples and their files, without simulation.
 
 use std::path::Path;
 
@@ -13,21 +13,19 @@ use crumple_store::run_folder::FolderTransaction;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, file};
 
-/// Two failures of one kind that are nearer than this are one.
+/// Failures of one kind that are closer than this count as one.
 pub const SAME_FAILURE_DISTANCE: f64 = 0.1;
 
-/// Names and texts.
 type FileContents = Vec<(String, String)>;
 
-/// A failure after the closer look.
 #[derive(Debug, Clone)]
 pub(in crate::falsify) struct ExaminedFailure {
-    /// What found it, and at which of its evaluations.
+    /// Method that found it, and the number of its evaluation.
     pub(in crate::falsify) method: Method,
     pub(in crate::falsify) number: u64,
     pub(super) kind: FailureKind,
     pub(super) values: Vec<f64>,
-    /// As it will stand in its file, but for its name, and so the one as it was found.
+    /// Scenario as its file will contain it, except for the name, and the original.
     pub(super) scenario: Scenario,
     pub(super) original: Scenario,
     pub(super) verdict: RunVerdict,
@@ -35,12 +33,11 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) dt_fragile: bool,
     pub(super) max_delta_v_mps: Option<f64>,
     pub(super) vehicles_involved: usize,
-    /// Of a controller that gave no answer: when and why.
     pub(super) because: Option<String>,
     pub(super) analysis: AvoidabilityAnalysis,
 }
 
-/// The same as a file holds it.
+/// An [`ExaminedFailure`] in a file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::falsify) struct ExaminedFailureRecord {
@@ -83,12 +80,11 @@ impl ExaminedFailureRecord {
         })
     }
 
-    /// Who found it, and when.
     pub(in crate::falsify) fn evaluation_id(&self) -> (Method, u64) {
         (self.method.clone(), self.number)
     }
 
-    /// What it was, unless it cannot be that.
+    /// Restores the failure, or returns an error if the record is inconsistent.
     pub(in crate::falsify) fn into_examined(self, terms: &ResolvedConfig) -> Result<ExaminedFailure, String> {
         let place = format!("the failure at evaluation {} of {}", self.number, self.method);
         let scenario =
@@ -118,13 +114,13 @@ impl ExaminedFailureRecord {
     }
 }
 
-/// Tells failures of a campaign apart and writes them down.
+/// Selects distinct failures of a campaign and records them.
 pub(in crate::falsify) struct Recorder<'a> {
     pub(in crate::falsify) config: &'a ResolvedConfig,
 }
 
 impl Recorder<'_> {
-    /// Those that are distinct, the severest first. Of equally severe ones those that come first stay.
+    /// Returns the distinct failures, the severest first. Of equally severe ones the earlier stays.
     pub(in crate::falsify) fn select_distinct(&self, mut examined: Vec<ExaminedFailure>) -> Vec<ExaminedFailure> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<ExaminedFailure> = Vec::new();
@@ -136,7 +132,7 @@ impl Recorder<'_> {
         distinct
     }
 
-    /// Has distinct failures written down.
+    /// Adds the files of distinct failures to the transaction.
     pub(in crate::falsify) fn record_all(
         &self,
         distinct: &[ExaminedFailure],
@@ -149,7 +145,6 @@ impl Recorder<'_> {
         Ok(found)
     }
 
-    /// What is said of distinct failures.
     pub(in crate::falsify) fn describe_all(
         &self,
         distinct: &[ExaminedFailure],
@@ -157,7 +152,6 @@ impl Recorder<'_> {
         Ok(self.counterexamples_and_files(distinct)?.0)
     }
 
-    /// What is said of them, and their files: names and texts.
     fn counterexamples_and_files(
         &self,
         distinct: &[ExaminedFailure],
@@ -191,7 +185,7 @@ impl Recorder<'_> {
         one.kind == other.kind && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
     }
 
-    /// A failure with its files, not yet written.
+    /// Returns a counterexample and adds its files, without writing them.
     fn record(
         &self,
         place: usize,
@@ -311,7 +305,7 @@ impl Recorder<'_> {
         })
     }
 
-    /// What is not nominal; a signal with one value throughout counts as one.
+    /// Returns the parameters that are not nominal; a constant signal counts as one.
     fn changed_parameters(&self, values: &[f64]) -> Vec<ChangedParameter> {
         let names = self.config.space.coordinate_names();
         let mut changed = Vec::new();
@@ -353,7 +347,6 @@ fn rank_by_likelihood(found: &mut [Counterexample]) {
     }
 }
 
-/// With a capital.
 fn capitalise(words: &str) -> String {
     let mut letters = words.chars();
     letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()

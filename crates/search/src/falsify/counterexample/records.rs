@@ -1,4 +1,4 @@
-//! Verdicts recorded for scenario files, found by the path of a file.
+//! Lookup of the recorded verdicts of a scenario file.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,15 +16,14 @@ pub struct VerdictRecordReader {
 /// The verdicts recorded for one scenario file.
 #[derive(Debug)]
 pub struct RecordedVerdicts<'a> {
-    /// The folder of the record. Controllers that it names lie there.
+    /// Folder of the record and of the controllers that it names.
     pub folder: PathBuf,
-    /// The verdicts, at least one.
+    /// Verdicts, at least one.
     pub verdicts: Vec<&'a ExpectedVerdict>,
 }
 
 impl VerdictRecordReader {
-    /// Returns the verdicts on a scenario file that are recorded in its folder, or in the folder above, as for `originals/`; none of a file
-    /// that is in no record.
+    /// Returns the verdicts on a scenario file that are recorded in its folder or in the parent folder, if any.
     ///
     /// # Errors
     /// [`FileError`] for a record that cannot be read or parsed.
@@ -54,7 +53,7 @@ impl VerdictRecordReader {
 }
 
 impl<'a> RecordedVerdicts<'a> {
-    /// Returns one verdict for each controller that the record names, told apart by name and policy.
+    /// Returns one verdict for each controller in the record, distinguished by name, hashes and estimator.
     #[must_use]
     pub fn by_controller(&self) -> Vec<&'a ExpectedVerdict> {
         let mut first: Vec<&ExpectedVerdict> = Vec::new();
@@ -70,8 +69,8 @@ impl<'a> RecordedVerdicts<'a> {
         first
     }
 
-    /// Returns the folders in which a controller of a verdict may lie: that of the record, and the current one where a hash tells whether
-    /// the controller is the recorded one.
+    /// Returns the folders that may contain the controller of a verdict: the record's, and, with a hash, the current
+    /// one.
     pub fn controller_folders(&self, verdict: &ExpectedVerdict) -> impl Iterator<Item = PathBuf> {
         let current = verdict.policy_sha256.as_ref().or(verdict.controller_sha256.as_ref()).map(|_| PathBuf::new());
         iter::once(self.folder.clone()).chain(current)

@@ -1,14 +1,12 @@
-//! How bad a failure is.
+//! Severity of failures.
 
 use std::cmp::Ordering;
 
-/// The severity of a failure, by which counterexamples are listed.
-///
-/// Where contact is what must not happen, three figures count, in this order: the impact speed of the first contact, the
-/// largest change of speed that any one vehicle suffers when the run goes on, and how many vehicles are involved in the end. Where a formula must hold, how far it is violated comes before all of these; a controller that failed, before any.
+/// Severity of a failure. Figures count in this order: violation of a formula or failure of a controller; impact speed;
+/// largest change of speed of a vehicle; number of vehicles involved.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Severity {
-    /// Negative robustness, where a formula is what must hold or a controller failed.
+    /// Negative robustness, for a formula or a controller that failed.
     pub(super) violation: Option<f64>,
     pub(super) impact_speed_mps: f64,
     pub(super) max_delta_v_mps: f64,
@@ -16,7 +14,6 @@ pub(super) struct Severity {
 }
 
 impl Severity {
-    /// Which of two is the severer one.
     pub(super) fn compare(&self, other: &Self) -> Ordering {
         let violation = |one: &Self| one.violation.unwrap_or(0.0);
         violation(self)

@@ -1,20 +1,16 @@
-//! Smaller failures: nearer to nominal, with fewer pieces and rounder values.
+//! Shrinking of failures: nearer to nominal, with fewer pieces and rounder values.
 
 use crumple_world::scenario::space::{ScenarioSpace, SpaceParameter};
 
-/// Rounds of all moves; the second one profits from the first.
 const MAX_ROUNDS: usize = 2;
-/// Steps towards nominal, for each coordinate and round: half of the way, and half as much after each that failed.
+/// Steps towards nominal for each coordinate and round: half of the way, and half as much after each failed step.
 const NOMINAL_STEPS: usize = 4;
-/// Rounding moves a value by this share of its range at most: a rounder value must not be a far more extreme one.
+/// Maximum change by rounding, as a share of the range, so that a rounder value is not much more extreme.
 const MAX_ROUNDING_SHARE: f64 = 0.1;
-/// Decimals that are tried when rounding.
 const MAX_DECIMALS: i32 = 3;
 
-/// The smallest values found for which `holds`, starting from `values` for which it does.
-///
-/// Moves are tried in a fixed order, the largest simplification first, and kept if `holds`: a whole parameter to nominal;
-/// neighbouring pieces to one; part of the way to nominal; fewer decimals. Nothing is random.
+/// Returns the simplest values found for which `holds`, from `values`. Moves have a fixed order, the largest first:
+/// whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
 pub(super) fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
     let mut current = values.to_vec();
     for _ in 0..MAX_ROUNDS {
@@ -38,7 +34,7 @@ pub(super) fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMu
     current
 }
 
-/// Takes a change if it is one and the failure survives it.
+/// Accepts a change if the values differ and the failure survives.
 fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) -> bool {
     let taken = changed != *current && holds(&changed);
     if taken {
@@ -55,7 +51,7 @@ fn try_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut d
     attempt(current, changed, holds);
 }
 
-/// Pieces take the value of the piece before or after them, runs of equal ones together.
+/// Merges neighbouring pieces: runs of equal pieces take the value before or after them.
 fn join_pieces(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let range = parameter.coordinates();
     let mut border = range.start + 1;
@@ -90,12 +86,12 @@ fn move_towards_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, hold
     }
 }
 
-/// The fewest decimals, from tens to thousandths, with which the failure survives; to the nearer side first.
+/// Rounds values to the fewest decimals, from tens to thousandths, with which the failure survives; nearer side first.
 fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let [low, high] = parameter.range();
     for run in equal_runs(parameter, current) {
         let Some(&value) = current.get(run.start) else { continue };
-        // What is nominal is as simple as can be.
+        // A nominal value needs no rounding.
         if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
             continue;
         }
@@ -119,7 +115,7 @@ fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut 
     }
 }
 
-/// The coordinates of a parameter, those of neighbouring pieces with one value together.
+/// Returns the coordinates of a parameter, grouped by neighbouring pieces of equal value.
 fn equal_runs(parameter: &SpaceParameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
     let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
     for index in parameter.coordinates() {
@@ -161,7 +157,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever it takes to fail, shrinking ends, still fails, and never leaves the ranges.
+        /// Shrinking terminates, preserves the failure, and stays in the ranges.
         #[test]
         fn shrinking_keeps_failing(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
             let space = built_in_space("high-risk").unwrap();

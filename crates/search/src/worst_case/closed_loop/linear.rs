@@ -1,32 +1,29 @@
 //! Sequential convex programming on the simulated closed loop.
 //!
 //! The gaps of all pairs at all samples are linearised by finite differences, one block of cells at a time. A linear
-//! program inside a trust region proposes a change of all blocks, and simulations of shares of it decide. The blocks lie
-//! elsewhere in each round, so a profile of cells of a tenth of a second needs few of them.
+//! program in a trust region proposes a change of all blocks; simulations of shares of it select the step.
 
 use super::plant::{CellBlock, Plant, Profile, SampledGaps, SimulatedProfile};
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 use crumple_world::random::Stream;
 use rand::RngExt;
 
-/// Blocks of all vehicles under test until the last small gap, and after it.
+/// Numbers of blocks of all vehicles under test until the last small gap, and after it.
 const BLOCK_COUNTS: [usize; 2] = [36, 3];
-/// The trust region at first, at most, and where an ascent ends, in m/s².
+/// Initial, maximum and final trust region of an ascent, in m/s².
 const TRUST_REGION_MPS2: [f64; 3] = [2.0, 6.0, 0.03];
-/// Growth of the trust region after a success and after a failure.
 const TRUST_REGION_FACTORS: [f64; 2] = [1.6, 0.45];
-/// Shares of a step that are tried.
+/// Shares of a step that are simulated.
 const STEP_SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
-/// A gap that is larger than the smallest one by less than this is one to keep an eye on, in metres.
+/// Gaps within this distance of the smallest one are small, in metres.
 const NEAR_GAP_M: f64 = 1.0;
-/// Time after the last of those gaps that still matters, in seconds.
+/// Time after the last small gap that still matters, in seconds.
 const TAIL_S: f64 = 0.5;
-/// A step that gains less is a failure, in metres.
+/// Minimum gain of a successful step, in metres.
 const MIN_GAIN_M: f64 = 1e-4;
-/// Cost of the square of a change, so that changes without an effect are not made.
+/// Cost of squared changes, which suppresses changes without effect.
 const REGULARIZATION_WEIGHT: f64 = 1e-4;
 
-/// An ascent from one profile.
 pub(super) struct Ascent {
     pub(super) current: SimulatedProfile,
     trust_region_mps2: f64,
@@ -37,12 +34,10 @@ impl Ascent {
         Self { current: at, trust_region_mps2: TRUST_REGION_MPS2[0] }
     }
 
-    /// Whether the trust region has become too small to go on.
     pub(super) fn is_over(&self) -> bool {
         self.trust_region_mps2 < TRUST_REGION_MPS2[2]
     }
 
-    /// Makes one step; returns whether it increases the margin.
     pub(super) fn step(&mut self, plant: &mut Plant<'_>, stream: &mut Stream) -> bool {
         let gained = self.propose(plant, stream).into_iter().max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
         let [success, failure] = TRUST_REGION_FACTORS;
@@ -59,7 +54,7 @@ impl Ascent {
         }
     }
 
-    /// Simulated shares of the step that a linear program proposes.
+    /// Returns simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
         let Some(Some(here)) = plant.simulate_gaps(std::slice::from_ref(&self.current.profile)).pop() else {
             return Vec::new();
@@ -84,7 +79,7 @@ impl Ascent {
         plant.simulate_profiles(shares.into())
     }
 
-    /// Blocks of equal length until the last small gap, at a random phase, and few after it.
+    /// Returns blocks of equal length until the last small gap, at a random phase, and few after it.
     fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
         let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
         let is_near = |sample: &usize| here.gaps_at_sample(*sample).any(|gap_m| gap_m < near_m);
@@ -109,7 +104,7 @@ impl Ascent {
         (0..plant.ego_count()).flat_map(of_ego).collect()
     }
 
-    /// A nudge that the limits of no cell undo, if there is one.
+    /// Returns a nudge whose sign keeps every cell within the limits, if possible.
     fn signed_nudge_mps2(&self, plant: &Plant<'_>, block: &CellBlock, nudge_mps2: f64) -> f64 {
         let [low, high] = plant.limits_mps2(block.ego);
         let [least, most] = self.range_mps2(block);
@@ -120,14 +115,13 @@ impl Ascent {
         }
     }
 
-    /// Lowest and highest acceleration in a block, in m/s².
     fn range_mps2(&self, block: &CellBlock) -> [f64; 2] {
         let cells = self.current.profile.get(block.ego).and_then(|cells| cells.get(block.cells.clone()));
         let cells = cells.into_iter().flatten();
         cells.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], &held| [least.min(held), most.max(held)])
     }
 
-    /// The change of each block that makes the smallest linearised gap largest.
+    /// Returns the change of each block that maximises the smallest linearised gap.
     fn best_step(
         &self,
         plant: &Plant<'_>,
@@ -161,7 +155,7 @@ impl Ascent {
             })
             .collect();
         let reach = |slopes: &[f64]| region * slopes.iter().map(|slope| slope.abs()).sum::<f64>();
-        // A gap that stays above what another one cannot exceed decides nothing.
+        // Drop gaps that stay above the maximum of another one.
         let ceiling_m = rows.iter().map(|(gap_m, slopes)| gap_m + reach(slopes)).fold(f64::INFINITY, f64::min);
         program.add_inequality(&[(smallest, 1.0)], ceiling_m);
         for (gap_m, slopes) in rows.iter().filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m) {
@@ -169,7 +163,7 @@ impl Ascent {
             program.add_inequality(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
         }
         let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
-        // Rounded, so that the last digits of the solver, which differ between machines, do not matter.
+        // Rounded, because the last digits of the solver differ between machines.
         let rounded = |change: &f64| (change.clamp(-region, region) * 1e4).round() / 1e4;
         let step: Vec<f64> = at.iter().take(blocks.len()).map(rounded).collect();
         step.iter().all(|change| change.is_finite()).then_some(step)
@@ -177,7 +171,6 @@ impl Ascent {
 }
 
 impl SampledGaps {
-    /// The gaps of all pairs at a sample.
     fn gaps_at_sample(&self, sample: usize) -> impl Iterator<Item = f64> {
         self.gap_m.iter().skip(sample).step_by(self.samples.max(1)).copied()
     }

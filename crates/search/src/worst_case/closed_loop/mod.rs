@@ -1,9 +1,8 @@
-//! The largest smallest gap where the convex programs do not model every driver.
+//! Search for the largest smallest gap if the convex programs do not model every driver.
 //!
-//! A follower that drives `idm` or `acc-aeb`, a leader that reacts, or a vehicle that enters the lane is part of the
-//! simulation only. Profiles of the vehicles under test are therefore optimised with all other drivers in the loop: simple
-//! shapes and the solution of the programs are simulated, the best of them are improved by sequential convex programming
-//! (`linear`), and random changes (`shapes`) of the result look for what a linearisation cannot see.
+//! Only the simulation models a follower with `idm` or `acc-aeb`, a leader that reacts, or a vehicle that enters the
+//! lane. Profiles of the vehicles under test are therefore optimised in closed loop: simple shapes and the solution of
+//! the programs are simulated, then improved by sequential convex programming (`linear`) and random changes (`shapes`).
 
 mod linear;
 mod plant;
@@ -16,37 +15,32 @@ use super::escape::{Escape, FoundBy};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
 
-/// Shapes that are changed: how many, and how many rounds of changes each gets, cycle after cycle.
+/// Number of shapes that are changed, and rounds of changes of each, per cycle.
 const CYCLES: [[usize; 2]; 3] = [[8, 10], [4, 24], [2, 40]];
-/// Random changes in a round.
 const CHANGES_PER_ROUND: usize = 25;
-/// Two of the first shapes differ by at least this much on average, in m/s².
+/// Minimum mean difference of two initial shapes, in m/s².
 const MIN_DISTANCE_MPS2: f64 = 0.5;
-/// Ascents: how many, and how many steps each makes, cycle after cycle.
+/// Number of ascents, and steps of each, per cycle.
 const ASCENTS: [[usize; 2]; 2] = [[3, 5], [2, 15]];
-/// Cycles of a search that only has to decide.
 const DECIDING_CYCLES: usize = 2;
-/// A margin with which such a search ends, in metres: the replay at a smaller step may have a smaller one.
+/// Margin at which such a search ends, in metres: the replay at a smaller step may have a smaller one.
 const DECISIVE_MARGIN_M: f64 = 0.05;
-/// A margin that misses the bound by less than this is not improved, in metres.
+/// Margins within this distance of the bound are not improved, in metres.
 const NEAR_BOUND_M: f64 = 1e-3;
 
-/// Extent of the simulations where the programs do not model every driver.
+/// Extent of the simulations if the programs do not model every driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum SearchEffort {
-    /// Until some profile has no collision, and little more.
+    /// Stop soon after some profile has no collision.
     Decide,
-    /// Until the smallest gap no longer grows.
+    /// Continue until the smallest gap no longer grows.
     #[default]
     Optimise,
 }
 
-/// Returns the profile with the largest smallest gap that was found; none if each profile ends in a collision, or if the
-/// vehicles under test do not follow each other or answer with a lag.
-///
-/// `cell` is the number of steps over which accelerations are held, `program_mps2` the solution of the programs, and no profile
-/// keeps more than `bound_m`.
+/// Returns the profile with the largest smallest gap found, at most `bound_m`; `None` if each one ends in a collision,
+/// or if the vehicles under test are not neighbours or have a lag. Accelerations are held over `cell` steps.
 pub(super) fn largest_gap(
     scenario: &Scenario,
     cell: usize,
@@ -72,8 +66,7 @@ pub(super) fn largest_gap(
     best.into_iter().filter(|candidate| candidate.margin_m > 0.0).find_map(replay)
 }
 
-/// Returns the smallest gap between two neighbours at the start, in metres: no profile keeps more. Infinite if vehicles change
-/// lanes.
+/// Returns the smallest initial gap, in metres, an upper bound for any profile. Infinite if vehicles change lanes.
 pub(super) fn initial_gap_m(scenario: &Scenario) -> f64 {
     let pairs = scenario.vehicles().iter().zip(scenario.vehicles().iter().skip(1));
     let gaps_m = pairs.map(|(front, rear)| front.position_m - front.length_m() - rear.position_m);
@@ -83,12 +76,10 @@ pub(super) fn initial_gap_m(scenario: &Scenario) -> f64 {
 struct GapSearch<'s> {
     plant: Plant<'s>,
     stream: Stream,
-    /// A margin that needs no improvement, in metres.
     sufficient_margin_m: f64,
 }
 
 impl GapSearch<'_> {
-    /// Returns candidates, the best one first.
     fn find_best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: SearchEffort) -> Vec<SimulatedProfile> {
         let (enough_m, cycles) = match effort {
             SearchEffort::Decide => (DECISIVE_MARGIN_M.min(self.sufficient_margin_m), DECIDING_CYCLES),
@@ -115,7 +106,7 @@ impl GapSearch<'_> {
         best
     }
 
-    /// The best simple shapes that differ from each other, after random changes.
+    /// Returns the best distinct simple shapes, after random changes.
     fn improve_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(SpeedShape, SimulatedProfile)> {
         let mut tried = self.simulate_shapes(shapes::simple_shapes(&self.plant));
         tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
@@ -167,12 +158,10 @@ impl GapSearch<'_> {
     }
 }
 
-/// Sorts by margin, the largest first; equals keep their order.
 fn sort_by_margin(candidates: &mut [SimulatedProfile]) {
     candidates.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
 }
 
-/// Mean absolute difference of two profiles, in m/s².
 fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
     let (one, other) = (one.iter().flatten(), other.iter().flatten());
     let (sum, count) = one.zip(other).fold((0.0, 0.0), |(sum, count), (a, b)| (sum + (a - b).abs(), count + 1.0));
@@ -185,7 +174,6 @@ mod tests {
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in_scenario};
 
-    /// A vehicle that cuts in 20 m/s slower, with so much time to collision.
     fn cut_in(ttc_s: f64) -> Scenario {
         let paper = built_in_scenario("paper-1").unwrap();
         let changed = paper.edited(|spec| {
@@ -203,11 +191,10 @@ mod tests {
         let escape = found.verdict.escape().expect("20 m/s take 53 of 40 m and what is driven meanwhile");
         assert!(escape.min_gap_m > 1.0 && found.min_gap_bound_m.is_none());
         assert!(escape.scenario.vehicles()[0].enters.is_some());
-        // A driver that brakes at once never comes near the cut-in.
+        // A driver that brakes at once avoids the cut-in.
         assert!(avoid(&cut_in(0.2), AvoidOptions::default()).unwrap().verdict.escape().is_some());
     }
 
-    /// No program models these followers.
     #[test]
     fn any_follower_will_do_for_an_escape() {
         let paper = built_in_scenario("paper-1").unwrap();

@@ -1,4 +1,4 @@
-//! Simulation of profiles of the vehicles under test, with every other driver in the loop.
+//! Closed-loop simulation of profiles of the vehicles under test, with every other driver.
 
 use std::ops::Range;
 
@@ -11,11 +11,10 @@ use crumple_world::sim::{RecordingLevel, Run, SimulationResult, simulate_batch};
 /// Acceleration of each vehicle under test in each cell, in m/s².
 pub(super) type Profile = Vec<Vec<f64>>;
 
-/// A profile that was simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SimulatedProfile {
     pub(super) profile: Profile,
-    /// The smallest gap in metres, or minus v²/10 of an impact at v m/s.
+    /// Smallest gap in metres, or minus v²/10 of an impact at v m/s.
     pub(super) margin_m: f64,
 }
 
@@ -26,37 +25,34 @@ pub(super) struct CellBlock {
     pub(super) cells: Range<usize>,
 }
 
-/// Bumper gaps of one run, pair after pair and sample after sample, in metres; NaN where a pair or a sample is missing.
+/// Bumper gaps of one simulation by pair, then sample, in metres; NaN if a pair or a sample is missing.
 pub(super) struct SampledGaps {
     pub(super) gap_m: Vec<f64>,
     pub(super) samples: usize,
 }
 
-/// A vehicle under test and its limits.
 #[derive(Debug, Clone, Copy)]
 struct EgoLimits {
     index: usize,
-    /// Steps at the start in which no command has an effect yet.
+    /// Steps at the start before its first command has an effect.
     dead_steps: usize,
     low_mps2: f64,
     high_mps2: f64,
 }
 
-/// A scenario whose vehicles under test follow profiles.
 pub(super) struct Plant<'s> {
     scenario: &'s Scenario,
     egos: Vec<EgoLimits>,
     /// Steps over which an acceleration is held.
     cell: usize,
-    /// Simulations made so far.
     pub(super) simulations: usize,
 }
 
-/// Longest time between two samples of a gap, in seconds: the gap bends by a centimetre in between.
+/// Maximum time between two samples of a gap, in seconds: the gap's curvature is about a centimetre in between.
 const MAX_SAMPLE_INTERVAL_S: f64 = 0.1;
 
 impl<'s> Plant<'s> {
-    /// None if the vehicles under test do not follow each other, or one of them answers with a lag or a limited jerk.
+    /// Creates a plant; `None` if the vehicles under test are not neighbours, or one of them has a lag or a jerk limit.
     pub(super) fn new(scenario: &'s Scenario, cell: usize) -> Option<Self> {
         let indices: Vec<usize> =
             (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
@@ -76,7 +72,6 @@ impl<'s> Plant<'s> {
         (follow_each_other && !egos.is_empty()).then_some(Self { scenario, egos, cell: cell.max(1), simulations: 0 })
     }
 
-    /// The index of the first vehicle under test.
     pub(super) fn first_ego(&self) -> usize {
         self.egos.first().map_or(0, |ego| ego.index)
     }
@@ -97,29 +92,26 @@ impl<'s> Plant<'s> {
         self.cell as f64 * self.scenario.spec().step_s
     }
 
-    /// The speed of a vehicle under test at the start, in m/s.
     pub(super) fn initial_speed_mps(&self, ego: usize) -> f64 {
         let vehicle = self.egos.get(ego).and_then(|ego| self.scenario.vehicles().get(ego.index));
         vehicle.map_or(0.0, |vehicle| vehicle.speed_mps)
     }
 
-    /// Cells at the start in which no command of a vehicle under test has an effect yet.
+    /// Returns the number of cells before the first command of a vehicle under test has an effect.
     pub(super) fn dead_cells(&self, ego: usize) -> usize {
         self.egos.get(ego).map_or(0, |ego| ego.dead_steps.div_ceil(self.cell))
     }
 
-    /// Lowest and highest acceleration of a vehicle under test, in m/s².
     pub(super) fn limits_mps2(&self, ego: usize) -> [f64; 2] {
         self.egos.get(ego).map_or([0.0; 2], |ego| [ego.low_mps2, ego.high_mps2])
     }
 
-    /// The profile of accelerations that are given for each step: the mean of each cell.
+    /// Returns the profile of accelerations per step: the mean of each cell.
     pub(super) fn cell_profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
         let mean = |steps: &[f64]| steps.iter().sum::<f64>() / steps.len() as f64;
         each_step_mps2.iter().map(|each| each.chunks(self.cell).map(mean).collect()).collect()
     }
 
-    /// The acceleration of each vehicle under test in each step, in m/s².
     pub(super) fn step_accelerations_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
         let steps = self.scenario.steps();
         let of = |(ego, cells): (&EgoLimits, &Vec<f64>)| {
@@ -131,7 +123,6 @@ impl<'s> Plant<'s> {
         self.egos.iter().zip(profile).map(of).collect()
     }
 
-    /// The profile with the cells of a block changed, within the limits.
     pub(super) fn with_block_changed(&self, profile: &Profile, block: &CellBlock, by_mps2: f64) -> Profile {
         let [low, high] = self.limits_mps2(block.ego);
         let mut moved = profile.clone();
@@ -140,7 +131,7 @@ impl<'s> Plant<'s> {
         moved
     }
 
-    /// Simulates profiles; one that makes no valid scenario has an infinitely negative margin.
+    /// Simulates profiles; an invalid scenario has a margin of minus infinity.
     pub(super) fn simulate_profiles(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
         let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| {
             ProfileOutcome::from_simulated(&simulated).margin_m
@@ -152,7 +143,6 @@ impl<'s> Plant<'s> {
         profiles.into_iter().zip(margins_m).map(tried).collect()
     }
 
-    /// Simulates profiles and samples the gaps between all vehicles.
     pub(super) fn simulate_gaps(&mut self, profiles: &[Profile]) -> Vec<Option<SampledGaps>> {
         let stride = self.sample_steps();
         let samples = self.scenario.steps() / stride + 1;
@@ -168,7 +158,6 @@ impl<'s> Plant<'s> {
         self.simulate(profiles, RecordingLevel::Trace, sampled).into_iter().map(Option::flatten).collect()
     }
 
-    /// Time between two samples of [`Plant::gaps`], in seconds.
     pub(super) fn sample_interval_s(&self) -> f64 {
         self.sample_steps() as f64 * self.scenario.spec().step_s
     }

@@ -1,6 +1,4 @@
-//! Speed profiles of few knots: simple ones to start from, and random changes of them.
-//!
-//! Knots are speeds and not accelerations, so that a change of one knot leaves the speeds at the others as they are.
+//! Speed profiles with few knots, which are speeds, so that a change of one knot keeps the speeds at the others.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -8,30 +6,27 @@ use rand_distr::{Distribution, StandardNormal};
 use super::plant::{Plant, Profile};
 use crumple_world::random::Stream;
 
-/// Times at which a simple shape begins to change its speed, in seconds.
+/// Times of the first speed change of a simple shape, in seconds.
 const ONSETS_S: [f64; 5] = [0.0, 0.5, 1.0, 2.0, 4.0];
-/// Shares of the hardest braking with which it does.
+/// Braking of this change, as shares of the hardest braking.
 const BRAKE_SHARES: [f64; 6] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.15];
-/// Shares of its first speed that it reaches.
+/// Speeds after this change, as shares of the initial speed.
 const SPEED_SHARES: [f64; 8] = [0.0, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85];
-/// Shares of that speed that it has at the end of the scenario; it stands at half the time if negative.
+/// Speeds at the end of the scenario, as shares of that speed; negative means standstill at half the time.
 const FINAL_SPEED_SHARES: [f64; 4] = [1.0, 0.5, 0.0, -1.0];
-/// Shares of the first speed that it reaches by accelerating.
+/// Higher speeds reached by accelerating, as shares of the initial speed.
 const HIGHER_SPEED_SHARES: [f64; 3] = [1.05, 1.15, 1.3];
-/// Of brakings with an acceleration in between: the shares of the first speed after the first braking, the share that the
-/// acceleration adds, and shares of the hardest braking.
+/// Two brakings with an acceleration in between: speeds after the first, added speeds, shares of the last braking.
 const INTERMEDIATE_SPEED_SHARES: [f64; 4] = [0.75, 0.5, 0.25, 0.1];
 const ADDED_SPEED_SHARES: [f64; 2] = [0.1, 0.25];
 const FINAL_BRAKE_SHARES: [f64; 3] = [1.0, 0.5, 0.1];
-/// Most knots of a vehicle.
 const MAX_KNOTS: usize = 12;
 
-/// Knots of each vehicle under test: a time in seconds and the speed then, in m/s. Linear between them.
+/// Knots of each vehicle under test: time in seconds and speed in m/s, with linear interpolation.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SpeedShape(Vec<Vec<(f64, f64)>>);
 
-/// Simple shapes: brakings to a lower speed that is kept, left slowly or left at once, accelerations, and two brakings with
-/// an acceleration in between, which make a follower slow down before the last one.
+/// Returns brakings to a lower speed, accelerations, and two brakings with an acceleration in between.
 pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
     let duration_s = plant.duration_s();
     let mut all = vec![vec![]];
@@ -61,14 +56,13 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
     all.into_iter().map(|legs| SpeedShape::new(plant, &legs)).collect()
 }
 
-/// Part of a simple shape. Speeds are shares of the first speed.
+/// A segment of a simple shape. Speeds are shares of the initial speed.
 #[derive(Debug, Clone, Copy)]
 enum ShapeSegment {
-    /// Keeps its speed until a time.
     Hold { until_s: f64 },
-    /// Changes its speed with a share of the hardest braking or the largest acceleration.
+    /// Changes the speed with a share of the hardest braking or the largest acceleration.
     Change { to: f64, share: f64 },
-    /// Changes its speed evenly until a time.
+    /// Changes the speed linearly until a time.
     Reach { until_s: f64, to: f64 },
 }
 
@@ -95,7 +89,7 @@ impl SpeedShape {
         Self((0..plant.ego_count()).map(of_ego).collect())
     }
 
-    /// The acceleration in each cell, as near to the knots as the limits allow.
+    /// Returns the acceleration in each cell that follows the knots within the limits.
     pub(super) fn profile(&self, plant: &Plant<'_>) -> Profile {
         let of_ego = |(ego, knots): (usize, &Vec<(f64, f64)>)| {
             let ([low, high], cell_s) = (plant.limits_mps2(ego), plant.cell_s());
@@ -113,7 +107,6 @@ impl SpeedShape {
         self.0.iter().enumerate().map(of_ego).collect()
     }
 
-    /// The shape with one to three random changes.
     pub(super) fn mutate(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
         let mut changed = self.clone();
         for _ in 0..stream.random_range(1..=3) {
@@ -126,7 +119,7 @@ impl SpeedShape {
     }
 }
 
-/// The speed between two knots, and after the last one, in m/s.
+/// Returns the interpolated speed at a time, in m/s; constant after the last knot.
 fn speed_at(knots: &[(f64, f64)], time_s: f64) -> f64 {
     let after = knots.partition_point(|(knot_s, _)| *knot_s <= time_s);
     match (after.checked_sub(1).and_then(|before| knots.get(before)), knots.get(after)) {
@@ -138,7 +131,6 @@ fn speed_at(knots: &[(f64, f64)], time_s: f64) -> f64 {
     }
 }
 
-/// Changes a speed, a time, all later times, all speeds, or the number of knots.
 fn mutate_knots(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Stream) {
     let normal: f64 = StandardNormal.sample(stream);
     // Small changes are as frequent as large ones.

@@ -1,4 +1,4 @@
-//! A process that drives one vehicle in one run.
+//! Controller processes that drive a vehicle in a run.
 
 use std::sync::Arc;
 
@@ -11,21 +11,20 @@ use crate::observation::Observation;
 use crate::process::ProcessProblem;
 use crate::process::protocol::{self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest};
 
-/// Asks a process once every decision interval and holds its answer in between.
+/// A driver that queries a process once per decision interval and holds its answer in between.
 pub(crate) struct ProcessDriver {
     controller: Arc<ProcessController>,
     hello: Arc<[u8]>,
-    /// Its own for the run; none if it answers in batches, when one is borrowed for each decision.
+    /// Process of this run. `None` if the process answers in batches; the driver then borrows one for each decision.
     own_process: Option<ConnectedProcess>,
     is_batch: bool,
-    /// Whether it had driven runs before this one.
     is_reused: bool,
-    /// A second, fresh process that is asked the same, in the runs that are checked.
+    /// Second, fresh process that receives the same queries, in runs with a determinism check.
     second_process: Option<ConnectedProcess>,
     decision_timer: DecisionTimer,
     step_s: f64,
     steps: u64,
-    /// When it is asked, and what it then sees.
+    /// Time of the last decision, in seconds, and its inputs.
     time_s: f64,
     inputs: Vec<f64>,
     history: InputHistory<f64>,
@@ -34,10 +33,10 @@ pub(crate) struct ProcessDriver {
 }
 
 impl ProcessDriver {
-    /// A process that drives a vehicle. `seed` is the scenario's.
+    /// Creates a driver for a vehicle. `seed` is the scenario's.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if it cannot be started, or is not ready.
+    /// [`ControllerFailure`] if the process cannot be started or is not ready.
     pub(crate) fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
         let hello = controller.hello(ego);
         let taken = controller.acquire(&hello)?;
@@ -76,7 +75,6 @@ impl ProcessDriver {
         Ok(driver)
     }
 
-    /// The acceleration that a process answers with, in m/s².
     fn ask(&mut self, greeted: &mut ConnectedProcess) -> Result<f64, ProcessProblem> {
         let within = self.controller.answer_timeout();
         let see = self.inputs.as_slice();
@@ -97,7 +95,6 @@ impl ProcessDriver {
         checked_acceleration_mps2(&self.controller.setup.mapping, answer)
     }
 
-    /// Ends both processes of a run that failed.
     fn end_with_failure(&mut self, problem: ProcessProblem, program: Option<ConnectedProcess>) -> ControllerFailure {
         self.second_process = None;
         let program = program.or_else(|| self.own_process.take());
@@ -105,7 +102,6 @@ impl ProcessDriver {
     }
 }
 
-/// What an answer means, if it is within its range.
 fn checked_acceleration_mps2(mapping: &Mapping, answer: f64) -> Result<f64, ProcessProblem> {
     let (wanted_mps2, [low_mps2, high_mps2]) = mapping.acceleration_and_range_mps2(answer);
     if wanted_mps2.is_nan() {
@@ -118,7 +114,7 @@ fn checked_acceleration_mps2(mapping: &Mapping, answer: f64) -> Result<f64, Proc
 }
 
 impl ProcessController {
-    /// A process at the start of a run. Those that answer in batches have no runs: their answers depend on what they see alone.
+    /// Resets a process for a run, unless it answers in batches and therefore has no state.
     fn reset_for_run(&self, mut greeted: ConnectedProcess, seed: u64) -> Result<ConnectedProcess, ControllerFailure> {
         if greeted.greeting.batch {
             return Ok(greeted);
@@ -189,7 +185,7 @@ impl BatchQuery for ProcessDriver {
         Some(wanted)
     }
 
-    /// If the second process gives the same.
+    /// Accepts the answer if the second process gives the same.
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
         if let Some(mut second) = self.second_process.take() {
             match self.ask(&mut second) {

@@ -1,4 +1,4 @@
-//! A process at the wheel: what starts it, what it stands for, and the processes that wait for their next run.
+//! Controller processes: their setup, their identity, and the pool of idle processes.
 
 mod driver;
 mod fmu;
@@ -26,48 +26,46 @@ use crate::random::{self, Purpose};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_core::quoting::ShellWord;
 
-/// Most words of a command, files that an identity stands for, and bytes of one of these.
 const MAX_COMMAND_WORDS: usize = 1000;
 const MAX_FILES: usize = 1000;
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
-/// Longest time limit, in seconds.
 const MAX_TIMEOUT_S: f64 = 3600.0;
 
-/// Starts that may fail one after the other, and starts in all, before none is tried any more.
+/// Maximum number of consecutive failed starts, and of all starts.
 const MAX_FAILED_STARTS: u32 = 3;
 const MAX_STARTS: u32 = 10_000;
 
-/// Of the runs of each vehicle, those in which a process that says it is deterministic is asked everything twice: so many at the
-/// start, and of each two later doublings of their number about so many.
+/// Determinism check. Per vehicle the first `ALWAYS_CHECKED_RUNS` runs send every query twice. Run n later is checked
+/// with probability `CHECKED_RUNS_PER_TWO_DOUBLINGS` / next_power_of_two(n).
 const ALWAYS_CHECKED_RUNS: u64 = 2;
 const CHECKED_RUNS_PER_TWO_DOUBLINGS: u64 = 3;
 
-/// A command that drives, what it sees, and what its answer means.
+/// Command of a controller process, its mapping and its limits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProcessSetup {
     /// The program and its arguments, without a shell. A relative path of a program starts at `folder`.
     pub command: Vec<String>,
-    /// Where the program lies, if it is not what the command says: its identity is the command's, wherever it was found.
+    /// Location of the program, if it differs from the command. The identity uses the command only.
     pub program: Option<PathBuf>,
-    /// The folder that it runs in.
+    /// Working folder of the process.
     pub folder: PathBuf,
-    /// Controller file or FMU that states the command, for messages; none for a command by itself.
+    /// Controller file or FMU that contains the command, for messages; `None` for a command without a file.
     pub file: Option<PathBuf>,
-    /// The files, from `folder`, that decide how it drives; none if that is not known.
+    /// Files, relative to `folder`, that determine the commands; empty if they are unknown.
     pub files: Vec<String>,
-    /// Whether the same observations always lead to the same answers, as far as is known before it is asked.
+    /// True unless the controller file declares the process nondeterministic.
     pub deterministic: bool,
-    /// What it sees and answers.
+    /// Mapping of observations and answers.
     pub mapping: Mapping,
-    /// The time for its first answer, in seconds.
+    /// Time limit of the first answer, in seconds.
     pub start_within_s: f64,
-    /// The time for each other answer, in seconds.
+    /// Time limit of each other answer, in seconds.
     pub answer_within_s: f64,
 }
 
 impl ProcessSetup {
-    /// A command with [`Mapping::plain`], of which nothing else is known.
+    /// Creates a setup from a command with [`Mapping::unscaled`] and default limits.
     #[must_use]
     pub fn new(command: Vec<String>, folder: &Path) -> Self {
         Self {
@@ -114,17 +112,16 @@ impl ProcessSetup {
     }
 }
 
-/// A file that an identity stands for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct ListedFile {
     path: String,
     sha256: String,
 }
 
-/// A process as a controller.
+/// A controller that is a process.
 ///
-/// Processes are started when runs need them, and wait for the next run when one ends; they end with this. At each instant there
-/// are as many as runs under way have vehicles that they drive; of those that answer in batches, as many as there are threads.
+/// A run starts a process if none is idle; idle processes wait for the next run and end when this value is dropped.
+/// There is one process per driven vehicle of the current runs, or one per thread if processes answer in batches.
 pub struct ProcessController {
     setup: ProcessSetup,
     files: Vec<ListedFile>,
@@ -135,34 +132,31 @@ pub struct ProcessController {
 #[derive(Default)]
 struct ProcessPoolState {
     idle: Vec<ConnectedProcess>,
-    /// What the first one said of itself.
+    /// Handshake of the first process.
     greeting: Option<HelloReply>,
-    /// Why none is started any more.
     refusal: Option<ControllerFailure>,
     starts: u32,
     consecutive_failures: u32,
-    /// Runs so far, by vehicle.
     runs: Vec<(usize, VehicleRunCounts)>,
 }
 
-/// Runs of a vehicle, by whether the process that drives had driven others before: what a reset forgets to clear shows in these alone.
+/// Numbers of runs of a vehicle. State that a reset does not clear shows only in reused processes.
 #[derive(Default)]
 struct VehicleRunCounts {
     fresh: u64,
     reused: u64,
 }
 
-/// A process that has introduced itself.
+/// A process after its handshake.
 struct ConnectedProcess {
     program: ChildProcess,
     hello: Arc<[u8]>,
     greeting: HelloReply,
-    /// Questions it was asked since it introduced itself first.
+    /// Queries since the first handshake.
     question_count: u64,
 }
 
 impl ConnectedProcess {
-    /// The number of the next question.
     fn next_id(&mut self) -> u64 {
         self.question_count += 1;
         self.question_count
@@ -170,8 +164,7 @@ impl ConnectedProcess {
 }
 
 impl ProcessController {
-    /// Creates a controller whose runs start the program, for which `_permission` is needed. Reads the files that its identity
-    /// stands for, and starts nothing yet.
+    /// Creates a controller and reads the files of its identity. Only runs start the program.
     ///
     /// # Errors
     /// [`InvalidMapping`] names the first field that is wrong.
@@ -184,7 +177,7 @@ impl ProcessController {
             answer_within_s: f64,
         }
         setup.check()?;
-        // Said or not, it is the same controller.
+        // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         setup.mapping.output.answer = Some(0);
         let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
             Ok(sha256) => Ok(ListedFile { path: path.clone(), sha256 }),
@@ -198,43 +191,43 @@ impl ProcessController {
         Ok(Self { setup, files, identity, state: Mutex::default() })
     }
 
-    /// What it is made of.
+    /// Returns the setup.
     #[must_use]
     pub fn setup(&self) -> &ProcessSetup {
         &self.setup
     }
 
-    /// SHA-256, in hexadecimal, of its command, its mapping and its files; none if it lists none, or is not deterministic.
+    /// Returns the SHA-256 of command, mapping and files; `None` without files or for a nondeterministic process.
     #[must_use]
     pub fn identity(&self) -> Option<&str> {
         self.identity.as_deref()
     }
 
-    /// Whether nothing says that it is not deterministic: neither its controller file nor, once it was asked, it itself.
+    /// True unless the controller file or the handshake declares the process nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
         self.setup.deterministic && self.state().greeting.as_ref().is_none_or(|greeting| greeting.deterministic)
     }
 
-    /// Starts one for no run, hears what it says of itself, and ends it: whether there is a program that can be asked at all.
+    /// Starts a process without a run, completes the handshake, and ends the process.
     ///
     /// # Errors
-    /// [`ControllerFailure`] if there is none, or it does not introduce itself.
+    /// [`ControllerFailure`] if the start or the handshake fails.
     pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
         let ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
         let greeted = self.start(&self.hello(&ego))?;
-        // Dropped, so that it ends by itself: a killed FMU host leaves its unpacked folder behind.
+        // Dropped instead of killed: a killed FMU host would leave its extraction folder behind.
         drop(greeted);
         Ok(())
     }
 
-    /// Why it is refused, if it is: it contradicted itself, or cannot be started any more. All runs from then on fail, whatever they are.
+    /// Returns the reason for which all later runs fail: the process contradicted itself, or does not start any more.
     #[must_use]
     pub fn refusal(&self) -> Option<ControllerFailure> {
         self.state().refusal.clone()
     }
 
-    /// Whether one process can answer for many runs at once. Starts one if that is not known yet.
+    /// True if one process can answer for many runs at once. Starts a process if that is not known yet.
     pub(crate) fn supports_batches(&self, ego: &Ego) -> bool {
         if let Some(greeting) = &self.state().greeting {
             return greeting.batch;
@@ -246,7 +239,7 @@ impl ProcessController {
         })
     }
 
-    /// A panic elsewhere leaves nothing half done here.
+    /// Locks the state. Poisoning is ignored: a panic elsewhere leaves no partial change here.
     fn state(&self) -> MutexGuard<'_, ProcessPoolState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -255,7 +248,6 @@ impl ProcessController {
         Duration::from_secs_f64(self.setup.answer_within_s)
     }
 
-    /// What a process is told of a vehicle.
     fn hello(&self, ego: &Ego) -> Arc<[u8]> {
         let Mapping { history, newest_first, inputs, output, .. } = &self.setup.mapping;
         let hello = HelloParams {
@@ -273,12 +265,12 @@ impl ProcessController {
             high_mps2: output.high_mps2,
         };
         let mut line = Vec::new();
-        // Numbers and names can always be written; what could not would be refused by the process.
+        // Writing cannot fail for these numbers and names; the process would reject an incomplete line.
         let _ = protocol::write_line(&mut line, &HelloRequest { crumple: VERSION, hello });
         line.into()
     }
 
-    /// A process that knows of the vehicle: one that waits, or else a new one.
+    /// Returns a process with the handshake of this vehicle: an idle one, or else a new one.
     fn acquire(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
         let waiting = {
             let mut state = self.state();
@@ -295,7 +287,6 @@ impl ProcessController {
         }
     }
 
-    /// A new process.
     fn start(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
         {
             let mut state = self.state();
@@ -332,7 +323,6 @@ impl ProcessController {
         started
     }
 
-    /// Tells a process of a vehicle, and hears what it says of itself.
     fn greet(
         &self,
         mut program: ChildProcess,
@@ -347,7 +337,7 @@ impl ProcessController {
         }
     }
 
-    /// What a process says of itself, if it can drive so.
+    /// Checks the reply of a handshake against the mapping, the identity and the first reply.
     fn check_greeting(&self, greeting: HelloReply) -> Result<HelloReply, ProcessProblem> {
         let shown = self.setup.mapping.width();
         if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
@@ -377,8 +367,7 @@ impl ProcessController {
         self.state().idle.push(greeted);
     }
 
-    /// Whether the next run of a vehicle, by a process that is fresh or has driven before, is one of those that are checked. Which of the
-    /// later runs are follows from their number and the scenario's seed.
+    /// Counts a run and selects it for the determinism check by its number and the scenario's seed.
     fn is_selected_for_check(&self, vehicle: usize, reused: bool, seed: u64) -> bool {
         if !self.is_deterministic() {
             return false;
@@ -395,19 +384,18 @@ impl ProcessController {
         if number < ALWAYS_CHECKED_RUNS {
             return true;
         }
-        // Fresh ones that differ would do so at once; what is left over in one that has driven may show late.
+        // Nondeterminism of fresh processes shows in the first runs; left-over state of reused ones may show late.
         let drawn = random::stream(seed, Purpose::DeterminismCheck, number).next_u64();
         reused && drawn % number.next_power_of_two() < CHECKED_RUNS_PER_TWO_DOUBLINGS
     }
 
-    /// A failure for good: nothing is started any more.
+    /// Records a permanent failure: no process is started any more.
     fn refuse(&self, failure: ControllerFailure) -> ControllerFailure {
         self.state().refusal.get_or_insert(failure).clone()
     }
 
-    /// What is told of a process that failed, which ends.
     fn end_with_failure(&self, problem: ProcessProblem, program: Option<ChildProcess>) -> ControllerFailure {
-        // A program that answers at all may end by itself, which gives the host of an FMU the time to remove its folder.
+        // A program that still answers may end by itself, so that an FMU host can remove its extraction folder.
         let last_words = match &problem {
             ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => program.map(ChildProcess::terminate),
             _ => program.map(ChildProcess::shut_down),
@@ -432,7 +420,6 @@ impl fmt::Debug for ProcessController {
     }
 }
 
-/// Two are equal if they start the same.
 impl PartialEq for ProcessController {
     fn eq(&self, other: &Self) -> bool {
         (&self.setup, &self.files) == (&other.setup, &other.files)
@@ -442,12 +429,11 @@ impl PartialEq for ProcessController {
 impl Drop for ProcessController {
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
-        // All at once, so that they part at the same time.
+        // Close all stdins first, so that the processes exit concurrently.
         state.idle.iter_mut().for_each(|greeted| greeted.program.close_stdin());
     }
 }
 
-/// SHA-256, in hexadecimal, of an ordinary file.
 fn file_sha256(path: &Path) -> io::Result<String> {
     let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
     if !path.metadata()?.is_file() {

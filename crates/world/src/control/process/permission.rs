@@ -1,19 +1,18 @@
-//! Rule for starting programs: the user of this run named the program, or allowed those that files name.
+//! Permission to start programs: the user named the program, or allowed programs that files name.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Origin of the name of a controller. Decides if crumple may start the program that the name stands for.
+/// Origin of the name of a controller; decides if crumple may start its program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NameOrigin {
-    /// The user: an argument of this command line, a configuration or controller file that such an argument names, or code
-    /// that constructs the controller.
+    /// The user: an argument of the command line, a configuration or controller file that it names, or calling code.
     User,
     /// Any other file: a scenario, space, suite, shard, campaign, certificate or report.
     File,
 }
 
-/// Permission to start the program of one controller. `NameOrigin::permission` alone hands it out, and
-/// [`ProcessController::new`](super::ProcessController::new) takes it.
+/// Permission to start the program of one controller. Only `NameOrigin::permission` creates it, and
+/// [`ProcessController::new`](super::ProcessController::new) requires it.
 #[derive(Debug, Clone, Copy)]
 pub struct StartPermission(());
 
@@ -27,11 +26,10 @@ pub struct StartRefusal {
     pub location: String,
 }
 
-/// Set once, never cleared: the user's answer holds for the whole run.
+/// Never cleared: the permission holds for the whole process.
 static IS_EXTERNAL_ALLOWED: AtomicBool = AtomicBool::new(false);
 
-/// Allows this process to start the programs and to load the FMUs that any file names, as `--allow-external` does. Cannot be
-/// undone.
+/// Allows this process to start programs and load FMUs that files name (`--allow-external`); cannot be undone.
 pub fn allow_external() {
     IS_EXTERNAL_ALLOWED.store(true, Ordering::Relaxed);
 }
@@ -43,7 +41,7 @@ pub fn is_external_allowed() -> bool {
 }
 
 impl NameOrigin {
-    /// Returns the permission to start a program; `place` says where it is named.
+    /// Returns the permission to start a program; `place` describes where it is named.
     ///
     /// # Errors
     /// [`StartRefusal`] for a name from a file, unless [`allow_external`] was called.

@@ -1,37 +1,37 @@
-//! Whether an action leaves a way out.
+//! Admission of commands by a shield.
 
 use super::kernel::{distance_and_speed_after, max_closing_m};
 use super::{Real, ShieldParams};
 
-/// Gap and speeds at one instant, with the own actuator's response.
+/// Gap, speeds and response of the own actuator at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShieldState<R = f64> {
-    /// The gap ahead, in metres.
+    /// Gap to the leader, in metres.
     pub gap_m: R,
-    /// The own speed, in m/s.
+    /// Own speed, in m/s.
     pub speed_mps: R,
-    /// The speed of the vehicle ahead, in m/s.
+    /// Speed of the leader, in m/s.
     pub ahead_mps: R,
-    /// What the own actuator does, in m/s².
+    /// Response of the own actuator, in m/s².
     pub response_mps2: R,
 }
 
 impl<R: Real> ShieldParams<R> {
-    /// What the actuator does when a command within the vehicle's limits has become due, in m/s².
+    /// Returns the response of the actuator, in m/s², when a command within the vehicle's limits becomes due.
     #[must_use]
     #[inline]
     pub fn response_mps2(&self, response_mps2: R, due_mps2: R) -> R {
         response_mps2 + self.response_fraction * (due_mps2 - response_mps2)
     }
 
-    /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.
+    /// Returns the maximum acceleration over a step. A standing vehicle without a positive response is held.
     fn acceleration_mps2(&self, state: ShieldState<R>, response_mps2: R) -> R {
         let zero = R::from_f64(0.0);
         let is_held = zero.at_least(state.speed_mps) & zero.at_least(response_mps2);
         R::select(is_held, || zero, || response_mps2 + self.noise_mps2)
     }
 
-    /// The state a step later, the vehicle ahead braking hardest.
+    /// Returns the state after a step in which the leader brakes at its limit.
     #[must_use]
     #[inline]
     pub fn after(&self, state: ShieldState<R>, due_mps2: R) -> ShieldState<R> {
@@ -42,8 +42,8 @@ impl<R: Real> ShieldParams<R> {
         ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
     }
 
-    /// z, which takes the place of the own speed in the kernel, in m/s: with what the lag still lets it gain, see
-    /// [`Frame::lag_s`]. A vehicle that stands and does not move has none.
+    /// Returns z, the speed that the kernel uses, in m/s: own speed plus effect of [lag](ShieldParams::lag_s); 0 at
+    /// rest.
     #[must_use]
     #[inline]
     pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
@@ -53,14 +53,14 @@ impl<R: Real> ShieldParams<R> {
         R::select(stands, || zero, || state.speed_mps + by_lag_mps())
     }
 
-    /// How much more gap there is than the kernel demands, in metres. Full braking never makes it smaller.
+    /// Returns the gap beyond the kernel's demand, in metres. Full braking never decreases it.
     #[must_use]
     #[inline]
     pub fn spare_m(&self, state: ShieldState<R>) -> R {
         state.gap_m - self.kernel().demanded_gap_m(self.speed_to_lose_mps(state), state.ahead_mps)
     }
 
-    /// Whether an action leaves a way out against every reaction of the vehicle ahead.
+    /// True if after the command a collision can still be avoided for every behaviour of the leader.
     #[must_use]
     #[inline]
     pub fn admits(&self, state: ShieldState<R>, wanted_mps2: R) -> R::Truth {

@@ -1,27 +1,26 @@
-//! The gap that must not be undercut: a vehicle that brakes fully behind one that brakes fully.
+//! Minimum gap of a vehicle that brakes fully behind a vehicle that brakes fully.
 //!
-//! The mathematics, and the check of the closed form in exact arithmetic, are in `crumple_verify::kernel`. The functions here
-//! are the ones that drive, and the ones that are proved: certificates are held against them, and obligations written, by
-//! computing with them in other numbers ([`Real`]).
+//! The mathematics, and a check of the closed form in exact arithmetic, are in `crumple_verify::kernel`. Certificates
+//! and proof obligations evaluate these functions with other number types ([`Real`]).
 
 use super::Real;
 
-/// Brake limits of two successive vehicles, and which states they can leave without contact.
+/// Brake limits of two successive vehicles; determines the states from which they can avoid a collision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViabilityKernel<R = f64> {
-    /// b, what the rear vehicle can brake at, in m/s², positive.
+    /// b, deceleration that the rear vehicle can reach, in m/s², positive.
     pub own_brake_mps2: R,
-    /// c, what the front vehicle never brakes harder than, in m/s², positive.
+    /// c, deceleration that the front vehicle never exceeds, in m/s², positive.
     pub ahead_brake_mps2: R,
 }
 
 impl<R: Real> ViabilityKernel<R> {
-    /// D(v, w), in metres: the rear vehicle at `speed_mps` can avoid the one ahead at `ahead_mps`, whatever that does,
-    /// exactly where the gap is larger.
+    /// Returns D(v, w), in metres. The rear vehicle at `speed_mps` can avoid a collision with the leader at
+    /// `ahead_mps`, for any behaviour of the leader, exactly if the gap is larger.
     ///
-    /// max(0, v²/2b - w²/2c) if b <= c or v/b >= w/c, max(0, v - w)²/2(b - c) otherwise. The first alone is the distance of
-    /// Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time): where the rear vehicle
-    /// brakes harder and stops first, the two are closest before either stands.
+    /// D = max(0, v²/2b - w²/2c) if b <= c or v/b >= w/c, and max(0, v - w)²/2(b - c) otherwise. The first is the
+    /// distance of Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time). If the
+    /// rear vehicle brakes harder and stops first, the two are closest while both move.
     #[must_use]
     #[inline]
     pub fn demanded_gap_m(&self, speed_mps: R, ahead_mps: R) -> R {
@@ -38,7 +37,7 @@ impl<R: Real> ViabilityKernel<R> {
     }
 }
 
-/// Distance covered (m) and speed (m/s) after `dt_s` from `speed_mps` under a held acceleration; nobody reverses.
+/// Returns distance (m) and speed (m/s) after `dt_s` under constant acceleration; vehicles do not reverse.
 #[must_use]
 #[inline]
 pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
@@ -50,10 +49,10 @@ pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_
     [R::select(stops, to_stop_m, covered_m), R::select(stops, || zero, || end_mps)]
 }
 
-/// How far the gap closes at most at any instant within `dt_s`, in metres, if the front vehicle brakes at `ahead_brake_mps2`
-/// and the rear one holds `acceleration_mps2`.
+/// Returns the maximum decrease of the gap at any instant within `dt_s`, in metres. The front vehicle brakes at
+/// `ahead_brake_mps2`, the rear one holds `acceleration_mps2`.
 ///
-/// The closing speed is linear until a vehicle stops; it turns from positive to negative only while both move.
+/// The closing speed is linear until a vehicle stops, and turns from positive to negative only while both move.
 #[must_use]
 #[inline]
 pub fn max_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
@@ -75,7 +74,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A soft brake ahead stops late: between w c and w/c, half a second and two, the two are equally fast.
+    /// The leader brakes softly and stops late. At t = 2/3 s both vehicles are equally fast, before either stands.
     #[test]
     fn the_gap_is_smallest_before_either_stands() {
         assert!((max_closing_m(2.0, -2.0, 1.0, 0.5, 2.0) - 1.0 / 3.0).abs() < 1e-12);
@@ -89,7 +88,6 @@ mod tests {
     }
 
     proptest! {
-        /// Brute force over time brackets both closed forms.
         #[test]
         fn closed_forms_are_the_largest_closing(v in 0.0..40.0_f64, w in 0.0..40.0_f64, b in 0.5..10.0_f64,
                                                 c in 0.5..10.0_f64, a in -10.0..4.0_f64, dt in 0.01..2.0_f64) {

@@ -1,39 +1,37 @@
-//! A shield: any controller's actions, as long as they leave a way out; full braking otherwise.
+//! A shield: passes commands after which a collision can still be avoided, and brakes fully otherwise.
 //!
-//! A state is (g, v, w): gap, own speed, speed of the vehicle ahead. K = { g > D(v, w) } is exactly the set of states from
-//! which contact can still be avoided against every leader that respects its brake limit ([`Kernel`]). An action passes if,
-//! against the hardest braking of the vehicle ahead,
+//! A state is (g, v, w): gap, own speed, speed of the leader. K = { g > D(v, w) } is the set of states from which a
+//! collision can be avoided for every leader within its brake limit ([`ViabilityKernel`]). A command passes if, for a
+//! leader at its limit,
 //!
 //! - the state after the step is in K, and
-//! - the gap stays open at every instant inside the step.
+//! - the gap stays open at every instant of the step.
 //!
-//! The second is not implied by the first: a vehicle that brakes harder than the one ahead can be closest in mid-step. With
-//! a test at step ends alone the gap could fall short by up to 0.046 (b - c) h², seven micrometres for a car behind a
-//! truck at 0.01 s; contact all the same. Full braking needs no test: it keeps K at every instant.
+//! The first does not imply the second: a vehicle that brakes harder than its leader can be closest within the step. A
+//! test of step ends alone could miss a gap that is negative by up to 0.046 (b - c) h², seven micrometres for a car
+//! behind a truck at 0.01 s. Full braking needs no test: it keeps the state in K at every instant.
 //!
-//! What else stands between a decision and the road:
+//! The shield also handles:
 //!
-//! - *Estimation error*: the test uses the worst gap and speeds within the bounds. If the true state was in K it stays there.
-//! - *Delay*: commands under way are carried out first, the vehicle ahead braking hardest meanwhile; the test is made of
-//!   the state in which the command will act.
-//! - *Lag*: v in the kernel becomes v + τ' (r + b), see [`Frame::lag_s`].
-//! - *Noise* on accelerations: six standard deviations are taken off the own brake and added to the one ahead. That is no
-//!   certainty: each exceeds it once in 10⁹ steps.
+//! - *Estimation error*: the test uses the worst gap and speeds within the bounds. A true state in K stays there.
+//! - *Delay*: the test uses the state after all pending commands, with a leader that brakes at its limit.
+//! - *Lag*: v in the kernel becomes v + τ' (r + b), see [`ShieldParams::lag_s`].
+//! - *Noise* on accelerations: six standard deviations (exceeded once in 10⁹ steps) reduce the own brake limit and
+//!   raise the leader's.
 //!
-//! Nothing is promised to a vehicle that is pushed by the one behind, nor behind one that is stopped by an impact: no
-//! brake limit holds there.
+//! No guarantee holds for a vehicle that its follower pushes, nor behind a leader that an impact stops.
 //!
-//! What drives is what is proved: [`Frame::admits`] and all it calls are written for any [`Real`] number. With exact quotients
-//! certificates are held against them, with terms they write the obligations in `verify/obligations`. What is left to
-//! arithmetic in double precision is paid for by a margin, see [`Travel::margin_m`].
+//! Simulation and proofs use the same code: [`ShieldParams::admits`] and its callees are generic over [`Real`] (exact
+//! quotients, terms of `verify/obligations`). A margin covers rounding ([`MotionBounds::margin_m`]).
 //!
-//! Proved for all limits, in Coq, of the formulas: the kernel and lag (`docs/kernel-theorems.md`). Proved for the shipped limits,
-//! of these functions as they stand: the kernel, motion, the test of an action at every instant of the
-//! step, lag, and that what is predicted of a state that is seen wrongly within its bounds, with noise, is the worst that comes. Proved in
-//! Coq, of these functions as double precision computes them: what rounding takes of the gap in steps of full braking, and of what is
-//! computed to be spare. Derived on paper from there: the margin. Tested only: the loop in this file, which takes the bounds off what is
-//! seen and predicts as many steps as there is delay. Taken on trust: that an
-//! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
+//! - Proved in Coq, of the formulas, for all limits: kernel and lag (`docs/kernel-theorems.md`).
+//! - Proved of these functions, for the shipped limits: kernel, motion, the test at every instant of the step, and lag.
+//!   Also proved: with errors within the bounds and with noise, the predicted state is the worst possible.
+//! - Proved in Coq of these functions in double precision: effects of rounding on gaps in full braking and on spare
+//!   gaps.
+//! - Derived on paper from these: the margin.
+//! - Tested only: the loop in this file, which applies the error bounds and predicts one step per step of delay.
+//! - Assumed: an estimator keeps its stated bounds, which are six standard deviations if its noise is unbounded.
 
 mod admission;
 mod kernel;
@@ -53,34 +51,29 @@ use std::collections::VecDeque;
 use super::{AnyController, Controller, ControllerFailure, clamp_command};
 use crate::observation::Observation;
 
-/// Successive steps in which a shield braked instead of doing what its controller wanted, or in which the state was outside the kernel,
-/// where a shield brakes fully whatever its controller wants.
+/// Successive steps in which a shield replaced the command, or the state was outside the kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Override {
-    /// First step.
     pub first_step: usize,
-    /// Last step.
     pub last_step: usize,
-    /// Whether the state was outside the kernel in one of them: contact could then no longer be ruled out.
+    /// True if the state was outside the kernel in one of them: a collision could no longer be excluded.
     pub outside_kernel: bool,
-    /// Whether in one of them the vehicle behind could not avoid the braking vehicle: no action suited both.
+    /// True if in one of them the follower could not avoid the braking vehicle: no command was safe for both.
     pub rear_conflict: bool,
 }
 
-/// A controller behind a shield.
 pub(crate) struct ShieldedController {
     controller: Box<AnyController>,
     params: ShieldParams,
-    /// Commands under way to the actuator, oldest first.
+    /// Commands that the actuator has not received yet, oldest first.
     pending_mps2: VecDeque<f64>,
-    /// What the actuator makes of the commands so far, in m/s².
+    /// Response of the actuator to the commands so far, in m/s².
     response_mps2: f64,
     step: usize,
     overrides: Vec<Override>,
 }
 
 impl ShieldedController {
-    /// Puts a controller behind a shield.
     #[must_use]
     pub(crate) fn new(controller: AnyController, frame: ShieldParams) -> Self {
         Self {
@@ -93,13 +86,12 @@ impl ShieldedController {
         }
     }
 
-    /// When the shield braked instead, in order.
     #[must_use]
     pub(crate) fn overrides(&self) -> &[Override] {
         &self.overrides
     }
 
-    /// The worst state within the error bounds in which a command given now will act; none on an open road.
+    /// Returns the worst possible state in which a command given now takes effect; `None` without a leader.
     fn worst_state(&self, seen: &Observation) -> Option<ShieldState> {
         let ahead = seen.ahead?;
         let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.params.errors;
@@ -139,7 +131,7 @@ impl Controller for ShieldedController {
         {
             command_mps2 = -self.params.brake_mps2;
             let outside_kernel = self.params.spare_m(state) < 0.5 * self.params.margin_m;
-            // A controller that brakes fully by itself is not overruled; that nothing is promised any more is told all the same.
+            // Full braking by the controller is no override, but is recorded outside the kernel.
             if wanted_mps2 > command_mps2 || outside_kernel {
                 self.record_override(outside_kernel, self.params.endangers_rear(seen));
             }
@@ -153,9 +145,9 @@ impl Controller for ShieldedController {
 }
 
 impl ShieldParams {
-    /// Whether full braking from now on cannot be avoided by the vehicle behind, which holds its speed until it reacts.
+    /// True if the follower, which holds its speed until it reacts, would collide if the ego vehicle brakes fully.
     ///
-    /// The gap behind is concave while it holds its speed and the own vehicle brakes, so it is smallest at an end of that.
+    /// The gap behind is concave until the follower reacts, so that it is smallest at an end of that time.
     fn endangers_rear(&self, seen: &Observation) -> bool {
         let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (seen.behind, self.behind) else {
             return false;

@@ -1,30 +1,29 @@
-//! What a shield takes for granted about its vehicle and the two beside it.
+//! Assumptions of a shield about its vehicle and both neighbours.
 
 use super::{Real, ViabilityKernel};
 
-/// Bounds of the errors of what is seen, all not negative.
+/// Bounds of the errors of an observation, all non-negative.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ErrorBounds {
-    /// Of the gap ahead, in metres.
+    /// Error bound of the gap ahead, in metres.
     pub gap_m: f64,
-    /// Of the own speed, in m/s.
+    /// Error bound of the own speed, in m/s.
     pub speed_mps: f64,
-    /// Of the speed of the vehicle ahead, in m/s.
+    /// Error bound of the speed of the leader, in m/s.
     pub ahead_speed_mps: f64,
 }
 
-/// What the user of a shield may set.
+/// Settings of a shield that the user may choose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ShieldSettings {
-    /// What the vehicle ahead is assumed never to brake harder than on a dry road, in m/s². None for its own limit: as if
-    /// vehicles told each other.
+    /// Assumed maximum deceleration of the leader on a dry road, in m/s²; `None` for its true limit.
     pub ahead_brake_mps2: Option<f64>,
-    /// Bounds of what is seen. None for what can be proved of the estimator: nothing with the true state.
+    /// Error bounds of observations. `None` for bounds that follow from the estimator; 0 with the true state.
     pub errors: Option<ErrorBounds>,
 }
 
 impl ShieldSettings {
-    /// The settings as they stand after `shield` on a command line, each with a comma before it.
+    /// Returns the settings as on the command line after `shield`, each after a comma.
     #[must_use]
     pub fn to_arg(&self) -> String {
         let errors = self.errors.map(|errors| {
@@ -36,54 +35,54 @@ impl ShieldSettings {
     }
 }
 
-/// The vehicle behind, as far as a shield cares.
+/// Properties of the follower that a shield uses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RearVehicleParams {
-    /// What it can brake at, in m/s².
+    /// Deceleration that the follower can reach, in m/s².
     pub brake_mps2: f64,
-    /// Time in which it holds its speed before it brakes, in seconds.
+    /// Reaction time, in which the follower holds its speed, in seconds.
     pub reaction_s: f64,
 }
 
-/// Everything a shield takes for granted.
+/// All assumptions of a shield.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShieldParams<R = f64> {
-    /// The time between decisions, in seconds.
+    /// Time between decisions, in seconds.
     pub step_s: R,
-    /// What full braking is, in m/s², positive, noise left aside.
+    /// Full braking without noise, in m/s², positive.
     pub brake_mps2: R,
-    /// Largest acceleration, in m/s².
+    /// Maximum acceleration, in m/s².
     pub accel_mps2: R,
-    /// Largest deviation of the own acceleration from the actuator's, in m/s².
+    /// Maximum deviation of the own acceleration from the response of the actuator, in m/s².
     pub noise_mps2: R,
-    /// What the vehicle ahead never brakes harder than, in m/s².
+    /// Deceleration that the leader never exceeds, in m/s².
     pub ahead_brake_mps2: R,
     /// Steps from a command to the actuator.
     pub delay_steps: usize,
-    /// Share of the way to the command that the actuator covers in a step: 1 without lag.
+    /// Share of the difference to the command that the actuator covers in a step; 1 without lag.
     pub response_fraction: R,
-    /// Bounds of what is seen.
+    /// Error bounds of observations.
     pub errors: ErrorBounds,
-    /// The vehicle behind, if there is one.
+    /// The follower, if there is one.
     pub behind: Option<RearVehicleParams>,
-    /// Demanded on top of the kernel's gap, in metres: it pays for rounding, and keeps the gap from being exactly zero. Half
-    /// of it is for what comes after an action was let through, see `Travel::margin_m`.
+    /// Distance beyond the kernel's gap, in metres: covers rounding and keeps the gap above zero. Half of it is for the
+    /// time after a command was admitted, see `MotionBounds::margin_m`.
     pub margin_m: R,
 }
 
 impl<R: Real> ShieldParams<R> {
-    /// The kernel against the vehicle ahead. What noise may take away from the own brake is not counted on.
+    /// Returns the kernel against the leader; the own brake limit is reduced by the noise.
     #[must_use]
     #[inline]
     pub(crate) fn kernel(&self) -> ViabilityKernel<R> {
         ViabilityKernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
     }
 
-    /// τ' = h (1 - σ)/σ for an actuator that covers the share σ of its way in a step h.
+    /// Returns τ' = h (1 - σ)/σ for an actuator that covers the share σ of its difference in a step h.
     ///
-    /// For a lag τ this is h/(exp(h/τ) - 1), a little less than τ. With response r, z = v + τ' (r + b) loses exactly b h in a
-    /// step of full braking, since r + b shrinks to its share 1 - σ; and z bounds the speed. So a vehicle that brakes fully is
-    /// at no instant faster, nor further, than one without lag that starts at z, and z takes the place of v in the kernel.
+    /// For a lag τ this is h/(exp(h/τ) - 1), slightly less than τ. For response r let z = v + τ' (r + b). A step of
+    /// full braking decreases z by exactly b h, since r + b decreases to its share 1 - σ; and z is at least the speed.
+    /// Braking fully, the vehicle is never faster or further than one without lag that starts at z.
     #[must_use]
     #[inline]
     pub fn lag_s(&self) -> R {

@@ -1,36 +1,35 @@
-//! The numbers that a shield computes with, so that one text is what drives and what is proved.
+//! Number type of the shield, so that simulation and proofs use the same code.
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
-/// A number as the kernel and the shield's test need it: `f64` on the road.
+/// A number type for the kernel and the test of the shield; `f64` in simulations.
 ///
-/// Exact quotients and terms of a logic are others: certificates are held against the kernel by computing with the former, and
-/// the obligations for solvers are written by computing with the latter.
+/// Certificates are checked with exact quotients. Proof obligations are written with terms of a logic.
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
-    /// What a comparison answers.
+    /// Result of a comparison.
     type Truth: Copy + BitAnd<Output = Self::Truth> + BitOr<Output = Self::Truth>;
 
-    /// A constant, exactly.
+    /// Converts a constant, exactly.
     fn from_f64(value: f64) -> Self;
 
-    /// Whether this is greater than `other`.
+    /// Returns true if this is greater than `other`.
     fn greater_than(self, other: Self) -> Self::Truth;
 
-    /// Whether this is not less than `other`.
+    /// Returns true if this is not less than `other`.
     fn at_least(self, other: Self) -> Self::Truth;
 
-    /// One or the other.
+    /// Evaluates `then` or `otherwise`.
     fn select(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
 
-    /// The larger of two.
+    /// Returns the larger of two.
     #[must_use]
     fn larger(self, other: Self) -> Self {
         Self::select(self.at_least(other), || self, || other)
     }
 
-    /// The smaller of two.
+    /// Returns the smaller of two.
     #[must_use]
     fn smaller(self, other: Self) -> Self {
         Self::select(self.at_least(other), || other, || self)

@@ -1,114 +1,116 @@
-//! What rounding may take of a gap, and the margin that pays for it.
+//! Effect of rounding on gaps, and the margin that covers it.
 
 use super::ShieldParams;
 
-/// Demanded on top of the kernel's gap even where rounding takes less, in metres.
+/// Minimum margin beyond the kernel's gap, in metres.
 pub const MIN_MARGIN_M: f64 = 1e-6;
 
-/// A margin beyond which a shield refuses to vouch for a vehicle, in metres: rounding would no longer be a detail.
+/// Maximum margin, in metres; beyond it a shield gives no guarantee.
 pub(crate) const MAX_MARGIN_M: f64 = 0.1;
 
-/// Half the distance of 1 from the next number: what one operation may be off by, as a share of its result.
+/// Unit roundoff u: maximum relative error of one operation.
 const UNIT_ROUNDOFF: f64 = 0.5 * f64::EPSILON;
 
-/// What is bounded by real numbers may be exceeded by what is computed, and by what rounding adds in all steps of a run, of which there are
-/// at most five million: by less than this share.
+/// Factor by which rounding in at most five million steps may exceed bounds of real numbers.
 const PAD: f64 = 1.0 + 1e-8;
 
-/// How far, how fast and in how many steps a vehicle and the one ahead of it may travel: bounds over a whole run.
+/// Bounds of the motion of a vehicle and its leader over a whole run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MotionBounds {
-    /// X, the largest distance from the origin of any bumper of the two, in metres.
+    /// X, maximum distance of any bumper of the two from the origin, in metres.
     pub position_m: f64,
-    /// V, the highest speed of the two, in m/s.
+    /// V, maximum speed of the two, in m/s.
     pub speed_mps: f64,
-    /// What the vehicle ahead may accelerate at, in m/s².
+    /// Maximum acceleration of the leader, in m/s².
     pub ahead_accel_mps2: f64,
-    /// Steps in which motion is integrated, in the whole run.
+    /// Integration steps of the whole run.
     pub steps: usize,
-    /// Of them in each step between two decisions, 1 or more.
+    /// Integration steps per decision step, 1 or more.
     pub substeps: usize,
 }
 
 impl MotionBounds {
-    /// The margin in metres that lets what is proved of real numbers hold of the numbers that drive.
+    /// Returns the margin, in metres, with which the proofs over real numbers hold in double precision.
     ///
-    /// Names in parentheses are theorems that Coq has checked, of the Rust expressions operation by operation: `verify/coq/Rounding.v`, shown in
-    /// `docs/kernel-theorems.md` beside what they speak of. What has no name is derived by hand.
+    /// Names in parentheses are Coq theorems about the Rust operations: `verify/coq/Rounding.v`, explained in
+    /// `docs/kernel-theorems.md`. Statements without a name are derived by hand.
     ///
-    /// # What is computed
+    /// # Rounding errors
     ///
-    /// u = 2⁻⁵³ is what an operation may be off by, as a share of its result (`an_operation_is_off_by_u`). With V as in [`MotionBounds`], the
-    /// shield's step h, the integration's h/k, d steps of delay and τ' for the lag ([`Frame::lag_s`]), let
+    /// The relative error of an operation is at most u = 2⁻⁵³ (`an_operation_is_off_by_u`). With V as in
+    /// [`MotionBounds`], the shield's step h, the integration step h/k, d steps of delay and τ' for the lag
+    /// ([`ShieldParams::lag_s`]), let
     ///
     /// ```text
-    /// b   the own brake less noise               P = a + full brake + noise, more than any response differs from another
-    /// A = P + c + the acceleration of the vehicle ahead, more than any acceleration
-    /// Z = V + (τ' + h) P   more than what takes the place of the own speed
-    /// T = Z/b      the longest way to standstill, in time     R = T + (d + 1) h   the same from when a command is given
-    /// S = Z²/2b    the longest way to standstill
-    /// X   as in Travel, and at least 4 h (V + A h)
+    /// b   the own brake less noise               P = a + full brake + noise, bounds the difference of two responses
+    /// A = P + c + the acceleration of the leader, a bound of any acceleration
+    /// Z = V + (τ' + h) P   a bound of the speed that the kernel uses
+    /// T = Z/b      maximum time to standstill           R = T + (d + 1) h   maximum time from a command to standstill
+    /// S = Z²/2b    maximum distance to standstill
+    /// X   as in MotionBounds, and at least 4 h (V + A h)
     /// ```
     ///
-    /// D(v, w) changes by at most T for each m/s of either speed (`the_demand_rises_with_errors_of_speeds`).
+    /// D(v, w) changes by at most T per m/s of either speed (`the_demand_rises_with_errors_of_speeds`).
     ///
-    /// *A step of motion.* In real numbers a step of full braking, from the numbers that the simulation holds, does not lessen
-    /// the spare gap g - D. What it computes instead differs by
+    /// *A step of motion.* In real numbers, full braking does not decrease the spare gap g - D. The computed step
+    /// differs by
     ///
-    /// - 4 u X for each position: x + v t + a t²/2 is two sums of at most 1.3 X, and products that are at most X/4; a step cut into k
-    ///   parts is k h/k, which is off by u h;
-    /// - u (V + 5.2 A h) for the own speed and u (V + 3.2 A h) for the one ahead, which count T times: a product, a sum, the step's parts, and
-    ///   for the own one a sum with noise and what is left of the brake (`the_own_vehicle_in_a_step`, `the_vehicle_ahead_in_a_step`,
-    ///   `motion_takes_at_most`);
-    /// - 3.1 u P for the response of an actuator with lag, which counts (τ' + h) T times (`the_response_takes_at_most`).
+    /// - 4 u X for each position: x + v t + a t²/2 is two sums of at most 1.3 X, and products of at most X/4; the sum
+    ///   of the k parts of a step is k h/k, with an error of u h;
+    /// - u (V + 5.2 A h) for the own speed and u (V + 3.2 A h) for the leader's, each times T: a product, a sum, the
+    ///   parts of the step and, for the own speed, a sum with noise and the rest of the brake
+    ///   (`the_own_vehicle_in_a_step`, `the_vehicle_ahead_in_a_step`, `motion_takes_at_most`);
+    /// - 3.1 u P for the response of an actuator with lag, times (τ' + h) T (`the_response_takes_at_most`).
     ///
     /// ```text
     /// ε = u (8 X + 2 R (V + 6 A h) + 5 τ' R P)
     /// ```
     ///
-    /// with T in the place of R is more than all that (`a_step_of_full_braking_takes_at_most`); R > T, since a speed that is off while a command
-    /// is under way is off until it acts.
+    /// with T in place of R exceeds the sum of these (`a_step_of_full_braking_takes_at_most`). R > T, because an error
+    /// of speed while a command is pending lasts until the command takes effect.
     ///
-    /// *The spare gap*, as computed of what is held, is off by u (6 X + 28 S) and some u τ' T P, which ε has to spare: the gap that is seen,
-    /// (X - length) - x, by 3.1 u X, D by 12 u S, what takes the place of the own speed by 7 u Z (`the_gap_is_seen_rounded`,
-    /// `the_demand_is_rounded`, `the_speed_to_lose_is_rounded`, `the_spare_gap_is_rounded`).
+    /// *The spare gap*, computed from the stored numbers, has an error of u (6 X + 28 S) and some u τ' T P, which ε
+    /// covers: 3.1 u X of the observed gap (X - length) - x, 12 u S of D, and 7 u Z of the speed that the kernel uses
+    /// (`the_gap_is_seen_rounded`, `the_demand_is_rounded`, `the_speed_to_lose_is_rounded`,
+    /// `the_spare_gap_is_rounded`).
     ///
-    /// *A test.* Each of the d + 1 predicted steps adds two numbers of at most X/2 to a gap of at most 3 X, and computes two ways, while the
-    /// vehicles move: 24 u X. Speeds are predicted to be no better than they come, to the bit, as long as motion is not cut into parts, since nothing
-    /// rounds a larger number to a smaller one (`a_predicted_step_is_no_better`, `predicted_steps_are_no_better`,
-    /// `what_passes_the_test_is_spare`). In parts, or where an actuator without lag and delay does to the bit what the shield takes for
-    /// r + (a - r), they are off as in a step of motion: ε. One difference more, for the closing inside the step.
+    /// *A test.* Each of the d + 1 predicted steps adds two numbers of at most X/2 to a gap of at most 3 X, and
+    /// computes two distances while the vehicles move: 24 u X. Without division of a step into parts, predicted speeds
+    /// are at least as bad as the real ones, to the bit, because rounding is monotonic
+    /// (`a_predicted_step_is_no_better`, `predicted_steps_are_no_better`, `what_passes_the_test_is_spare`). With parts,
+    /// or if an actuator without lag and delay gives the bits that the shield computes as r + (a - r), they have the
+    /// error ε of a step of motion. The closing inside the step adds one difference.
     ///
     /// ```text
     /// η = (d + 1) (ε + 16 u X) + u (8 X + 32 S)
     /// ```
     ///
-    /// *Contact.* In real numbers nobody touches inside a step from the numbers that are held (`inside_a_step_nobody_touches`). The simulation
-    /// solves g + r t + a t²/2 = 0 there from a gap off by 11 u X and speeds off by a few u V over
-    /// no more than h; where the discriminant's sign is decided wrongly, the gap is at most 5 u times what it was before: 16 u X.
+    /// *Collision.* In real numbers no collision occurs inside a step from the stored numbers
+    /// (`inside_a_step_nobody_touches`). The simulation solves g + r t + a t²/2 = 0 with a gap error of 11 u X and
+    /// speed errors of a few u V over at most h. If the sign of the discriminant is wrong, the gap is at most 5 u times
+    /// the previous one: 16 u X.
     ///
-    /// # Why that is enough
+    /// # Sufficiency of the margin
     ///
-    /// An action is let through if the spare gap, as computed, is at least the margin m. Let it act, and full braking follow. After n steps,
-    /// those under way included, the spare gap is at least m - η - n ε (`braking_on_takes_at_most`), and computed once more, to ask
-    /// whether the state is out of the kernel, at least m - 2 η - n ε. As soon as the own
-    /// vehicle stands nothing is lost any more: it has D = 0, and the vehicle ahead does not reverse. So n is no more than
-    /// Z/(b h/k) + 1, the k (d + 1) parts of predicted steps besides, nor more than the steps of the whole run; and
+    /// A command is admitted if the computed spare gap is at least the margin m. Let it take effect, followed by full
+    /// braking. After n steps, including pending ones, the spare gap is at least m - η - n ε
+    /// (`braking_on_takes_at_most`). Computed again, to test if the state is outside the kernel, it is at least
+    /// m - 2 η - n ε. A vehicle at rest loses nothing more: it has D = 0, and the leader does not reverse. So n is at
+    /// most Z/(b h/k) + 1 plus the k (d + 1) parts of predicted steps, and at most the number of steps of the run, and
     ///
     /// ```text
     /// m/2 = (n + 2) ε + 2 η + 16 u X
     /// ```
     ///
-    /// keeps the spare gap above m/2 (`half_a_margin_pays`): more than is needed to say of every instant that the vehicles do not touch, and
-    /// as much as is needed to brake on from there. So a state from which a shield lets something through is never called out of the kernel
-    /// afterwards (spare gap below m/2), and nobody touches from a state that is not.
+    /// keeps the spare gap above m/2 (`half_a_margin_pays`). This is enough to exclude a collision at every instant and
+    /// to continue full braking. After a state from which a shield admits a command, no state is reported as outside
+    /// the kernel (spare gap below m/2), and no collision occurs from a state inside it.
     ///
-    /// One exception is left: with lag, and motion cut into parts, a vehicle that is predicted to stand, by rounding alone, may move on at
-    /// 10⁻¹⁷ m/s for a part; τ' (r + b) takes the place of its speed meanwhile, where nothing was to. Without noise it stands within the next part,
-    /// and all that is wrong is that the state may be called out of the kernel.
+    /// One exception remains, with lag and steps in parts. A vehicle that is predicted to stand may, by rounding alone,
+    /// move on at 10⁻¹⁷ m/s for a part; meanwhile the kernel uses τ' (r + b) as its speed. The only consequence is that
+    /// the state may be reported as outside the kernel.
     ///
-    /// What the estimator computes is not counted here: the error bounds are taken as they are given. Products below 10⁻³⁰⁸ are rounded by
-    /// more than a share u, and are no matter for a gap.
+    /// Not included are estimator errors beyond the bounds, and products below 10⁻³⁰⁸, which are irrelevant for a gap.
     #[must_use]
     pub(crate) fn margin_m(&self, frame: &ShieldParams) -> f64 {
         let Self { steps, substeps, .. } = *self;
@@ -152,7 +154,7 @@ mod tests {
         margin_m: 0.0,
     };
 
-    /// The formulas of the documentation, worked out once more: P = 11 and A = 19 m/s², and b = 7 m/s².
+    /// Evaluates the formulas of the documentation a second time: P = 11 and A = 19 m/s², b = 7 m/s².
     #[test]
     fn the_margin_is_that_of_the_derivation() {
         let u = 2.0_f64.powi(-53);
@@ -171,16 +173,14 @@ mod tests {
         let travel =
             MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
         near(travel.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| 4.0 * (t / 0.01 + 3.0) + 1.0));
-        // No more steps than there are.
         let short = MotionBounds { steps: 100, ..travel };
         near(short.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0));
-        // Terms that large positions hide.
         let still = MotionBounds { position_m: 0.0, speed_mps: 1e5, steps: 1_000_000_000, substeps: 1, ..travel };
         let slow = ShieldParams { response_fraction: 0.001, delay_steps: 0, step_s: 1.0, ..PARAMS };
         near(still.margin_m(&slow), expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0));
     }
 
-    /// Behind one that may accelerate harder than the own vehicle brakes, what rounding takes of its speed counts.
+    /// Behind a leader that may accelerate harder than the own vehicle brakes, rounding of the leader's speed counts.
     #[test]
     fn the_margin_covers_a_vehicle_ahead_that_accelerates_hard() {
         let tame =

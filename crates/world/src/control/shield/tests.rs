@@ -1,4 +1,4 @@
-//! What the shield's test of an action promises, tried out against every instant and every vehicle ahead.
+//! Tests of the shield's admission test against every instant and every behaviour of the leader.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -7,7 +7,7 @@ use crate::control::tests::{EGO, leader_observation};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
-/// The car brakes at 8 m/s², the truck ahead of it at 5, and a step is a second.
+/// Parameters of a car that brakes at 8 m/s², its truck leader at 5, with steps of a second.
 fn slow_step_params() -> ShieldParams {
     ShieldParams {
         step_s: 1.0,
@@ -27,7 +27,7 @@ fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
     ShieldState { gap_m, speed_mps, ahead_mps, response_mps2: 0.0 }
 }
 
-/// Equally fast after half a second, when the gap has closed by a quarter of a metre; apart again at the end of the step.
+/// Both are equally fast after half a second, when the gap has closed by 0.25 m, and it grows again after that.
 #[test]
 fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
     let (frame, wanted_mps2) = (slow_step_params(), -7.0);
@@ -43,7 +43,7 @@ fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
 #[test]
 fn the_step_has_to_end_in_the_kernel_by_the_margin() {
     let frame = slow_step_params();
-    // 20 m/s held over a second behind one that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
+    // 20 m/s are held for a second behind a leader that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
     let needed_m = 2.5 + 25.0 / 6.0;
     for (more, is_admitted) in [(0.0, false), (0.5, false), (1.5, true)] {
         assert_eq!(
@@ -55,13 +55,12 @@ fn the_step_has_to_end_in_the_kernel_by_the_margin() {
 }
 
 prop_compose! {
-    /// A frame, a state and an action.
     fn any_state_and_action()(
         step_s in prop_oneof![0.005..0.05_f64, 0.05..1.0_f64],
         (brake_mps2, ahead_brake_mps2) in (0.5..10.0_f64, 0.5..10.0_f64),
         noise_share in prop_oneof![Just(0.0), 0.0..0.3_f64],
         share in prop_oneof![Just(1.0), 0.05..1.0_f64],
-        // Little to spare, equally fast and braking hard: where a gap is smallest inside a step.
+        // Little spare gap, similar speeds and hard braking: gaps that are smallest inside a step.
         (spare_m, speed_mps, ahead_mps) in
             (prop_oneof![0.0..0.5_f64, 0.0..0.02_f64], 0.0..30.0_f64, prop_oneof![3 => 0.0..30.0_f64, 1 => Just(0.0)]),
         near in prop::option::of(-1.0..1.0_f64),
@@ -78,7 +77,7 @@ prop_compose! {
     }
 }
 
-/// The gap at an instant of the step if the own vehicle does as wanted and the one ahead holds an acceleration.
+/// Returns the gap at an instant of the step after a command, if the leader holds an acceleration.
 fn gap_m(frame: &ShieldParams, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, ahead_mps2: f64, t: f64) -> f64 {
     let response_mps2 = frame.response_mps2(state.response_mps2, wanted_mps2);
     let held = state.speed_mps == 0.0 && response_mps2 <= 0.0;
@@ -90,8 +89,8 @@ fn gap_m(frame: &ShieldParams, state: ShieldState, wanted_mps2: f64, noise_mps2:
 proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
-    /// At every instant of a step that is let through the gap is open, and a way out is left at its end, whatever the vehicle
-    /// ahead and noise do; and whatever is held back has one reason or the other.
+    /// After an admitted command, for any leader and any noise, the gap is open at every instant of the step, and a
+    /// collision can still be avoided at its end. A rejected command violates one of the two.
     #[test]
     fn an_action_is_let_through_exactly_if_it_leaves_a_way_out((frame, now, wanted_mps2) in any_state_and_action(),
                                                                ahead in 0.0..1.0_f64, noise in -1.0..1.0_f64) {
@@ -113,7 +112,7 @@ proptest! {
         }
     }
 
-    /// What full braking leaves of the spare gap, and of the gap inside the step, whatever the lag.
+    /// Full braking decreases neither the spare gap nor the gap inside the step, for any lag.
     #[test]
     fn full_braking_never_lessens_the_spare_gap((frame, now, _) in any_state_and_action()) {
         let mut state = now;
@@ -135,7 +134,7 @@ fn full_throttle_shield(frame: ShieldParams) -> ShieldedController {
     ShieldedController::new(AnyController::from_spec(&full_throttle, &EGO, 0), frame)
 }
 
-/// The gap from which full throttle is just let through, to a micrometre.
+/// Returns the smallest gap at which full throttle is admitted, to a micrometre.
 fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f64 {
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
@@ -148,7 +147,7 @@ fn min_admitted_gap_m(frame: ShieldParams, speed_mps: f64, ahead_mps: f64) -> f6
     high_m
 }
 
-/// 20 m/s against 15, step 0.1 s: worked out by hand with exact quotients.
+/// 20 m/s against 15, step 0.1 s: computed by hand with exact quotients.
 #[test]
 fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
     let plain = ShieldParams { step_s: 0.1, ..slow_step_params() };
@@ -156,24 +155,24 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
     let demanded_m =
         |v: f64, w: f64| ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
     let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
-    // 2.015 m against 1.475 m, and 20.3 m/s behind 14.5.
+    // 2.015 m against 1.475 m, then 20.3 m/s behind 14.5.
     near(least_m(plain), 0.54 + demanded_m(20.3, 14.5));
-    // Seen wrongly: 0.3 m less, 20.2 m/s behind 14.6.
+    // With observation errors: 0.3 m less, 20.2 m/s behind 14.6.
     let errors = ErrorBounds { gap_m: 0.3, speed_mps: 0.2, ahead_speed_mps: 0.4 };
     near(least_m(ShieldParams { errors, ..plain }), 0.3 + 0.6 + demanded_m(20.5, 14.1));
-    // Two steps at 20 m/s first, against one that brakes: 4 m against 2.9.
+    // First two steps at 20 m/s behind a leader that brakes: 4 m against 2.9.
     near(least_m(ShieldParams { delay_steps: 2, ..plain }), 1.1 + (2.015 - 1.375) + demanded_m(20.3, 13.5));
-    // Half of 3 m/s² in this step; the lag's 0.1 s at 9.5 m/s² more than full braking is still to lose.
+    // Half of 3 m/s² in this step; the lag adds 0.1 s at 9.5 m/s² more than full braking.
     near(
         least_m(ShieldParams { response_fraction: 0.5, ..plain }),
         2.0075 - 1.475 + demanded_m(20.15 + 0.1 * 9.5, 14.5),
     );
-    // Noise of 1 m/s² drives, and takes from the brake.
+    // Noise of 1 m/s² increases the acceleration and reduces the brake.
     let noisy = ViabilityKernel { own_brake_mps2: 7.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(20.4, 14.5);
     near(least_m(ShieldParams { noise_mps2: 1.0, ..plain }), 2.02 - 1.475 + noisy);
 }
 
-/// Delay and lag go on through the steps: what was decided before is on its way.
+/// The prediction includes delay, lag and pending commands.
 #[test]
 fn commands_under_way_are_counted_on() {
     let frame = ShieldParams { step_s: 0.1, delay_steps: 1, response_fraction: 0.5, ..slow_step_params() };
@@ -200,7 +199,7 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
     }
 }
 
-/// It holds 20 m/s for 0.4 s while the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m, then brakes at 6 m/s².
+/// Within the follower's 0.4 s at 20 m/s, the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m.
 #[test]
 fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
     let behind_it = RearVehicleParams { brake_mps2: 6.0, reaction_s: 0.4 };
@@ -240,7 +239,7 @@ fn overrides_in_successive_steps_are_one() {
     assert_eq!(shield.overrides(), [first, second]);
 }
 
-/// Whoever brakes fully is not overruled, but told of where nothing is promised any more; whoever answers with more than can be had is cut to that.
+/// Full braking by the controller is no override, but is recorded outside the kernel. Commands are clipped.
 #[test]
 fn only_what_is_changed_is_an_override() {
     let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };

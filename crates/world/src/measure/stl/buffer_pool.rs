@@ -1,28 +1,27 @@
-//! Arrays kept from one evaluation to the next.
+//! Buffers that evaluations reuse.
 //!
-//! A search evaluates a formula on thousands of traces of one length. Arrays asked for anew each time go back to the
-//! system at the end, which then clears their pages again: that takes as long as the monitor itself.
+//! A search evaluates a formula on thousands of traces of equal length. Freed buffers would return to the system, which
+//! clears their pages again; that costs as much as the monitor.
 
 use std::cell::RefCell;
 
-/// Arrays kept by each thread.
 const MAX_ARRAYS: usize = 8;
 
-/// Numbers in the longest array that is kept: 8 MiB.
+/// Maximum capacity of a pooled buffer: 8 MiB.
 const MAX_LENGTH: usize = 1 << 20;
 
 thread_local! {
     static SPARE: RefCell<Vec<Vec<f64>>> = const { RefCell::new(Vec::new()) };
 }
 
-/// An empty array.
+/// Returns an empty buffer.
 pub(super) fn take() -> Vec<f64> {
     let mut array = SPARE.with_borrow_mut(Vec::pop).unwrap_or_default();
     array.clear();
     array
 }
 
-/// Keeps an array that is not needed any more.
+/// Returns a buffer to the pool.
 pub(super) fn give(array: Vec<f64>) {
     SPARE.with_borrow_mut(|pool| {
         if pool.len() < MAX_ARRAYS && array.capacity() <= MAX_LENGTH {

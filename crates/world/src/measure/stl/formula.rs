@@ -1,4 +1,4 @@
-//! Formulas as data.
+//! Syntax trees of formulas.
 
 use std::fmt;
 
@@ -11,11 +11,11 @@ pub enum Formula {
     Compare(LinearPredicate),
     /// Negation.
     Not(Box<Formula>),
-    /// Both.
+    /// Conjunction.
     And(Box<Formula>, Box<Formula>),
-    /// At least one.
+    /// Disjunction.
     Or(Box<Formula>, Box<Formula>),
-    /// The second wherever the first.
+    /// Implication.
     Implies(Box<Formula>, Box<Formula>),
     /// At every sample of the window.
     Always(TimeWindow, Box<Formula>),
@@ -25,7 +25,7 @@ pub enum Formula {
     Until(Box<Formula>, TimeWindow, Box<Formula>),
 }
 
-/// How a comparison compares.
+/// Comparison operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ComparisonOp {
     /// `<`
@@ -46,33 +46,33 @@ pub struct LinearPredicate {
     bound: f64,
 }
 
-/// A window of time relative to now, in seconds: `0 <= from_s <= to_s`, and `to_s` may be infinite.
+/// A time window relative to now, in seconds: `0 <= from_s <= to_s`, and `to_s` may be infinite.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeWindow {
     from_s: f64,
     to_s: f64,
 }
 
-/// Why a part of a formula cannot be built.
+/// An error of a part of a formula.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormulaError {
-    /// Not a name that the syntax can express.
+    /// A name that the syntax cannot express.
     #[error("`{name}` is not a signal name: a letter, then letters, digits, `_` and `.`, and no keyword")]
     Name {
-        /// The name.
+        /// Name of the signal.
         name: String,
     },
-    /// Not a number, or infinite.
+    /// A number that is infinite or NaN.
     #[error("a comparison needs finite numbers, found {found}")]
     NotFinite {
-        /// The number.
+        /// Value of the number.
         found: f64,
     },
-    /// A comparison in which no signal is left.
+    /// A comparison without a signal.
     #[error("a comparison needs a signal, and here none is left")]
     NoSignal,
-    /// A window that starts before now, or ends before it starts.
+    /// A window that starts before now, or ends before its start.
     #[error("a window must have 0 <= start <= end, found [{from_s},{to_s}]")]
     Window {
         /// Start in seconds.
@@ -83,7 +83,8 @@ pub enum FormulaError {
 }
 
 impl LinearPredicate {
-    /// Compares the sum of `weight * signal` with `bound`. Terms of one signal are added up, zero weights dropped.
+    /// Creates a comparison of the sum of `weight * signal` with `bound`. Adds up terms of one signal and drops zero
+    /// weights.
     ///
     /// # Errors
     /// [`FormulaError`] if a name cannot be written in the syntax, a number is not finite or no signal is left.
@@ -112,19 +113,18 @@ impl LinearPredicate {
         Ok(Self { terms: sum, operator: relation, bound })
     }
 
-    /// The weights and names of the signals, each name once.
+    /// Returns weights and names of the signals, each name once.
     #[must_use]
     pub fn terms(&self) -> &[(f64, String)] {
         &self.terms
     }
 
-    /// How the sum is compared.
     #[must_use]
     pub(crate) fn operator(&self) -> ComparisonOp {
         self.operator
     }
 
-    /// What it is compared with.
+    /// Returns the bound.
     #[must_use]
     pub fn bound(&self) -> f64 {
         self.bound
@@ -132,13 +132,13 @@ impl LinearPredicate {
 }
 
 impl ComparisonOp {
-    /// Whether equality does not satisfy it.
+    /// Returns true if equality does not satisfy the operator.
     #[must_use]
     pub(crate) fn is_strict(self) -> bool {
         matches!(self, Self::Below | Self::Above)
     }
 
-    /// Whether larger sums satisfy it better.
+    /// Returns true if larger sums satisfy the operator better.
     #[must_use]
     pub(crate) fn is_lower_bound(self) -> bool {
         matches!(self, Self::Above | Self::AtLeast)
@@ -157,10 +157,10 @@ impl fmt::Display for ComparisonOp {
 }
 
 impl TimeWindow {
-    /// From now to the end of the trace.
+    /// Window from now to the end of the trace.
     pub const ALL: Self = Self { from_s: 0.0, to_s: f64::INFINITY };
 
-    /// The window from `from_s` to `to_s`, both included.
+    /// Creates the window from `from_s` to `to_s`, inclusive.
     ///
     /// # Errors
     /// [`FormulaError::Window`] unless `0 <= from_s <= to_s` and `from_s` is finite.
@@ -172,13 +172,13 @@ impl TimeWindow {
         }
     }
 
-    /// Start of the window in seconds from now.
+    /// Returns the start of the window in seconds from now.
     #[must_use]
     pub fn from_s(self) -> f64 {
         self.from_s
     }
 
-    /// End of the window in seconds from now, possibly infinite.
+    /// Returns the end of the window in seconds from now, possibly infinite.
     #[must_use]
     pub fn to_s(self) -> f64 {
         self.to_s
@@ -186,7 +186,7 @@ impl TimeWindow {
 }
 
 impl Formula {
-    /// How long a trace must last for no window to be clipped, in seconds; infinite if a window is.
+    /// Returns the duration of a trace on which no window is clipped, in seconds; infinite for an unbounded window.
     #[must_use]
     pub fn horizon_s(&self) -> f64 {
         match self {
@@ -200,7 +200,7 @@ impl Formula {
         }
     }
 
-    /// Returns the largest parts that no temporal operator governs. They are judged at the first sample only.
+    /// Returns the largest parts without a temporal operator, which are evaluated only at the first sample.
     #[must_use]
     pub(crate) fn first_sample_parts(&self) -> Vec<&Self> {
         if !self.has_temporal_operator() {
@@ -226,7 +226,7 @@ impl Formula {
         }
     }
 
-    /// Returns a warning if some part of the formula is judged at the first sample only: such formulas rarely say what was meant.
+    /// Returns a warning if a part of the formula is evaluated only at the first sample, which is rarely intended.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let parts: Vec<_> = self.first_sample_parts().iter().map(|part| format!("`{part}`")).collect();
@@ -239,7 +239,7 @@ impl Formula {
         })
     }
 
-    /// The names of the signals it refers to, in order of appearance, each once.
+    /// Returns the names of the signals, in order of first use.
     #[must_use]
     pub fn signal_names(&self) -> Vec<&str> {
         let mut names = Vec::new();

@@ -1,10 +1,10 @@
-//! Random formulas for the properties of the monitor and of the printer.
+//! Random formulas for property tests of monitor and printer.
 
 use proptest::prelude::*;
 
 use super::formula::{Formula, TimeWindow};
 
-/// Formulas over given comparisons and windows, at most `depth` deep and about `size` nodes large.
+/// Generates formulas over given comparisons and windows, of at most `depth` levels and about `size` nodes.
 pub(super) fn any_formula(
     comparison: impl Strategy<Value = Formula> + 'static,
     window: impl Strategy<Value = TimeWindow> + 'static,

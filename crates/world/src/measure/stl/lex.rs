@@ -1,8 +1,7 @@
-//! From text to tokens.
+//! Lexer: text to tokens.
 
 use super::parse::{FormulaParseError, SyntaxProblem};
 
-/// A word or sign of the syntax.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Token {
     Number(f64),
@@ -11,7 +10,7 @@ pub(super) enum Token {
     End,
 }
 
-/// Keywords and signs, whichever way they are written.
+/// Keywords and operators, in any spelling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Symbol {
     Not,
@@ -38,7 +37,7 @@ pub(super) enum Symbol {
 }
 
 impl Symbol {
-    /// Whether a formula may begin behind it.
+    /// Returns true if a formula may follow the symbol.
     pub(super) fn precedes_formula(self) -> bool {
         matches!(
             self,
@@ -54,7 +53,7 @@ impl Symbol {
         )
     }
 
-    /// Whether it stands at the beginning of an operand, or of a window before one.
+    /// Returns true if the symbol begins an operand, or a window before one.
     pub(super) fn begins_operand(self) -> bool {
         matches!(self, Self::Not | Self::Always | Self::Eventually | Self::Open | Self::WindowOpen)
     }
@@ -71,7 +70,7 @@ const KEYWORDS: [(&str, Symbol); 8] = [
     ("inf", Symbol::Infinity),
 ];
 
-/// Longer signs come before their prefixes.
+/// Longer operators precede their prefixes.
 const SIGNS: [(&str, Symbol); 26] = [
     ("<=", Symbol::AtMost),
     (">=", Symbol::AtLeast),
@@ -101,7 +100,6 @@ const SIGNS: [(&str, Symbol); 26] = [
     (",", Symbol::Comma),
 ];
 
-/// Whether a signal of this name can be written in a formula.
 pub(super) fn is_signal_name(text: &str) -> bool {
     let mut letters = text.chars();
     letters.next().is_some_and(is_name_start) && letters.all(is_name_continue) && find_keyword(text).is_none()
@@ -119,7 +117,7 @@ fn find_keyword(word: &str) -> Option<Symbol> {
     KEYWORDS.iter().find(|(text, _)| *text == word).map(|(_, symbol)| *symbol)
 }
 
-/// The tokens of `text`, each with its column (from 1, in characters), and [`Token::End`] last.
+/// Splits `text` into tokens, each with its column (from 1, in characters), and [`Token::End`] last.
 pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseError> {
     let mut tokens = Vec::new();
     let mut column = 1;
@@ -152,7 +150,7 @@ pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseEr
     Ok(tokens)
 }
 
-/// Length in bytes of the number at the start of `text`: digits, a point, digits, an exponent.
+/// Returns the length in bytes of the number at the start of `text`: digits, a point, digits, an exponent.
 fn number_length(text: &str) -> usize {
     let bytes = text.as_bytes();
     let digits = |from: usize| bytes.iter().skip(from).take_while(|b| b.is_ascii_digit()).count();

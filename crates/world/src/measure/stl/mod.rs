@@ -1,4 +1,4 @@
-//! Signal temporal logic (STL): formulas over named signals and how robustly a trace satisfies them.
+//! Signal temporal logic (STL): formulas over named signals, and their robustness on a trace.
 //!
 //! # Syntax
 //!
@@ -8,33 +8,32 @@
 //! (gap_m > 2 and ttc_s >= 1.5) until[0,10] speed_mps < 0.1
 //! ```
 //!
-//! A comparison is between two sums of signals and numbers, with a number times or divided by where wanted; `<`, `<=`,
-//! `>` and `>=` compare. Tightest first: comparisons; `not`, `always[a,b]`, `eventually[a,b]`; `until[a,b]` (two in a
-//! row need parentheses); `and`; `or`; `implies` (to the right). So `always x > 0 and y > 0` is `(always (x > 0)) and
-//! (y > 0)`, and is printed so. Bounds are in seconds, `inf` is allowed as the upper one, and without bounds they are `[0,inf]`. The usual
-//! signs are read too: `¬ □ ◇ ∧ ∨ → ≤ ≥`, and `!`, `&&`, `||`, `->`.
+//! A comparison (`<`, `<=`, `>`, `>=`) is between two sums of signals and numbers, with numbers as factors or divisors.
+//! By falling precedence: comparisons; `not`, `always[a,b]`, `eventually[a,b]`; `until[a,b]` (two in a row need
+//! parentheses); `and`; `or`; `implies` (right-associative). So `always x > 0 and y > 0` is `(always (x > 0)) and (y >
+//! 0)`, and is printed so. Bounds are in seconds, the upper one may be `inf`; the default is `[0,inf]`. Alternative
+//! spellings: `¬ □ ◇ ∧ ∨ → ≤ ≥`, and `!`, `&&`, `||`, `->`.
 //!
 //! # Semantics
 //!
-//! Time is discrete: sample k is at k times the step, and a window `[a,b]` at sample k holds the samples from k + a/step
-//! to k + b/step, both included. Robustness is the quantitative semantics of Donzé and Maler (Robust satisfaction of
-//! temporal logic over real-valued signals, FORMATS 2010): a comparison gives its margin, `not` the negative, `and` and
-//! `always` a minimum, `or` and `eventually` a maximum, and
+//! Time is discrete: sample k is at k times the step, and a window `[a,b]` at sample k holds the samples from k +
+//! a/step to k + b/step, inclusive. Robustness is the quantitative semantics of Donzé and Maler (Robust satisfaction of
+//! temporal logic over real-valued signals, FORMATS 2010): a comparison yields its margin, `not` the negative, `and`
+//! and `always` a minimum, `or` and `eventually` a maximum, and
 //!
 //! ```text
 //! (p until[a,b] q) at k  =  max over j in the window of  min( q at j, min of p over the samples from k to before j ).
 //! ```
 //!
-//! The value of a formula is that at the first sample. Positive robustness means satisfied and negative means violated;
-//! at exactly zero, [`Formula::is_satisfied`] tells `<` from `<=`.
+//! The value of a formula is that at the first sample. Positive robustness means satisfied, negative means violated; at
+//! 0, [`Formula::is_satisfied`] distinguishes `<` from `<=`.
 //!
 //! # The end of the trace
 //!
-//! A window is clipped to the samples there are. One that starts after the last sample is empty: `always` over it is
-//! satisfied (robustness +∞), `eventually` and `until` are not (-∞), so that `not always` is `eventually not` also there.
-//! Only the samples that a formula refers to are ever looked at, hence a trace that lasts exactly
-//! [`Formula::horizon_s`] is clipped nowhere, whatever the nesting. To refuse shorter traces, compare
-//! [`Formula::horizon_s`] with [`Signals::duration_s`].
+//! Windows are clipped to the trace. A window after the last sample is empty: `always` over it is satisfied (robustness
+//! +∞), `eventually` and `until` are not (-∞), so that `not always` equals `eventually not` there too. Samples to which
+//! the formula does not refer have no effect: a trace of duration [`Formula::horizon_s`] is not clipped at any nesting.
+//! To reject shorter traces, compare [`Formula::horizon_s`] with [`SampledSignals::duration_s`].
 
 mod buffer_pool;
 mod formula;

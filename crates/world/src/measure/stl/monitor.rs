@@ -1,41 +1,41 @@
-//! The monitor: one pass bottom-up over the formula, linear in the trace for every operator.
+//! Monitor: one bottom-up pass over the formula, linear in the trace for every operator.
 
 use super::buffer_pool;
 use super::formula::{Formula, LinearPredicate, TimeWindow};
 use super::signals::SampledSignals;
 use super::window::{Extremum, Maximum, Minimum, sliding_extremum};
 
-/// Why a formula cannot be evaluated on some signals.
+/// An error of the evaluation of a formula.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MonitorError {
-    /// A signal that is not there.
+    /// An unknown signal.
     #[error("there is no signal `{name}`; there are: {}", known.join(", "))]
     UnknownSignal {
-        /// The name.
+        /// Name in the formula.
         name: String,
-        /// The names there are.
+        /// Existing names.
         known: Vec<String>,
     },
-    /// A window that lies between two samples.
+    /// A window without a sample.
     #[error("the window [{},{}] s holds no sample at a step of {step_s} s", window.from_s(), window.to_s())]
     NoSample {
-        /// The window.
+        /// Window of the formula.
         window: TimeWindow,
         /// Time between samples, in seconds.
         step_s: f64,
     },
-    /// A sum of signals that is infinity minus infinity somewhere.
+    /// A sum of signals that is infinity minus infinity at some sample.
     #[error("`{comparison}` is undefined at {time_s} s: infinity minus infinity")]
     Undefined {
-        /// The comparison.
+        /// Text of the comparison.
         comparison: String,
-        /// The first such instant, in seconds.
+        /// Time of the first such sample, in seconds.
         time_s: f64,
     },
 }
 
-/// What a comparison contributes: its margin, or just its truth as +1 or -1.
+/// Value of a comparison: its margin, or its truth as +1 or -1.
 #[derive(Clone, Copy, PartialEq)]
 enum MonitorSemantics {
     Quantitative,
@@ -43,17 +43,18 @@ enum MonitorSemantics {
 }
 
 impl Formula {
-    /// Robustness at the first sample: positive if satisfied, negative if violated, in the units of the comparisons.
+    /// Returns the robustness at the first sample: positive if satisfied, negative if violated, in the units of the
+    /// comparisons.
     ///
-    /// Time and memory are linear in the number of samples, whatever the windows.
+    /// Time and memory are linear in the number of samples for any windows.
     ///
     /// # Errors
-    /// [`MonitorError`] for a signal that is missing, a window between samples, or a sum that is undefined.
+    /// [`MonitorError`] for an unknown signal, a window between samples, or an undefined sum.
     pub fn robustness(&self, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
         self.first_value(signals, MonitorSemantics::Quantitative)
     }
 
-    /// Robustness at every sample.
+    /// Returns the robustness at every sample.
     ///
     /// # Errors
     /// As [`Formula::robustness`].
@@ -61,7 +62,7 @@ impl Formula {
         Monitor { signals, semantics: MonitorSemantics::Quantitative }.values(self, 0, signals.samples())
     }
 
-    /// Whether the formula holds at the first sample. Agrees with the sign of the robustness wherever that is not zero.
+    /// Returns true if the formula holds at the first sample. Agrees with the sign of a non-zero robustness.
     ///
     /// # Errors
     /// As [`Formula::robustness`].
@@ -78,20 +79,20 @@ impl Formula {
 }
 
 impl TimeWindow {
-    /// First and last sample of the window, relative to now; the last one is `usize::MAX` for an infinite window.
+    /// Returns the first and last sample of the window, relative to now; the last is `usize::MAX` for an infinite
+    /// window.
     pub(super) fn sample_bounds(self, step_s: f64) -> Result<(usize, usize), MonitorError> {
-        // Bounds that are multiples of the step in decimal must be so in binary: allow a millionth of a step.
+        // A millionth of a step of tolerance: decimal multiples of the step are not multiples in binary.
         let first = (self.from_s() / step_s - 1e-6).ceil().max(0.0);
         let last = (self.to_s() / step_s + 1e-6).floor();
         if last < first {
             return Err(MonitorError::NoSample { window: self, step_s });
         }
-        // Conversion saturates.
+        // The conversion saturates.
         Ok((first as usize, last as usize))
     }
 }
 
-/// Samples that a comparison works on at a time.
 const CHUNK: usize = 1024;
 
 struct Monitor<'a> {
@@ -100,7 +101,7 @@ struct Monitor<'a> {
 }
 
 impl Monitor<'_> {
-    /// Values at the samples from `from` to before `to`, all of which exist.
+    /// Returns the values at the samples from `from` to before `to`, all of which exist.
     fn values(&self, formula: &Formula, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
         match formula {
             Formula::Compare(comparison) => self.compare(comparison, from, to),
@@ -132,7 +133,7 @@ impl Monitor<'_> {
         let bound = sign * comparison.bound();
         let mut values = buffer_pool::take();
         let mut any_undefined = false;
-        // Piece by piece, so that a piece is in the nearest cache for all terms.
+        // In chunks that stay in the L1 cache for all terms.
         for start in (0..to - from).step_by(CHUNK) {
             values.resize((start + CHUNK).min(to - from), 0.0);
             let piece = &mut values[start..];
@@ -187,15 +188,16 @@ impl Monitor<'_> {
         Ok(sliding_extremum::<E>(values, (last - first).saturating_add(1), to - from))
     }
 
-    /// The samples that windows at `from..to` refer to, none if they all start after the end of the trace.
+    /// Returns the range of samples to which windows at `from..to` refer; `None` if all start after the end of the
+    /// trace.
     fn referenced_samples(&self, first: usize, last: usize, from: usize, to: usize) -> Option<(usize, usize)> {
         let start = from.saturating_add(first);
         let end = to.saturating_add(last).min(self.signals.samples());
         (start < end).then_some((start, end))
     }
 
-    /// By the rewriting of Donzé, Ferrère and Maler (Efficient robust monitoring for STL, CAV 2013), which holds for
-    /// robustness as it does for truth:
+    /// Evaluates `until` by the rewriting of Donzé, Ferrère and Maler (Efficient robust monitoring for STL, CAV 2013),
+    /// which also holds for robustness:
     ///
     /// `p until[a,b] q  =  eventually[a,b] q  and  always[0,a) p  and  eventually[a,a] (p until q)`.
     fn until(
@@ -211,7 +213,7 @@ impl Monitor<'_> {
             return Ok(vec![Maximum::IDENTITY; to - from]);
         };
         let goal = self.values(right, start, end)?;
-        // Nothing refers to the left side at the last sample.
+        // The left side at the last sample has no effect.
         let path = self.values(left, from, end - 1)?;
         let mut result = sliding_extremum::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
         let before = if first == 0 { Vec::new() } else { sliding_extremum::<Minimum>(path.clone(), first, to - from) };
@@ -248,7 +250,7 @@ mod tests {
         ];
         let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
         let term = (weight, prop_oneof![Just("x"), Just("y")].prop_map(str::to_owned));
-        // Small whole numbers make margins of exactly zero common.
+        // Small whole numbers often yield margins of exactly zero.
         (prop::collection::vec(term, 1..3), relation, -2i32..3)
             .prop_filter_map("no signal", |(terms, relation, c)| {
                 LinearPredicate::new(terms, relation, f64::from(c)).ok()
@@ -259,7 +261,7 @@ mod tests {
     fn window() -> impl Strategy<Value = TimeWindow> {
         prop_oneof![
             Just(TimeWindow::ALL),
-            // Multiples of the step in decimal, which are not multiples in binary.
+            // Decimal multiples of the step, which are not multiples in binary.
             (0u32..12, 0u32..25)
                 .prop_map(|(a, b)| { TimeWindow::new(f64::from(a) / 10.0, f64::from(a + b) / 10.0).unwrap() }),
         ]

@@ -1,27 +1,26 @@
-//! The signals of a simulated run.
+//! Signals of a simulated run.
 
 use super::{SampledSignals, SignalsError};
 use crate::measure::approach::PairState;
 use crate::measure::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
 use crate::sim::Trace;
 
-/// What every vehicle has as a signal.
 const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
-/// What every vehicle but the leader has, towards the one ahead.
+/// Signals of every vehicle but the first, towards its leader.
 const LEAD_SIGNALS: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_gap_s", "drac_mps2"];
 
-/// The names of all signals of a run of `vehicles` vehicles: `v0.speed_mps`, `v1.gap_m` and so on.
+/// Returns the names of all signals of a run of `vehicles` vehicles: `v0.speed_mps`, `v1.gap_m` and so on.
 ///
 /// | signal of vehicle i | meaning |
 /// |---|---|
 /// | `vi.position_m`, `vi.speed_mps`, `vi.accel_mps2` | front bumper, speed, acceleration held from the sample on |
 /// | `vi.jerk_mps3` | change of that acceleration since the sample before, over the step |
-/// | `vi.gap_m`, `vi.closing_mps` | bumper gap to the vehicle ahead, own speed less its speed |
+/// | `vi.gap_m`, `vi.closing_mps` | bumper gap to the leader, own speed minus leader speed |
 /// | `vi.ttc_s` | time to collision; +∞ where the gap does not close |
 /// | `vi.headway_s`, `vi.time_gap_s` | time headway, time gap; +∞ at standstill |
 /// | `vi.drac_mps2` | deceleration rate to avoid a crash; 0 where the gap does not close, +∞ in contact |
 ///
-/// While nobody is ahead in the lane, gap and times are +∞, closing speed and deceleration 0.
+/// Without a leader in the lane, gap and times are +∞, closing speed and deceleration 0.
 #[must_use]
 pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     let of = |i: usize| {
@@ -31,7 +30,7 @@ pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     (0..vehicles).flat_map(of).collect()
 }
 
-/// Signals of a run that goes on after contact, sampled every `step_s`: those of `names` that there are.
+/// Collects those of `names` that a run has; it continues after contact and is sampled every `step_s`.
 ///
 /// # Errors
 /// [`SignalsError`] if the trace is empty.
@@ -62,7 +61,7 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
                         Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?))
                     });
                     let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
-                    // Vehicles that stick together have a gap of zero, whatever rounding says.
+                    // Vehicles that stick together have a gap of zero despite rounding.
                     let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };
                     of(gap_m, state.front_speed_mps, state.rear_speed_mps, front.length_m)
                 });
@@ -73,7 +72,7 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
     Ok(signals)
 }
 
-/// From gap, both speeds (ahead, own) and the length ahead to a quantity.
+/// Computes a quantity from gap, leader speed, own speed and leader length.
 type LeadQuantity = fn(f64, f64, f64, f64) -> f64;
 
 fn lead_quantity(quantity: &str) -> Option<LeadQuantity> {

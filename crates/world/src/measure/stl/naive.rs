@@ -1,4 +1,4 @@
-//! Robustness straight from the definition: the reference search of the monitor, and a second opinion for replays.
+//! Robustness by definition: the reference of the monitor, and an independent check for replays.
 
 use std::cell::RefCell;
 
@@ -6,10 +6,10 @@ use super::formula::{Formula, TimeWindow};
 use super::monitor::MonitorError;
 use super::signals::SampledSignals;
 
-/// Robustness at sample `at`, by recursion over the definition; every window is searched from end to end.
+/// Returns the robustness at sample `at` by recursion over the definition.
 ///
-/// Quadratic in the trace where windows are long. It shares no code with [`Formula::robustness`] but the translation of
-/// seconds to samples. A sample past the end of the trace gives NaN.
+/// Quadratic in the trace for long windows. Shares only the conversion of seconds to samples with
+/// [`Formula::robustness`]. A sample after the end of the trace yields NaN.
 ///
 /// # Errors
 /// As [`Formula::robustness`].
@@ -17,7 +17,7 @@ pub fn naive_robustness(formula: &Formula, signals: &SampledSignals<'_>, at: usi
     NaiveNode::new(formula, signals.samples()).value_at(signals, at)
 }
 
-/// A formula with the values found so far, so that no sample is evaluated twice.
+/// A formula with cached values, so that no sample is evaluated twice.
 struct NaiveNode<'a> {
     formula: &'a Formula,
     inner: Vec<NaiveNode<'a>>,
@@ -91,7 +91,7 @@ impl<'a> NaiveNode<'a> {
     }
 }
 
-/// The samples of a window at sample `k`, without those past the end.
+/// Returns the samples of a window at sample `k`, clipped to the trace.
 fn samples(
     window: TimeWindow,
     signals: &SampledSignals<'_>,

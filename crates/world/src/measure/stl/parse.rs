@@ -1,56 +1,56 @@
-//! From text to formulas, by recursive descent.
+//! Parser: text to formulas, by recursive descent.
 
 use std::str::FromStr;
 
 use super::formula::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 use super::lex::{Symbol, Token, tokenize};
 
-/// Why a text is not a formula, and where.
+/// A syntax error with its column.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("column {column}: {problem}")]
 pub struct FormulaParseError {
-    /// Where, counted in characters from 1.
+    /// Column, in characters from 1.
     pub column: usize,
-    /// What is wrong.
+    /// Problem of the text.
     pub problem: SyntaxProblem,
 }
 
-/// What can be wrong with the text of a formula.
+/// A problem of the text of a formula.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SyntaxProblem {
-    /// A character that has no meaning here.
+    /// A character without a meaning.
     #[error("`{found}` has no meaning in a formula: {OPERATORS}")]
     Character {
-        /// The character.
+        /// Character found.
         found: char,
     },
-    /// Digits that are not a finite number.
+    /// A number that is not finite.
     #[error("`{found}` is not a finite number")]
     Number {
-        /// The text.
+        /// Text of the number.
         found: String,
     },
-    /// A word where only an operator can stand.
+    /// A word in place of an operator.
     #[error("`{word}` is not an operator: {OPERATORS}")]
     UnknownOperator {
-        /// The word.
+        /// Word found.
         word: String,
     },
-    /// Something else should stand here.
+    /// An unexpected token.
     #[error("expected {expected}, found {found}")]
     Expected {
-        /// What should stand here.
+        /// Expected token.
         expected: &'static str,
-        /// What does.
+        /// Token found.
         found: String,
     },
-    /// A sum where a formula is needed.
+    /// A sum in place of a formula.
     #[error(
         "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}"
     )]
     SumNotFormula,
-    /// A formula where a sum is needed.
+    /// A formula in place of a sum.
     #[error("this is a formula, and a sum of signals is needed")]
     FormulaNotSum,
     /// A product of signals.
@@ -59,15 +59,15 @@ pub enum SyntaxProblem {
     /// Two comparisons or two untils in a row.
     #[error("two in a row are ambiguous: use `and` or parentheses")]
     Chained,
-    /// A part that cannot be built.
+    /// An invalid part.
     #[error("{0}")]
     Part(#[from] FormulaError),
-    /// Nested too deeply or too long.
+    /// A text that is nested too deeply or too long.
     #[error("more than {limit} {what}")]
     TooLong {
-        /// How many are allowed.
+        /// Limit.
         limit: usize,
-        /// Of what.
+        /// Unit of the limit.
         what: &'static str,
     },
 }
@@ -75,11 +75,11 @@ pub enum SyntaxProblem {
 /// All operators, for errors.
 const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, `until[a,b]`, `<`, `<=`, `>` and `>=`; there is no equality, use `<=` and `>=`";
 
-/// Recursion is bounded, so that no text can exhaust the stack.
+/// Maximum depth of nesting, which bounds the recursion.
 const MAX_DEPTH: usize = 64;
-/// Chains of operators make deep formulas, too.
+/// Maximum number of tokens; chains of operators make deep formulas too.
 const MAX_TOKENS: usize = 4000;
-/// A printed formula has at most two parentheses for each other token.
+/// Maximum number of parentheses: a printed formula has at most two for each other token.
 const MAX_PARENTHESES: usize = 2 * MAX_TOKENS;
 
 impl FromStr for Formula {
@@ -109,14 +109,13 @@ impl FromStr for Formula {
     }
 }
 
-/// The column, counted in characters from 1, at which a text first names a signal.
+/// Returns the column, in characters from 1, of the first use of a signal.
 #[must_use]
 pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
     let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
     tokenize(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
 }
 
-/// A part of the text that was understood, and where it starts.
 struct ParsedExpr {
     column: usize,
     kind: ExprKind,
@@ -150,7 +149,7 @@ struct Parser<'a> {
     tokens: &'a [(usize, Token)],
     next: usize,
     depth: usize,
-    /// The token behind the latest unary operator: a parenthesis there adds no depth to that of the operator.
+    /// Token after the latest unary operator: a parenthesis there adds no depth.
     operand_at: Option<usize>,
 }
 
@@ -170,7 +169,7 @@ impl Parser<'_> {
         Err(FormulaParseError { column, problem: SyntaxProblem::Expected { expected, found: token.to_string() } })
     }
 
-    /// Returns the error about a token that stands where only an operator, a parenthesis or the end can.
+    /// Returns the error for a token in place of an operator, a parenthesis or the end.
     fn fail_expected_operator<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
         let token = |index: usize| self.tokens.get(index).map(|(_, token)| token);
         let begins_operand = match self.next.checked_sub(2).and_then(token) {
@@ -178,7 +177,7 @@ impl Parser<'_> {
             Some(_) => false,
             None => true,
         };
-        // `globally x > 1` and `globally[0,5] ...` name the operator first, and `x above 1` names it second.
+        // The unknown operator comes first in `globally x > 1` and `globally[0,5] ...`, and second in `x above 1`.
         let is_before = begins_operand
             && match token(self.next) {
                 Some(Token::Symbol(symbol)) => symbol.begins_operand(),
@@ -206,7 +205,7 @@ impl Parser<'_> {
     }
 
     fn parse_implies(&mut self) -> Result<ParsedExpr, FormulaParseError> {
-        // Right-associative without recursion: collect the chain, then fold it from its end.
+        // Right-associative without recursion: folds the chain from its end.
         let mut chain = vec![self.parse_or()?];
         while self.eat(Symbol::Implies) {
             chain.push(self.parse_or()?);
@@ -273,14 +272,13 @@ impl Parser<'_> {
         Ok(ParsedExpr { column, kind: ExprKind::Formula(formula) })
     }
 
-    /// Parses the operand of a unary operator.
     fn parse_operand(&mut self) -> Result<Formula, FormulaParseError> {
         self.operand_at = Some(self.next);
         let operand = self.parse_nested(Self::parse_unary)?;
         self.finish_formula(operand)
     }
 
-    /// Returns the formula that has been parsed. A lone signal before another operand was meant as an operator.
+    /// Returns the parsed formula. A lone signal before another operand was meant as an operator.
     fn finish_formula(&self, part: ParsedExpr) -> Result<Formula, FormulaParseError> {
         let precedes_operand = match self.peek().1 {
             Token::Name(_) => true,

@@ -1,10 +1,10 @@
-//! From formulas to text that parses to the same formula.
+//! Printer: formulas to text that parses to an equal formula.
 
 use std::fmt;
 
 use super::formula::{Formula, LinearPredicate, TimeWindow};
 
-/// An operand, in parentheses whatever it is: a reader need not know which operator binds tighter.
+/// An operand in parentheses, so that readers need no precedence.
 struct Operand<'a>(&'a Formula);
 
 impl fmt::Display for Operand<'_> {
@@ -13,7 +13,7 @@ impl fmt::Display for Operand<'_> {
     }
 }
 
-/// The left operand of a chain of one operator, which needs no parentheses: `(a) and (b) and (c)`.
+/// Writes the left operand of a chain of one operator, without parentheses: `(a) and (b) and (c)`.
 fn first_operands(left: &Formula, continues_chain: bool, out: &mut fmt::Formatter<'_>) -> fmt::Result {
     if continues_chain { write!(out, "{left}") } else { write!(out, "{}", Operand(left)) }
 }
@@ -179,7 +179,7 @@ mod tests {
             "always[0,72] eventually[0,8] (a - b >= 9 implies not c < 1 and d > 2 or a > 0)".parse().unwrap();
         let signs: Formula =
             "□[0,72]◇[0,8]((a >= b + 9) → ((!c<1 ∧ 0.5*(2*d) > 1+1) ∨ 0 < a*3/3 - 0))".parse().unwrap();
-        // `0 < a` is kept as it is written, with the signal on its side of the sign.
+        // `0 < a` keeps its order, with the signal on the right.
         assert_eq!(signs.to_string().replace("-a < 0", "a > 0"), plain.to_string());
     }
 

@@ -1,8 +1,8 @@
-//! Named signals on one uniform time grid.
+//! Named signals on a uniform time grid.
 
 use std::borrow::Cow;
 
-/// Signals by name, all sampled at the same instants: sample k at `k * step_s`.
+/// Signals by name, with sample k at `k * step_s`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampledSignals<'a> {
     step_s: f64,
@@ -10,47 +10,47 @@ pub struct SampledSignals<'a> {
     entries: Vec<(Cow<'a, str>, Cow<'a, [f64]>)>,
 }
 
-/// Why signals cannot be collected.
+/// An error of signals.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SignalsError {
-    /// A time step that is no time step.
+    /// A time step that is not positive and finite.
     #[error("the time step must be positive and finite, found {found} s")]
     Step {
-        /// The step, in seconds.
+        /// Time step, in seconds.
         found: f64,
     },
-    /// No samples at all.
+    /// Signals without samples.
     #[error("signals need at least one sample")]
     Empty,
-    /// A signal of another length.
+    /// A signal with a different length.
     #[error("signal `{name}` has {found} samples, and the others have {expected}")]
     Length {
-        /// The signal.
+        /// Name of the signal.
         name: String,
-        /// Its length.
+        /// Number of its samples.
         found: usize,
-        /// The length of the others.
+        /// Number of samples of the others.
         expected: usize,
     },
-    /// A sample that is not a number. Infinities are allowed.
+    /// A sample that is NaN; infinities are allowed.
     #[error("signal `{name}`: sample {index} is not a number")]
     NotANumber {
-        /// The signal.
+        /// Name of the signal.
         name: String,
         /// Index of the first such sample.
         index: usize,
     },
-    /// A name used twice.
+    /// A duplicate name.
     #[error("there is a signal `{name}` already")]
     DuplicateName {
-        /// The name.
+        /// Name of the signal.
         name: String,
     },
 }
 
 impl<'a> SampledSignals<'a> {
-    /// No signals yet, for `samples` samples `step_s` seconds apart.
+    /// Creates an empty set of signals with `samples` samples `step_s` seconds apart.
     ///
     /// # Errors
     /// [`SignalsError`] unless the step is positive and there is at least one sample.
@@ -67,7 +67,7 @@ impl<'a> SampledSignals<'a> {
     /// Adds a signal, borrowed or owned.
     ///
     /// # Errors
-    /// [`SignalsError`] if the name is taken, the length differs or a sample is not a number.
+    /// [`SignalsError`] if the name exists, the length differs or a sample is NaN.
     pub fn insert(
         &mut self,
         name: impl Into<Cow<'a, str>>,
@@ -88,30 +88,30 @@ impl<'a> SampledSignals<'a> {
         Ok(())
     }
 
-    /// The samples of a signal.
+    /// Returns the samples of a signal.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&[f64]> {
         self.entries.iter().find(|(known, _)| known == name).map(|(_, samples)| samples.as_ref())
     }
 
-    /// The names, in the order they were added.
+    /// Returns the names, in order of insertion.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.entries.iter().map(|(name, _)| name.as_ref())
     }
 
-    /// Time between samples in seconds.
+    /// Returns the time between samples in seconds.
     #[must_use]
     pub fn step_s(&self) -> f64 {
         self.step_s
     }
 
-    /// Number of samples, at least one.
+    /// Returns the number of samples, at least one.
     #[must_use]
     pub fn samples(&self) -> usize {
         self.samples
     }
 
-    /// Time from the first to the last sample in seconds.
+    /// Returns the time from the first to the last sample in seconds.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         (self.samples - 1) as f64 * self.step_s

@@ -1,13 +1,12 @@
 //! Minimum and maximum over a sliding window, in linear time.
 //!
-//! The block method of van Herk (Pattern Recognition Letters 13, 1992) and of Gil and Werman (IEEE PAMI 15, 1993):
-//! cut the values into blocks as long as the window; any window is then the end of one block and the start of the next,
-//! and both are known from one scan backwards and one forwards. Like the queue of Lemire (Nordic Journal of Computing
-//! 13, 2006) it takes at most three comparisons a value, but without a branch that depends on the data.
+//! The block method of van Herk (Pattern Recognition Letters 13, 1992) and of Gil and Werman (IEEE PAMI 15, 1993) cuts
+//! the values into blocks of the window's length. Any window is the end of one block and the start of the next, both
+//! known from a backward and a forward scan. Like the queue of Lemire (Nordic Journal of Computing 13, 2006) it needs
+//! at most three comparisons a value, but no branch that depends on the data.
 
-/// Which of the two is sought.
 pub(super) trait Extremum: Copy {
-    /// Of no values at all.
+    /// Extremum of no values.
     const IDENTITY: f64;
     fn combine(a: f64, b: f64) -> f64;
 }
@@ -18,7 +17,7 @@ pub(super) struct Minimum;
 #[derive(Clone, Copy)]
 pub(super) struct Maximum;
 
-// Compared by hand, since `f64::min` and `f64::max` spend time on NaN, of which there is none here.
+// Plain comparison: `f64::min` and `f64::max` also handle NaN, which cannot occur here.
 impl Extremum for Minimum {
     const IDENTITY: f64 = f64::INFINITY;
     #[inline(always)]
@@ -35,8 +34,7 @@ impl Extremum for Maximum {
     }
 }
 
-/// For each of the first `outputs` positions the extremum of the `width` values from there on, fewer at the end. The result
-/// takes the values' place.
+/// Replaces each of the first `outputs` values by the extremum of `width` values from there on, fewer at the end.
 pub(super) fn sliding_extremum<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
     let windows = outputs.min(values.len());
     match (width, windows) {
@@ -65,21 +63,20 @@ fn scan_blocks<E: Extremum>(values: &mut [f64], width: usize) {
             end = E::combine(end, *slot);
             *slot = end;
         }
-        // A window that starts inside a block ends inside the next one: the window at offset o takes its first o values,
-        // which are still there.
+        // A window at offset o ends inside the next block and takes its first o values, which still exist.
         let mut start = E::IDENTITY;
         let mut slots = block.iter_mut().skip(1);
         for (&value, slot) in later.iter().zip(slots.by_ref()) {
             start = E::combine(start, value);
             *slot = E::combine(*slot, start);
         }
-        // The next block may be shorter: windows that reach past it are clipped.
+        // Windows that exceed a shorter next block are clipped.
         slots.for_each(|slot| *slot = E::combine(*slot, start));
         rest = later;
     }
 }
 
-/// The extremum of all, in lanes that do not wait for one another.
+/// Returns the extremum of all values, in independent SIMD lanes.
 fn extremum<E: Extremum>(values: &[f64]) -> f64 {
     let (groups, rest) = values.as_chunks::<16>();
     let mut lanes = [E::IDENTITY; 16];

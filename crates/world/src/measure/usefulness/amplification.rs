@@ -1,41 +1,42 @@
-//! String stability: whether a disturbance grows from vehicle to vehicle.
+//! String stability: growth of a disturbance from vehicle to vehicle.
 
 use serde::{Deserialize, Serialize};
 
 use crate::sim::Trace;
 
-/// A line drives at one speed if no vehicle is further off that of the leader than this, in m/s: 0.5.
+/// Largest deviation from the leader's speed at which vehicles count as driving at one speed, in m/s.
 pub const SETTLED_TOLERANCE_MPS: f64 = 0.5;
 
-/// A smaller deviation is noise, in m/s: 0.1.
+/// Smallest deviation that is not noise, in m/s.
 pub const MIN_DEVIATION_MPS: f64 = 0.1;
 
-/// How much of the leader's change of speed arrives further back: ratios of the largest deviations from the speed at which
-/// the line drove before.
+/// Amplification of the leader's change of speed along the line: ratios of the largest deviations from the initial
+/// speeds.
 ///
-/// A line of vehicles is string stable if disturbances do not grow along it. Of the many definitions this is the ratio of
-/// peaks: `max_t |v_i - v_i(t_0)| / max_t |v_(i-1) - v_(i-1)(t_0)|`. Above 1 a disturbance grows. One disturbance of one
-/// size refutes string stability, and does not prove it.
+/// A line of vehicles is string stable if disturbances do not grow along it. Of the many definitions this is the ratio
+/// of peaks: `max_t |v_i - v_i(t_0)| / max_t |v_(i-1) - v_(i-1)(t_0)|`. Above 1 a disturbance grows. A single
+/// disturbance can refute string stability, but not prove it.
 ///
-/// Source: Swaroop and Hedrick 1996, "String stability of interconnected systems", IEEE Transactions on Automatic Control
-/// 41, 349-357 (peaks); Ploeg, van de Wouw and Nijmeijer 2014, "Lp string stability of cascaded systems: application to
-/// vehicle platooning", IEEE Transactions on Control Systems Technology 22, 786-793 (definitions compared).
+/// Source: Swaroop and Hedrick 1996, "String stability of interconnected systems", IEEE Transactions on Automatic
+/// Control 41, 349-357 (peaks); Ploeg, van de Wouw and Nijmeijer 2014, "Lp string stability of cascaded systems:
+/// application to vehicle platooning", IEEE Transactions on Control Systems Technology 22, 786-793 (definitions
+/// compared).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SpeedAmplification {
-    /// For each vehicle but the leader, how much larger its deviation is than that of the one ahead; none where that is below
-    /// [`MIN_DEVIATION_MPS`].
+    /// Ratio of each vehicle's deviation to that of its leader, without the first vehicle; `None` if the latter is
+    /// below [`MIN_DEVIATION_MPS`].
     pub of_each: Vec<Option<f64>>,
-    /// From the leader to the last.
+    /// Ratio from the first vehicle to the last.
     pub overall: f64,
 }
 
 impl SpeedAmplification {
-    /// How a disturbance that begins at `from_s` seconds goes through the line.
+    /// Measures a disturbance that begins at `from_s` seconds.
     ///
-    /// None if the vehicles do not drive at one speed then ([`SETTLED_TOLERANCE_MPS`]): what would be measured is how they settle. None
-    /// if the leader keeps its speed, too.
+    /// `None` if the vehicles do not drive at one speed then ([`SETTLED_TOLERANCE_MPS`]), since they would still be
+    /// settling, and `None` if the leader keeps its speed.
     #[must_use]
     pub fn from_trace(trace: &Trace, from_s: f64) -> Option<Self> {
         let start = trace.time_s.iter().position(|&time_s| time_s >= from_s)?;
@@ -56,7 +57,7 @@ impl SpeedAmplification {
         Some(Self { of_each, overall: ratio(*deviations_mps.last()?, *deviations_mps.first()?)? })
     }
 
-    /// Whether the disturbance grew anywhere along the line.
+    /// Returns true if the disturbance grew at any vehicle.
     #[must_use]
     pub fn has_amplification(&self) -> bool {
         self.of_each.iter().flatten().any(|&ratio| ratio > 1.0)
@@ -68,7 +69,7 @@ mod tests {
     use super::*;
     use crate::measure::testing::{driven_track, trace};
 
-    /// After a second at 20 m/s each vehicle brakes for a second and recovers.
+    /// Creates a trace in which each vehicle brakes after a second at 20 m/s for a second and recovers.
     fn line(brakes_mps2: &[f64]) -> Trace {
         let dips = brakes_mps2.iter().enumerate().map(|(i, &brake)| {
             driven_track(4.0, -30.0 * i as f64, 20.0, &[(1.0, 0.0), (1.0, -brake), (1.0, brake)], 0.25)

@@ -1,33 +1,29 @@
-//! A vehicle's drive, step by step, until something happens to it.
+//! Steps of a vehicle until its first impact.
 
 use crate::measure::approach::PairState;
 use crate::measure::severity::impacts_of;
 use crate::sim::{Impact, TIME_TOLERANCE_S, Trace};
 
-/// One step of a drive.
 #[derive(Clone, Copy)]
 pub(super) struct DriveStep {
     pub(super) time_s: f64,
-    /// How long it lasts, in seconds.
     pub(super) duration_s: f64,
-    /// Speed at its start, in m/s.
     pub(super) speed_mps: f64,
-    /// Acceleration held over it, in m/s².
     pub(super) acceleration_mps2: f64,
-    /// How it stood to the vehicle ahead at its start; none if nobody is ahead.
+    /// State towards the leader at the start; `None` without a leader.
     pub(super) ahead: Option<PairState>,
 }
 
 impl DriveStep {
-    /// Deceleration over it, in m/s², negative where the vehicle speeds up.
+    /// Returns the deceleration over the step, in m/s², negative when the vehicle speeds up.
     pub(super) fn brake_mps2(&self) -> f64 {
         -self.acceleration_mps2
     }
 }
 
-/// The steps of vehicle `index` before its first impact; none if there is no such vehicle.
+/// Returns the steps of vehicle `index` before its first impact; `None` if there is no such vehicle.
 ///
-/// What happens from an impact on is not the doing of who drives. Tracks of unequal length count up to the shortest.
+/// From an impact on, the motion is not that of the driver. Tracks of unequal length count up to the shortest.
 pub(super) fn drive_steps<'a>(
     trace: &'a Trace,
     impacts: &[Impact],

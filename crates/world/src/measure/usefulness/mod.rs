@@ -1,7 +1,7 @@
-//! Whether a vehicle is of use in traffic: it drives on, keeps its distance, and does not brake without cause.
+//! Usability of a vehicle in traffic: progress, distance, and no unnecessary braking.
 //!
-//! Whoever stands still touches nobody ahead. A controller is judged on both sides, by its contacts where they threaten and
-//! by these measures where nothing does.
+//! A vehicle that stands still never hits its leader. Contacts evaluate a controller in critical scenarios, these
+//! measures in uncritical ones.
 
 mod amplification;
 mod drive;
@@ -21,50 +21,50 @@ use super::demand::InducedBraking;
 use super::proximity::time_gap_s;
 use crate::sim::{Impact, Trace};
 
-/// A vehicle faster than this moves, in m/s: 1. Below it a time gap says nothing, and to fall behind is no harm.
+/// Speed above which a vehicle moves, in m/s. Below it a time gap has no meaning, and a vehicle may fall behind.
 pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
-/// How a vehicle got on, before its first impact.
+/// Usability measures of a vehicle before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct UsefulnessMeasures {
-    /// Index of the vehicle, counted from the front.
+    /// Index of the vehicle, from the front.
     pub vehicle: usize,
-    /// Braking without cause.
+    /// Unnecessary braking.
     #[serde(rename = "needless")]
     pub unnecessary: UnnecessaryBraking,
-    /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] had a cause.
+    /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] was justified.
     pub hard: UnnecessaryBraking,
-    /// How it followed the vehicle ahead; none for the leader.
+    /// Measures of following the leader; `None` for the first vehicle.
     pub following: Option<FollowingMeasures>,
-    /// Root mean square of acceleration, in m/s²; none for less than two samples.
+    /// Root mean square of acceleration, in m/s²; `None` for less than two samples.
     pub rms_acceleration_mps2: Option<f64>,
-    /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; none for a drive
-    /// that is no longer.
+    /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; `None` for a
+    /// shorter drive.
     pub rms_jerk_mps3: Option<f64>,
-    /// Braking imposed on the vehicle behind, until the two touch; none for the last.
+    /// Braking induced in the follower, until their contact; `None` for the last vehicle.
     #[serde(rename = "imposed")]
     pub induced: Option<InducedBraking>,
 }
 
-/// How a vehicle followed the one ahead.
+/// Measures of following a leader.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FollowingMeasures {
-    /// Distance driven, relative to the vehicle ahead's; none if that did not move.
+    /// Distance driven, relative to that of the leader; `None` if the leader did not move.
     pub progress: Option<f64>,
-    /// Mean time gap while it moved, in seconds; none if it never did.
+    /// Mean time gap while moving, in seconds; `None` if the vehicle never moved.
     pub mean_time_gap_s: Option<f64>,
-    /// Standard deviation of the time gap while it moved, in seconds.
+    /// Standard deviation of the time gap while moving, in seconds.
     pub time_gap_deviation_s: Option<f64>,
-    /// Whether it ended at less than half the speed of the vehicle ahead while that moved.
+    /// True if the vehicle ended below half the speed of its moving leader.
     pub left_behind: bool,
 }
 
 impl UsefulnessMeasures {
-    /// How vehicle `index` got on; none if there is no such vehicle. `impacts` are those of the same run.
+    /// Computes the measures of vehicle `index`; `None` if there is no such vehicle. `impacts` are those of the run.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let steps: Vec<DriveStep> = drive_steps(trace, impacts, index)?.collect();
@@ -108,14 +108,14 @@ impl FollowingMeasures {
     }
 }
 
-/// Mean of values that each hold for a time; none for no time at all.
+/// Returns the mean of values weighted by their durations; `None` for a duration of 0.
 fn time_weighted_mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let (sum, held_s) = values.fold((0.0, 0.0), |(sum, all_s), (value, held_s)| (sum + value * held_s, all_s + held_s));
     (held_s > 0.0).then_some(sum / held_s)
 }
 
-/// Root mean square of the changes that [`peak_jerk_mps3`](super::peak_jerk_mps3) takes the largest of, as those of steps
-/// that start a window apart.
+/// Returns the root mean square of the changes of which [`peak_jerk_mps3`](super::peak_jerk_mps3) is the largest, for
+/// steps that start a window apart.
 fn rms_jerk_mps3(steps: &[DriveStep]) -> Option<f64> {
     // Times are sums of steps.
     let window_s = JERK_WINDOW_S * (1.0 - 1e-6);
@@ -157,7 +157,7 @@ mod tests {
         assert!(!following.left_behind);
         assert!(near(found.rms_acceleration_mps2, 32.0_f64.sqrt()));
         assert!(found.unnecessary.count == 1 && found.induced.is_none());
-        // Steps of 0.5 s are longer than the window, so that one of three sees the jump of 8 m/s².
+        // Steps of 0.5 s exceed the window, so that one of three contains the jump of 8 m/s².
         assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
 
         let still = UsefulnessMeasures::from_trace(
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn jerk_of_a_ramp_is_its_slope() {
-        // 3 m/s³ in stairs of 0.01 s: each differs from that a window before by 0.3 m/s².
+        // 3 m/s³ in steps of 0.01 s: the change within a window is 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
         let found =
             UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0)
@@ -185,7 +185,7 @@ mod tests {
         assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
     }
 
-    /// The reference driver never brakes without cause by its own measure, through the sensors and in an emergency too.
+    /// The reference driver never brakes unnecessarily by its own measure, even with sensors and in an emergency.
     #[test]
     fn the_reference_driver_brakes_with_cause() {
         for index in 0..20 {
@@ -198,7 +198,7 @@ mod tests {
     }
 
     proptest! {
-        /// Usefulness belongs to the motion, not to the place, survives JSON, and is there for any motion.
+        /// Measures do not depend on the position, survive JSON, and exist for any motion.
         #[test]
         fn a_shift_along_the_road_changes_nothing(
             halves in prop::collection::vec(-9..4i32, 6),

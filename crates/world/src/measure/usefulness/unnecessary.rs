@@ -1,4 +1,4 @@
-//! Braking without cause.
+//! Unnecessary braking.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,92 +10,92 @@ use crate::measure::demand::required_brake_mps2;
 use crate::measure::proximity::time_gap_s;
 use crate::sim::{Impact, Trace};
 
-/// By how much braking must exceed what had a cause to be without cause, in m/s²: 2.
+/// Deceleration beyond the justified one that makes braking unnecessary, in m/s².
 ///
-/// Ours: about what drivers brake with in everyday traffic, so that a vehicle may brake as the reference driver and as
-/// any driver would besides.
+/// Project-specific: about the braking of drivers in everyday traffic, so that a vehicle may brake as the reference
+/// driver and as any driver would besides.
 pub const UNNECESSARY_MARGIN_MPS2: f64 = 2.0;
 
-/// How long braking must last to count, in seconds: 0.2. Shorter pauses do not end it, so that whoever brakes in bursts
-/// brakes.
+/// Smallest duration of braking that counts, in seconds. Shorter pauses do not end it, so that braking in bursts
+/// counts.
 ///
-/// Ours: a change of speed of a few tenths of a metre a second is noise, to passengers and to the vehicle behind.
+/// Project-specific: a change of speed of a few tenths of a metre per second is noise to passengers and to the
+/// follower.
 pub const MIN_BRAKING_S: f64 = 0.2;
 
-/// How long a cause counts after it has gone, in seconds: 0.5.
+/// Time for which a past justification counts, in seconds.
 ///
-/// Ours: what is seen, decided and built up in the brakes late is also given up late; half a second is the longest reaction
-/// of any vehicle in the built-in spaces.
+/// Project-specific: braking that reacts with delay also ends with delay; half a second is the longest reaction time in
+/// the built-in spaces.
 pub const CAUSE_LASTS_S: f64 = 0.5;
 
-/// A vehicle at a larger time gap does not follow the one ahead, in seconds: 3, the headway below which the Highway
-/// Capacity Manual 2000 counts vehicles as following.
+/// Largest time gap of a vehicle that follows its leader, in seconds: the headway below which the Highway Capacity
+/// Manual 2000 counts vehicles as following.
 pub const MAX_FOLLOWING_TIME_GAP_S: f64 = 3.0;
 
-/// Braking below this speed does not count, in m/s: 3.
+/// Speed below which braking does not count, in m/s.
 ///
-/// Ours: who stops for good reason holds the brake to the end, and the last 3 m/s of a full stop take 0.4 s, in which the
-/// reference driver would have rolled on to a smaller gap.
+/// Project-specific: a justified stop holds the brake to the end. The last 3 m/s of full braking take 0.4 s, in which
+/// the reference driver would have rolled on to a smaller gap.
 pub const MIN_BRAKING_SPEED_MPS: f64 = 3.0;
 
-/// Braking harder than this is hard, in m/s²: 4, which drivers do not reach in everyday traffic.
+/// Deceleration above which braking is hard, in m/s²; drivers do not reach it in everyday traffic.
 pub const HARD_BRAKE_MPS2: f64 = 4.0;
 
-/// Braking that has a cause up to this asks for no hard braking, in m/s²: 3.
+/// Largest justified deceleration at which hard braking is unnecessary, in m/s².
 pub const EASY_BRAKE_MPS2: f64 = 3.0;
 
-/// Braking without cause: what a vehicle did to its passengers and to those behind that nothing ahead called for.
+/// Unnecessary braking: harder than any vehicle ahead requires, at the expense of passengers and followers.
 ///
-/// At any instant the deceleration that had a cause is the largest that, within the last [`CAUSE_LASTS_S`],
-/// - the Intelligent Driver Model demanded with its default settings, knowing the true state, its wish for another speed
-///   left aside: a (s*/s)²;
-/// - was required not to hit the vehicle ahead, should that hold its braking to standstill ([`required_brake_mps2`]);
-/// - the vehicle ahead braked with itself, within [`MAX_FOLLOWING_TIME_GAP_S`]: who brakes as the vehicle ahead does follows it,
-///   though a softer brake to a smaller gap would do;
+/// The justified deceleration at any instant is the largest one that, within the last [`CAUSE_LASTS_S`],
+/// - the Intelligent Driver Model with default settings demanded of the true state, without its free-road term: a
+///   (s*/s)²;
+/// - was required to avoid the leader if that held its braking to standstill ([`required_brake_mps2`]);
+/// - the leader applied, within [`MAX_FOLLOWING_TIME_GAP_S`]: braking like the leader counts as following it, even if
+///   softer braking to a smaller gap would suffice;
 ///
-/// and 0 with nobody ahead. The first two grow without bound as the gap closes: they excuse every brake in an emergency, and a brake
-/// on too small a gap. That a reference driver says what could be asked for is how UN Regulation 157 judges which collisions
-/// were preventable.
+/// and 0 without a leader. The first two are unbounded as the gap closes: they justify any braking in an emergency, and
+/// at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which collisions were preventable.
 ///
-/// All of it is before the vehicle's first impact, and at [`MIN_BRAKING_SPEED_MPS`] at least. Source of the model: Treiber,
-/// Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are ours.
+/// Counts only before the first impact and from [`MIN_BRAKING_SPEED_MPS`] on. Source of the model: Treiber, Hennecke
+/// and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are project-specific.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct UnnecessaryBraking {
-    /// For how long, in seconds, in all.
+    /// Total duration, in seconds.
     pub time_s: f64,
-    /// How often.
+    /// Number of brakings.
     pub count: usize,
-    /// Where braking was furthest beyond what had a cause; none if there was none.
+    /// Instant of the largest excess over the justified deceleration; `None` without unnecessary braking.
     pub hardest: Option<BrakeInstant>,
 }
 
-/// Braking without cause, at one instant.
+/// Unnecessary braking at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BrakeInstant {
-    /// When, in seconds.
+    /// Time, in seconds.
     pub time_s: f64,
     /// Deceleration, in m/s², positive.
     pub brake_mps2: f64,
-    /// Deceleration that had a cause, in m/s², never negative.
+    /// Justified deceleration, in m/s², never negative.
     #[serde(rename = "caused_mps2")]
     pub justified_mps2: f64,
 }
 
 impl UnnecessaryBraking {
-    /// Braking of vehicle `index` by more than [`NEEDLESS_MARGIN_MPS2`] beyond what had a cause; none if there is no such
-    /// vehicle.
+    /// Measures braking of vehicle `index` by more than [`UNNECESSARY_MARGIN_MPS2`] beyond the justified deceleration;
+    /// `None` if there is no such vehicle.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         drive_steps(trace, impacts, index).map(Self::from_steps)
     }
 
-    /// Braking of vehicle `index` harder than a limit, in m/s², where no more than that limit had a cause; none if there is no such
-    /// vehicle. Unlike [`UnnecessaryBraking::of`] it knows no margin: who brakes at 2.1 m/s² where 1.9 m/s² had a cause brakes harder
-    /// than 2 m/s² without cause.
+    /// Measures braking of vehicle `index` above a limit, in m/s², that was justified only up to the limit; `None` if
+    /// there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`] without a margin: 2.1 m/s² where 1.9 m/s²
+    /// was justified exceeds a limit of 2 m/s².
     #[must_use]
     pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let is_beyond = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
@@ -106,32 +106,32 @@ impl UnnecessaryBraking {
         Self::from_steps_where(steps, |brake| brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2)
     }
 
-    /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] had a cause.
+    /// Measures braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] was justified.
     pub(super) fn hard_from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
         Self::from_steps_where(steps, |brake| {
             brake.brake_mps2 > HARD_BRAKE_MPS2 && brake.justified_mps2 < EASY_BRAKE_MPS2
         })
     }
 
-    /// Whether there was none.
+    /// Returns true without unnecessary braking.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// How much harder vehicle `index` could have braked at any instant before it braked without cause, in m/s²: negative if it did, and
-    /// then by how much it braked too hard; none if there is no such vehicle, or it never drives at [`MIN_BRAKING_SPEED_MPS`].
+    /// Returns the margin to unnecessary braking of vehicle `index`, in m/s²: the smallest one before it, or the
+    /// negative excess; `None` if there is no such vehicle, or it never drives at [`MIN_BRAKING_SPEED_MPS`].
     pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
         let margin = |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
         if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {
             return Some(margin(hardest));
         }
-        // What exceeds it for less than it takes to count does not.
+        // Excess that is too short to count is clipped to 0.
         let all = brake_instants(drive_steps(trace, impacts, index)?);
         all.map(|(_, brake)| margin(brake).max(0.0)).reduce(f64::min)
     }
 
-    /// All braking of which this holds, and that lasts.
+    /// Measures all braking of sufficient duration for which the predicate holds.
     fn from_steps_where(steps: impl Iterator<Item = DriveStep>, is_needless: impl Fn(&BrakeInstant) -> bool) -> Self {
         let (mut sum, mut open) = (Self::default(), None::<OpenBraking>);
         for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_needless(brake)) {
@@ -158,7 +158,7 @@ impl UnnecessaryBraking {
     }
 }
 
-/// What is braked with at each step that is fast enough to count, beside what has a cause there.
+/// Returns actual and justified braking at each step of sufficient speed.
 fn brake_instants(steps: impl Iterator<Item = DriveStep>) -> impl Iterator<Item = (DriveStep, BrakeInstant)> {
     let reference = Idm::from(&IdmSettings::default());
     let mut largest = SlidingExtreme::new(|new, old| new >= old);
@@ -171,13 +171,13 @@ fn brake_instants(steps: impl Iterator<Item = DriveStep>) -> impl Iterator<Item 
 }
 
 impl BrakeInstant {
-    /// The one that is further beyond what had a cause; the earlier of equals.
+    /// Returns the instant with the larger excess; the earlier of equals.
     fn max_excess(self, later: Self) -> Self {
         if later.brake_mps2 - later.justified_mps2 > self.brake_mps2 - self.justified_mps2 { later } else { self }
     }
 }
 
-/// Braking that may still go on.
+/// Braking that may continue.
 struct OpenBraking {
     until_s: f64,
     lasted_s: f64,
@@ -192,8 +192,8 @@ impl OpenBraking {
     }
 }
 
-/// Deceleration that has a cause in a state, in m/s², never negative: the instantaneous part of what [`UnnecessaryBraking`] is
-/// measured against.
+/// Returns the justified deceleration of a state, in m/s², never negative: the instantaneous part of the definition of
+/// [`UnnecessaryBraking`].
 #[must_use]
 pub fn justified_brake_mps2(state: &PairState) -> f64 {
     justified_mps2(&Idm::from(&IdmSettings::default()), state)
@@ -215,14 +215,14 @@ mod tests {
     use super::*;
     use crate::measure::testing::{driven_track, impact, trace};
 
-    /// A vehicle at 20 m/s, 200 m behind one that keeps that speed, and what it does.
+    /// Creates a trace of a vehicle at 20 m/s, 200 m behind a leader of that speed.
     fn steady_leader_trace(pieces: &[(f64, f64)]) -> Trace {
         let total_s = pieces.iter().map(|(held_s, _)| held_s).sum();
         let front = driven_track(4.0, 204.0, 20.0, &[(total_s, 0.0)], 0.05);
         trace(vec![front, driven_track(4.0, 0.0, 20.0, pieces, 0.05)], 0.05)
     }
 
-    /// (2 + 1.6 * 20)² / 200² of 0.73 m/s²: what the reference driver demands at the start.
+    /// Demand of the reference driver at the start: (2 + 1.6 * 20)² / 200² of 0.73 m/s².
     const JUSTIFIED_MPS2: f64 = 0.73 * 34.0 * 34.0 / (200.0 * 200.0);
 
     #[test]
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn an_emergency_is_a_cause_and_what_follows_an_impact_is_not_braking() {
-        // Half a second behind one that brakes at 8 m/s² less would do: 20² / (2 * (10 + 25)) = 5.7 m/s².
+        // Half a second behind a leader that brakes at 8 m/s², less suffices: 20² / (2 * (10 + 25)) = 5.7 m/s².
         let front = driven_track(4.0, 14.0, 20.0, &[(3.0, -8.0)], 0.05);
         let rear = driven_track(4.0, 0.0, 20.0, &[(3.0, -7.6)], 0.05);
         assert!(UnnecessaryBraking::from_trace(&trace(vec![front, rear], 0.05), &[], 1).unwrap().is_empty());
@@ -284,8 +284,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens: who does not brake does not brake without cause; the time is within that spent beyond the
-        /// margin; and finer steps show the same, up to a coarse step at each change and brakings that just last.
+        /// A vehicle that does not brake does not brake unnecessarily. The time is within that spent beyond the margin.
+        /// Finer steps agree, up to a coarse step at each change and brakings of minimal duration.
         #[test]
         fn braking_without_cause_is_braking(
             gap_m in 20.0..90.0f64,

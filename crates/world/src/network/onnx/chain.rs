@@ -1,4 +1,4 @@
-//! From the nodes of a graph to the steps of a network.
+//! Conversion of graph nodes to network steps.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -9,7 +9,7 @@ use super::super::{
 use super::constants::{broadcast, constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows};
 use super::model::{OnnxModel, OnnxNode, OnnxTensor, TensorData, is_default_domain};
 
-/// The network of a graph that is a straight chain.
+/// Builds the network of a graph that is a straight chain.
 pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkError> {
     let OnnxModel { opset, nodes, constants, inputs, outputs } = model;
     let given: Vec<_> = inputs.into_iter().filter(|(name, _)| !constants.contains_key(name)).collect();
@@ -45,20 +45,17 @@ pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkErro
     }
 }
 
-/// The chain as far as it was followed.
 struct Chain {
     opset: i64,
     constants: HashMap<String, Rc<OnnxTensor>>,
-    /// Name of what the last node gave.
     current: String,
-    /// Its shape, a batch counted as 1.
+    /// Shape of that output, with a batch size of 1.
     shape: Vec<usize>,
-    /// Weights and biases so far.
     parameters: usize,
     steps: Vec<NetworkStep>,
 }
 
-/// Why a matrix may not fit the numbers there are: what exporters make of an axis that has no fixed length, or of a batch.
+/// Returns a likely reason for a shape mismatch: an axis without fixed length, or an exported batch.
 fn mismatch_hint(taken: usize, count: usize) -> &'static str {
     match (taken, count) {
         (2.., 1) => {
@@ -71,7 +68,6 @@ fn mismatch_hint(taken: usize, count: usize) -> &'static str {
     }
 }
 
-/// Which of two factors is the constant.
 enum Constant {
     Left(Rc<OnnxTensor>),
     Right(Rc<OnnxTensor>),
@@ -125,7 +121,7 @@ impl Chain {
             "Sigmoid" => self.push_elementwise(Elementwise::Sigmoid),
             "Clip" => self.clip(&node)?,
             "Identity" => {}
-            // Single and double precision: all is calculated in single.
+            // Single and double precision: all computations use single.
             "Cast" if matches!(integer_attribute(&node, "to"), Some(1 | 11)) => {}
             "Cast" => return Err("only casts to single and double precision are followed".to_owned()),
             "Flatten" => self.shape = vec![1, self.element_count()],
@@ -144,14 +140,12 @@ impl Chain {
         self.steps.push(NetworkStep::Elementwise(what));
     }
 
-    /// The constant at one of the node's inputs.
     fn constant(&self, node: &OnnxNode, place: usize) -> Result<Rc<OnnxTensor>, String> {
         let name = node.inputs.get(place).filter(|name| !name.is_empty()).ok_or("it lacks an input")?;
         let constant = self.constants.get(name);
         constant.cloned().ok_or_else(|| format!("its input `{name}` is no constant, so the graph is no straight chain"))
     }
 
-    /// The constant of an operator of two factors.
     fn constant_operand(&self, node: &OnnxNode) -> Result<Constant, String> {
         if node.inputs.first() == Some(&self.current) {
             self.constant(node, 1).map(Constant::Right)
@@ -160,12 +154,11 @@ impl Chain {
         }
     }
 
-    /// One number of the node's constant for each number there is, spread out as the operator does.
     fn broadcast_operand(&self, node: &OnnxNode) -> Result<Vec<f32>, String> {
         let (Constant::Left(constant) | Constant::Right(constant)) = self.constant_operand(node)?;
         let numbers = constant.floats()?;
         let mut shape = constant.shape.clone();
-        // Before opset 7 an axis said where the constant's first dimension belongs.
+        // Before opset 7, an attribute gave the axis of the constant's first dimension.
         if self.opset < 7
             && let Some(axis) = integer_attribute(node, "axis").and_then(|axis| usize::try_from(axis).ok())
         {
@@ -174,7 +167,6 @@ impl Chain {
         broadcast(numbers, &shape, &self.shape)
     }
 
-    /// Takes in a product with a matrix of so many weights, before they are copied.
     fn reserve_parameters(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
         self.parameters = self.parameters.saturating_add(weights).saturating_add(outputs);
         if self.parameters > MAX_PARAMETERS || outputs > MAX_LAYER_WIDTH {
@@ -185,7 +177,6 @@ impl Chain {
         Ok(())
     }
 
-    /// A product with rows of the present numbers.
     fn push_linear(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
         self.steps.push(NetworkStep::Linear(Linear { weights, biases }));
         self.shape = shape;
@@ -198,7 +189,7 @@ impl Chain {
         };
         let [rows, columns] = matrix_shape(&constant.shape)?;
         let taken = if transposed { columns } else { rows };
-        // The present numbers must be one row, or for a constant on the left one column.
+        // The current values must be one row, or one column for a constant on the left.
         let is_vector = match (transposed, self.shape.as_slice()) {
             (false, [.., last]) => *last == self.element_count(),
             (true, [.., before, _]) => *before == self.element_count(),
@@ -221,7 +212,7 @@ impl Chain {
         Ok(())
     }
 
-    /// α A B + β C. Before opset 7, A of four dimensions counts as a row.
+    /// Appends α A B + β C. Before opset 7, a four-dimensional A counts as a row.
     fn gemm(&mut self, node: &OnnxNode) -> Result<(), String> {
         let (alpha, beta) = (float_attribute(node, "alpha", 1.0), float_attribute(node, "beta", 1.0));
         let is_set = |name: &str| integer_attribute(node, name).is_some_and(|value| value != 0);
@@ -263,7 +254,7 @@ impl Chain {
         Ok(())
     }
 
-    /// A convolution whose kernel is as large as what it is laid over: a product with a matrix, as MATLAB writes it.
+    /// Appends a convolution whose kernel covers the whole input: a product with a matrix, as MATLAB exports it.
     fn full_convolution(&mut self, node: &OnnxNode) -> Result<(), String> {
         let constant = self.constant(node, 1)?;
         let all = |name: &str, wanted: i64| {
@@ -298,7 +289,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Adds `sign` times a constant: to the biases of a product right before, else as a step.
+    /// Adds `sign` times a constant: to the biases of the previous product, or as a step.
     fn add(&mut self, node: &OnnxNode, sign: f32) -> Result<(), String> {
         let operands: Vec<f32> = self.broadcast_operand(node)?.into_iter().map(|number| sign * number).collect();
         match self.steps.last_mut() {
@@ -320,7 +311,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Limits are attributes before opset 11, inputs since.
+    /// Appends a clip. Limits are attributes before opset 11, inputs since.
     fn clip(&mut self, node: &OnnxNode) -> Result<(), String> {
         let limit = |place: usize, name: &str, open: f32| -> Result<f32, String> {
             if self.opset < 11 {

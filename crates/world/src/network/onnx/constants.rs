@@ -1,11 +1,10 @@
-//! Constants of a graph, in the forms in which its operators take them.
+//! Constants of a graph, in the forms that its operators use.
 
 use std::borrow::Cow;
 
 use super::super::MAX_PARAMETERS;
 use super::model::{OnnxNode, OnnxTensor, TensorData};
 
-/// The constant that a node is.
 pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {
     let mut attributes = node.attributes;
     if let Some(tensor) = attributes.remove("value").and_then(|value| value.tensor) {
@@ -37,7 +36,7 @@ pub(super) fn integer_attribute(node: &OnnxNode, name: &str) -> Option<i64> {
     node.attributes.get(name).and_then(|value| value.integer)
 }
 
-/// The two dimensions of a matrix: those beyond count as 1, unless they are not.
+/// Returns the two dimensions of a matrix; multiplies all dimensions after the first.
 pub(super) fn matrix_shape(shape: &[usize]) -> Result<[usize; 2], String> {
     match shape {
         [rows, columns @ ..] if !columns.is_empty() => {
@@ -49,7 +48,7 @@ pub(super) fn matrix_shape(shape: &[usize]) -> Result<[usize; 2], String> {
     }
 }
 
-/// A matrix with one row an input.
+/// Returns a matrix with one row per input.
 pub(super) fn to_input_rows(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Cow<'_, [f32]> {
     if !transposed {
         return Cow::Borrowed(numbers);
@@ -59,7 +58,7 @@ pub(super) fn to_input_rows(numbers: &[f32], [rows, columns]: [usize; 2], transp
     )
 }
 
-/// Numbers of one shape, repeated until they have another: as NumPy broadcasts.
+/// Broadcasts numbers to another shape, as NumPy does.
 pub(super) fn broadcast(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
     let refused = || Err(format!("a constant of shape {from:?} against numbers of shape {to:?}"));
     let excess = from.len().saturating_sub(to.len());

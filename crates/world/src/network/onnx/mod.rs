@@ -1,7 +1,6 @@
-//! ONNX, from opset 6: a straight chain of the operators that small networks consist of.
+//! Reader of ONNX files, from opset 6: straight chains of the operators of small networks.
 //!
-//! A chain has one input and one answer, and each of its operators takes what the one before it gave, and constants.
-//! What else there may be in a graph is refused by the name of its operator and its node.
+//! A chain has one input and one answer. Each operator uses the output of the previous one and constants.
 
 mod chain;
 mod constants;
@@ -9,7 +8,6 @@ mod model;
 
 use super::{FeedForward, NetworkError};
 
-/// Oldest set of operators that is read.
 const MIN_OPSET: i64 = 6;
 
 /// Reads a network from the bytes of an ONNX file.

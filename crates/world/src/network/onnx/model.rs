@@ -1,4 +1,4 @@
-//! The few messages of an ONNX file that a chain needs, by the field numbers of `onnx.proto3`.
+//! Messages of an ONNX file that a chain needs, by the field numbers of `onnx.proto3`.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -6,23 +6,19 @@ use std::rc::Rc;
 use super::super::protobuf::{Message, WireValue};
 use super::super::{MAX_PARAMETERS, NetworkError};
 
-/// Most nodes of a graph, and most of anything else that it or a node has many of.
 const MAX_PARTS: usize = 1000;
 
-/// Most dimensions of a tensor.
 const MAX_DIMENSIONS: usize = 8;
 
-/// A model: its graph, and the version of the operators in it.
 pub(super) struct OnnxModel {
     pub(super) opset: i64,
     pub(super) nodes: Vec<OnnxNode>,
     pub(super) constants: HashMap<String, Rc<OnnxTensor>>,
-    /// Inputs with their shapes, a batch and whatever has no size counted as 1.
+    /// Inputs with their shapes; a batch, or a dimension without size, counts as 1.
     pub(super) inputs: Vec<(String, Option<Vec<usize>>)>,
     pub(super) outputs: Vec<String>,
 }
 
-/// A node of a graph.
 #[derive(Default)]
 pub(super) struct OnnxNode {
     pub(super) name: String,
@@ -33,7 +29,6 @@ pub(super) struct OnnxNode {
     pub(super) attributes: HashMap<String, Attribute>,
 }
 
-/// What a node is told beside its inputs.
 #[derive(Default)]
 pub(super) struct Attribute {
     pub(super) float: Option<f32>,
@@ -43,21 +38,17 @@ pub(super) struct Attribute {
     pub(super) tensor: Option<OnnxTensor>,
 }
 
-/// A constant.
 #[derive(Debug, Clone, Default)]
 pub(super) struct OnnxTensor {
     pub(super) shape: Vec<usize>,
     pub(super) data: TensorData,
 }
 
-/// What a constant holds.
 #[derive(Debug, Clone)]
 pub(super) enum TensorData {
-    /// Numbers to calculate with; those of double precision are rounded to single.
     Float(Vec<f32>),
-    /// Whole numbers, for shapes.
     Integer(Vec<i64>),
-    /// Something that is not read: why it cannot be used.
+    /// Unsupported data, with the reason.
     Unsupported(String),
 }
 
@@ -68,7 +59,6 @@ impl Default for TensorData {
 }
 
 impl OnnxTensor {
-    /// The numbers to calculate with.
     pub(super) fn floats(&self) -> Result<&[f32], String> {
         match &self.data {
             TensorData::Float(numbers) => Ok(numbers),
@@ -131,7 +121,6 @@ impl OnnxModel {
     }
 }
 
-/// The version of the ordinary operators; none for another set.
 fn parse_opset(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
     let (mut domain, mut version) = (String::new(), 0);
     let mut rest = Message(bytes);
@@ -145,7 +134,6 @@ fn parse_opset(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
     Ok(is_default_domain(&domain).then_some(version))
 }
 
-/// Whether a domain is that of the ordinary operators.
 pub(super) fn is_default_domain(domain: &str) -> bool {
     domain.is_empty() || domain == "ai.onnx"
 }
@@ -192,7 +180,6 @@ fn parse_attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
     Ok((name, attribute))
 }
 
-/// A constant and its name.
 fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
     let (mut name, mut dims, mut kind) = (String::new(), Vec::new(), 0);
     let (mut reals, mut wholes, mut raw, mut is_elsewhere) = (Vec::new(), Vec::new(), None, false);
@@ -254,14 +241,13 @@ fn unpack<'a, T>(
     Ok(all)
 }
 
-/// The name of an input or an answer, and its shape where it is said.
 fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
     let (mut name, mut shape) = (String::new(), None);
     let mut rest = Message(bytes);
     while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => name = value.text()?,
-            // Type, of a tensor, its shape.
+            // The type of a tensor, which contains its shape.
             2 => {
                 let tensor = find_field(value.bytes()?, 1)?;
                 let said = tensor.map(|tensor| find_field(tensor, 2)).transpose()?.flatten();

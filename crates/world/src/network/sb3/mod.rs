@@ -1,10 +1,10 @@
 //! Models saved by Stable-Baselines3: the actor of PPO, A2C, SAC, TD3 and DDPG with fully connected layers.
 //!
-//! What is followed is `model.predict(observation, deterministic=True)`: the mean of PPO and A2C, cut to the space of
-//! actions; of SAC the tanh of the mean, of TD3 and DDPG the answer, both stretched to the space of actions.
+//! The network equals `model.predict(observation, deterministic=True)`. For PPO and A2C that is the mean, clipped to
+//! the action space. For SAC it is the tanh of the mean, for TD3 and DDPG the answer, both scaled to the action space.
 //!
-//! A model saves nothing of the wrappers of its environment. But what it saw last, before and after `VecNormalize`, is in its
-//! file, and often tells whether there was one (`normalisation`).
+//! A model file does not contain the wrappers of its environment. Its last observation, before and after
+//! `VecNormalize`, often shows if that was used (`normalisation`).
 
 mod normalisation;
 mod saved_model;
@@ -24,10 +24,8 @@ use super::pickle::Pickle;
 use super::{Elementwise, FeedForward, NetworkError, NetworkStep};
 use weights::Weights;
 
-/// Longest description of a model, in bytes.
 const MAX_DATA_BYTES: usize = 8 << 20;
 
-/// What is needed of `data`.
 #[derive(Deserialize)]
 struct Data {
     policy_class: Value,
@@ -41,20 +39,19 @@ struct Data {
     last_obs: Value,
 }
 
-/// What a model can be saved without, and cannot be read without.
+/// Fields that a model can be saved without, but that reading requires.
 const REQUIRED_FIELDS: [&str; 3] = ["policy_class", "observation_space", "action_space"];
 
-/// The way for what is not followed.
+/// Hint appended when a model kind is not supported.
 pub(super) const PROCESS_HINT: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
 
-/// How the actor of an algorithm is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ActorKind {
-    /// PPO and A2C: the mean of the actions, cut to their space.
+    /// PPO and A2C: the mean of the actions, clipped to their space.
     OnPolicy,
     /// SAC: tanh of the mean.
     SoftActorCritic,
-    /// TD3 and DDPG: tanh is the actor's last layer.
+    /// TD3 and DDPG: tanh is the last layer of the actor.
     Deterministic,
 }
 
@@ -62,12 +59,10 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
     Err(NetworkError::Unsupported(problem.into()))
 }
 
-/// What is not followed, and the way that is left.
 fn unsupported_with_hint<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
     unsupported(format!("{what}; {PROCESS_HINT}"))
 }
 
-/// Reads the actor of a model, and what the model says of itself.
 pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
     if weights::is_legacy(bytes) {
         return Err(weights::legacy_error("it is a file of `torch.save`, not a model of Stable-Baselines3, and"));
@@ -109,7 +104,6 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
 }
 
 impl ActorKind {
-    /// By the class of the policy, and the name of that.
     fn from_policy_class(class: &Value) -> Result<(Self, &'static str), NetworkError> {
         let bytes = space::serialized_bytes(class, "policy_class")?;
         let pickle = Pickle::read(&bytes)?;
@@ -128,7 +122,7 @@ impl ActorKind {
         }
     }
 
-    /// From the observation to the answer, before it is brought into the space of actions.
+    /// Builds the steps from the observation to the answer, before it is mapped to the action space.
     fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<NetworkStep>, NetworkError> {
         let told = &data.policy_kwargs;
         let class = told.get("features_extractor_class").and_then(Value::as_str);
@@ -152,7 +146,7 @@ impl ActorKind {
             }
             Self::SoftActorCritic => {
                 hidden("actor.latent_pi")?;
-                // With state-dependent noise the mean is cut.
+                // With state-dependent noise the mean is clipped.
                 let is_cut = weights.has("actor.mu.0.weight");
                 let mean = weights.linear_layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
                 let width = mean.biases.len();
@@ -167,7 +161,7 @@ impl ActorKind {
             }
             Self::Deterministic => {
                 hidden("actor.mu")?;
-                // The last layer has tanh, whatever the others have.
+                // The last layer has tanh, for any activation of the others.
                 if steps.last().is_some_and(|step| matches!(step, NetworkStep::Elementwise(_))) {
                     steps.pop();
                 }
@@ -180,7 +174,7 @@ impl ActorKind {
         }
     }
 
-    /// From the actor's answer into the space of actions.
+    /// Builds the steps from the answer to the action space.
     fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<NetworkStep> {
         let is_told = data.policy_kwargs.get("squash_output").and_then(Value::as_bool) == Some(true);
         let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
@@ -202,7 +196,7 @@ impl ActorKind {
     }
 }
 
-/// What hidden layers do to their numbers; nothing for the identity.
+/// Returns the activation of hidden layers; `None` for the identity.
 fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, NetworkError> {
     let Some(said) = told.get("activation_fn") else {
         return Ok(Some(if actor == ActorKind::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));

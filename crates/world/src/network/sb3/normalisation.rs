@@ -1,4 +1,4 @@
-//! Whether a model saw normalised observations: what its own file tells, and what the statistics of `VecNormalize` tell.
+//! Use of `VecNormalize` in training, from the model file and from the statistics file.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -10,28 +10,26 @@ use serde_json::Value;
 use super::super::pickle::Pickle;
 use super::space;
 
-/// Longest file of statistics that is read, in bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// Most names of a folder that are looked at.
 const MAX_DIR_ENTRIES: usize = 10_000;
 
-/// What a model's file tells of `VecNormalize`.
+/// Use of `VecNormalize`, from the model file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum VecNormalizeUse {
-    /// It was trained without, or with one that changed no observation.
+    /// Trained without `VecNormalize`, or with one that changed no observation.
     None,
-    /// It was trained behind one. Whether that normalised observations or rewards alone is not in the file.
+    /// Trained with `VecNormalize`; the file does not show if it normalised observations or only rewards.
     Behind,
-    /// The file does not tell.
+    /// The file does not show it.
     Unknown,
 }
 
 impl VecNormalizeUse {
-    /// By the last observation, before and after `VecNormalize`. Algorithms that learn on policy keep the first of them for
-    /// nothing else, and leave it empty without; the others always keep one: without `VecNormalize` that of the step before.
+    /// Compares the last observation before and after `VecNormalize`. On-policy algorithms store the original one only
+    /// with `VecNormalize`. The others always store one; without `VecNormalize` it is that of the previous step.
     pub(super) fn from_observations(last: &Value, original: Option<&Value>, is_on_policy: bool) -> Self {
         let Some(original) = original else { return Self::Unknown };
         if original.is_null() {
@@ -51,32 +49,32 @@ fn observation_values(array: &Value) -> Option<Vec<f64>> {
     space::array_values(&pickle, pickle.top)
 }
 
-/// What `VecNormalize` did to observations, as its own file says.
+/// Normalisation of observations by `VecNormalize`, from the statistics file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Normalisation {
-    /// The mean of each number, which was subtracted.
+    /// Mean of each number, which was subtracted.
     pub means: Vec<f64>,
-    /// The square root of each variance plus epsilon, by which was divided.
+    /// Square root of each variance plus epsilon, the divisor.
     pub deviations: Vec<f64>,
-    /// Beyond plus and minus this it was cut.
+    /// Clipping limit.
     pub limit: f64,
 }
 
-/// What a file of statistics says.
+/// Content of a statistics file.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum VecNormalizeStats {
-    /// Rewards alone were normalised, if anything.
+    /// At most the rewards were normalised.
     RewardsOnly,
-    /// Observations were normalised so.
+    /// Observations were normalised.
     Observations(Normalisation),
-    /// It cannot be read, or has another form.
+    /// The file cannot be read, or has another form.
     Unreadable,
 }
 
 impl VecNormalizeStats {
-    /// Reads a pickle of `VecNormalize` as dead data: nothing in it is called.
+    /// Reads a pickle of `VecNormalize` without calling anything in it.
     #[must_use]
     pub fn load(path: &Path) -> Self {
         let mut bytes = Vec::new();
@@ -110,8 +108,8 @@ impl VecNormalizeStats {
         is_usable.then_some(Self::Observations(Normalisation { means, deviations, limit }))
     }
 
-    /// The file that seems to belong to a model: beside it under the names that Stable-Baselines3 and its users write
-    /// (`rl_model_vecnormalize_128_steps.pkl` for `rl_model_128_steps.zip`), or below it, where RL Zoo writes it.
+    /// Finds the statistics file of a model: beside it, under the names of Stable-Baselines3
+    /// (`rl_model_vecnormalize_128_steps.pkl` for `rl_model_128_steps.zip`), or in a subfolder of RL Zoo.
     #[must_use]
     pub fn find_for_model(model: &Path) -> Option<PathBuf> {
         let folder = match model.parent() {
@@ -120,7 +118,7 @@ impl VecNormalizeStats {
         };
         let (mut found, folders) = list_statistics(folder);
         if found.is_empty() {
-            // RL Zoo makes a folder that is called like the model, and keeps the settings of the training in it.
+            // RL Zoo creates a folder with the name of the model, or one with the training settings.
             let own = model.with_extension("");
             let is_of_training = |below: &PathBuf| *below == own || below.join("config.yml").is_file();
             let mut below: Vec<PathBuf> = folders.into_iter().filter(is_of_training).collect();
@@ -140,13 +138,13 @@ fn file_name(path: &Path) -> Option<String> {
     path.file_name().and_then(|name| name.to_str()).map(str::to_owned)
 }
 
-/// `PREFIX_vecnormalize_N_steps.pkl` for `PREFIX_N_steps`, as `CheckpointCallback` calls them.
+/// Returns `PREFIX_vecnormalize_N_steps.pkl` for `PREFIX_N_steps`, as `CheckpointCallback` names them.
 fn checkpoint_stats_name(stem: &str) -> Option<String> {
     let (prefix, count) = stem.strip_suffix("_steps")?.rsplit_once('_')?;
     Some(format!("{prefix}_vecnormalize_{count}_steps.pkl"))
 }
 
-/// Statistics in a folder in the order of their names, and the folders in it.
+/// Lists the statistics files of a folder in order of their names, and its subfolders.
 fn list_statistics(folder: &Path) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let (mut found, mut folders) = (Vec::new(), Vec::new());
     for entry in fs::read_dir(folder).into_iter().flatten().take(MAX_DIR_ENTRIES).flatten() {

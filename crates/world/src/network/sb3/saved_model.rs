@@ -1,4 +1,4 @@
-//! What a model says of itself beside its weights.
+//! Metadata of a model.
 
 use serde_json::Value;
 
@@ -7,29 +7,27 @@ use super::super::error::sanitized;
 use super::normalisation::VecNormalizeUse;
 use super::space::BoxSpace;
 
-/// What a model of Stable-Baselines3 says of itself beside its weights.
+/// Metadata of a Stable-Baselines3 model.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct SavedModel {
-    /// The algorithm, as far as the file tells it: `PPO`.
+    /// Algorithm, as far as the file shows it: `PPO`.
     pub algorithm: &'static str,
-    /// The version of Stable-Baselines3 that wrote it, if it says so.
+    /// Version of Stable-Baselines3 that wrote the file, if stated.
     pub version: Option<String>,
-    /// What it was trained to see.
+    /// Observation space of the training.
     pub observation_space: BoxSpace,
-    /// What it was trained to answer with.
+    /// Action space of the training.
     pub action_space: BoxSpace,
-    /// What is known of `VecNormalize`.
+    /// Use of `VecNormalize`.
     pub vec_normalize: VecNormalizeUse,
 }
 
-/// The version that wrote an archive.
 pub(super) fn sb3_version(archive: &Archive<'_>) -> Option<String> {
     let text = archive.member("_stable_baselines3_version").ok()?;
     std::str::from_utf8(text).ok().map(|text| sanitized(text.trim())).filter(|text| !text.is_empty())
 }
 
-/// The algorithm, by the settings that only it has.
 pub(super) fn algorithm(class: &str, settings: &serde_json::Map<String, Value>) -> &'static str {
     let has = |name: &str| settings.contains_key(name);
     match class {

@@ -1,4 +1,4 @@
-//! Spaces of observations and actions, from the pickle in which a model keeps them.
+//! Observation and action spaces, from the pickle in a model.
 
 use serde_json::Value;
 
@@ -6,18 +6,18 @@ use super::super::NetworkError;
 use super::super::error::sanitized;
 use super::super::pickle::{Object, Pickle, ValueId};
 
-/// A space of observations or actions: a box of numbers.
+/// A box space of observations or actions.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct BoxSpace {
-    /// The least of each number; minus infinity where there is none.
+    /// Minimum of each number; minus infinity if unbounded.
     pub low: Vec<f32>,
-    /// The largest of each number; infinity where there is none.
+    /// Maximum of each number; infinity if unbounded.
     pub high: Vec<f32>,
 }
 
 impl BoxSpace {
-    /// Between which bounds a number lies.
+    /// Returns the bounds of a number.
     #[must_use]
     pub fn bounds(&self, index: usize) -> Option<(f64, f64)> {
         Some((f64::from(*self.low.get(index)?), f64::from(*self.high.get(index)?)))
@@ -28,14 +28,14 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
     Err(NetworkError::Unsupported(problem.into()))
 }
 
-/// The pickle of a member of `data`.
+/// Returns the pickle of a member of `data`.
 pub(super) fn serialized_bytes(value: &Value, field: &str) -> Result<Vec<u8>, NetworkError> {
     let text = value.get(":serialized:").and_then(Value::as_str);
     let bytes = text.and_then(decode_base64);
     bytes.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} holds no serialized object")))
 }
 
-/// The space in a member of `data`, which must be a box.
+/// Reads the space in a member of `data`, which must be a box.
 pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
     let bytes = serialized_bytes(value, field)?;
     let pickle = Pickle::read(&bytes)?;
@@ -63,17 +63,17 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
     Ok(BoxSpace { low, high })
 }
 
-/// The numbers of a NumPy array, in either of the forms in which it is pickled.
+/// Returns the numbers of a NumPy array, in either of its pickled forms.
 pub(super) fn array_values(pickle: &Pickle<'_>, id: ValueId) -> Option<Vec<f64>> {
     let call = pickle.call(id)?;
     let (_, name) = pickle.global(call.callee)?;
     let (bytes, kind) = match name {
-        // bytes, type, shape, order
+        // Arguments: bytes, type, shape, order.
         "_frombuffer" => {
             let [bytes, kind, ..] = pickle.tuple(call.arguments)? else { return None };
             (*bytes, *kind)
         }
-        // version, shape, type, order, bytes
+        // State: version, shape, type, order, bytes.
         "_reconstruct" => {
             let [_, _, kind, _, bytes] = pickle.tuple(call.state?)? else { return None };
             (*bytes, *kind)
@@ -95,13 +95,12 @@ pub(super) fn array_values(pickle: &Pickle<'_>, id: ValueId) -> Option<Vec<f64>>
     }
 }
 
-/// Whether a type's numbers begin with their lowest byte.
 fn is_little_endian(pickle: &Pickle<'_>, state: Option<ValueId>) -> bool {
     let order = state.and_then(|state| pickle.tuple(state)).and_then(|state| state.get(1).copied());
     order.and_then(|order| pickle.text(order)) == Some("<")
 }
 
-/// Bytes written in the 64 letters of RFC 4648, section 4.
+/// Decodes Base64 (RFC 4648, section 4).
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
     let (mut bits, mut count) = (0_u32, 0);

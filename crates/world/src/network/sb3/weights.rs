@@ -1,4 +1,4 @@
-//! The tensors of a policy: PyTorch's archive of a pickle, and of a member for each storage.
+//! Tensors of a policy, from PyTorch's archive with a pickle and one member per storage.
 
 use std::cell::Cell;
 
@@ -6,19 +6,15 @@ use super::super::archive::Archive;
 use super::super::pickle::{Object, Pickle, ValueId};
 use super::super::{Linear, MAX_PARAMETERS, NetworkError};
 
-/// Deepest sequence of layers that is followed.
 const MAX_LAYERS: usize = 64;
 
-/// The tensors of a policy by name.
 pub(super) struct Weights<'a> {
     archive: Archive<'a>,
     folder: String,
     pickle: Pickle<'a>,
-    /// Numbers that were taken out.
     parameter_count: Cell<usize>,
 }
 
-/// A tensor as the pickle describes it.
 struct TensorLayout<'p> {
     storage: &'p [ValueId],
     offset: usize,
@@ -30,15 +26,13 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
     NetworkError::damaged("member `policy.pth`", problem)
 }
 
-/// Returns whether a file is in the format that `torch.save` wrote before PyTorch 1.6: pickles one after the other, of which the
-/// first is PyTorch's magic number 0x1950a86a20f9469cfc6c.
+/// True for files of PyTorch before 1.6: pickles, the first of which is the number 0x1950a86a20f9469cfc6c.
 pub(super) fn is_legacy(bytes: &[u8]) -> bool {
-    /// Operation of a long whole number, its length and its bytes, behind the protocol and perhaps a frame.
+    /// Opcode of a long integer, its length and its bytes; protocol and perhaps a frame precede it.
     const MAGIC: [u8; 12] = *b"\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19";
     bytes.first() == Some(&0x80) && bytes.get(..32).unwrap_or(bytes).windows(MAGIC.len()).any(|window| window == MAGIC)
 }
 
-/// Returns the error for a file of PyTorch's old format.
 pub(super) fn legacy_error(what: &str) -> NetworkError {
     NetworkError::Unsupported(format!(
         "{what} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 and PyTorch 1.6 \
@@ -68,13 +62,13 @@ impl<'a> Weights<'a> {
         self.pickle.entry(self.pickle.top, name).is_some()
     }
 
-    /// Whether some tensor belongs to a part of that name.
+    /// True if a tensor name contains `part`.
     pub(super) fn has_part(&self, part: &str) -> bool {
         let names = self.pickle.entries(self.pickle.top).unwrap_or_default().iter();
         names.filter_map(|(name, _)| self.pickle.text(*name)).any(|name| name.contains(part))
     }
 
-    /// The layers of a sequence, with one activation after each: `NAME.0`, `NAME.2`, and so on.
+    /// Returns the layers of a sequence, with one activation after each: `NAME.0`, `NAME.2`, and so on.
     pub(super) fn sequential_layers(&self, name: &str) -> Result<Vec<Linear>, NetworkError> {
         let mut layers = Vec::new();
         while layers.len() < MAX_LAYERS && self.has(&format!("{name}.{}.weight", 2 * layers.len())) {
@@ -93,7 +87,6 @@ impl<'a> Weights<'a> {
         }
     }
 
-    /// A fully connected layer.
     pub(super) fn linear_layer(&self, name: &str) -> Result<Linear, NetworkError> {
         let (shape, by_output) = self.tensor(&format!("{name}.weight"))?;
         let (bias_shape, biases) = self.tensor(&format!("{name}.bias"))?;
@@ -107,7 +100,7 @@ impl<'a> Weights<'a> {
         Ok(Linear { weights, biases })
     }
 
-    /// A tensor's shape, and its numbers in the order of its dimensions.
+    /// Returns a tensor's shape, and its numbers in row-major order.
     fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), NetworkError> {
         let missing = || damaged(format!("it has no tensor `{name}`"));
         let id = self.pickle.entry(self.pickle.top, name).ok_or_else(missing)?;
@@ -139,7 +132,7 @@ impl<'a> Weights<'a> {
         Ok((tensor.shape, numbers))
     }
 
-    /// What a call of PyTorch's function for tensors says: storage, offset, shape and strides.
+    /// Parses a call of PyTorch's tensor function: storage, offset, shape and strides.
     fn tensor_layout(&self, id: ValueId) -> Option<TensorLayout<'_>> {
         let call = self.pickle.call(id)?;
         if self.pickle.global(call.callee)? != ("torch._utils", "_rebuild_tensor_v2") {
@@ -156,7 +149,6 @@ impl<'a> Weights<'a> {
 }
 
 impl TensorLayout<'_> {
-    /// Where number `index` lies in the storage.
     fn storage_index(&self, mut index: usize) -> Option<usize> {
         let mut place = self.offset;
         for (&size, &stride) in self.shape.iter().zip(&self.strides).rev() {

@@ -1,17 +1,14 @@
-//! What makes a map invalid.
+//! Validation of maps.
 
 use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec, TracksSpec};
 
-/// The version of the map format that this release reads.
 const MAP_VERSION: u32 = 1;
-/// Longest text of a map, in letters.
 const MAX_TEXT_LENGTH: usize = 200;
-/// Most lines before the names of columns.
 const MAX_LINES_BEFORE_NAMES: usize = 1000;
-/// Longest hole that may be filled by a straight line, in seconds.
+/// Longest hole that may be interpolated, in seconds.
 const MAX_INTERPOLATION_S: f64 = 2.0;
 
-/// The first field that is wrong, and what is.
+/// Returns the first invalid field and its problem as the error.
 pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     let wrong = |field: &str, problem: String| Err((field.to_owned(), problem));
     if spec.version != MAP_VERSION {
@@ -48,7 +45,6 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 }
 
 impl RecordingMapSpec {
-    /// The columns that it names, each with its field.
     fn columns(&self) -> Vec<(String, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
@@ -132,7 +128,7 @@ fn check_tracks(spec: &TracksSpec) -> Result<(), (String, String)> {
     }
 }
 
-/// A length there is if and only if it is needed.
+/// Requires a length exactly where spacings are from front to front.
 fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<(), (String, String)> {
     let field = format!("{layout}.length_m");
     match (from, length_m) {

@@ -1,4 +1,4 @@
-//! Maps: what the columns of a recording mean, as a file.
+//! Maps: files that state the meaning of the columns of a recording.
 
 mod check;
 mod units;
@@ -14,10 +14,9 @@ pub use units::{LengthUnit, SpeedUnit, TimeUnit};
 
 use check::check;
 
-/// Most bytes of a map.
 const MAX_MAP_BYTES: u64 = 64 << 10;
 
-/// What the columns of a recording mean, as a file states it.
+/// Content of a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a map: a table of fields")]
@@ -27,24 +26,24 @@ pub struct RecordingMapSpec {
     pub version: u32,
     /// First part of the names of imported scenarios: 1 to 40 lower-case letters, digits and hyphens.
     pub name: String,
-    /// Lines, blank ones not counted, before the one that names the columns. Default 0.
+    /// Number of lines, without blank ones, before the column names. Default 0.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1000)))]
     pub lines_before_names: usize,
-    /// What stands between columns. Default: a comma.
+    /// Separator of columns. Default: comma.
     #[serde(default)]
     pub delimiter: Delimiter,
-    /// When each row was recorded.
+    /// Time of each row.
     pub time: TimeSpec,
-    /// Values missing for at most this long are filled by a straight line, in seconds. Default 0: none are.
+    /// Longest hole that is interpolated linearly, in seconds. Default 0: none.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 2.0)))]
     pub interpolate_s: f64,
-    /// What a row holds.
+    /// Content of a row.
     pub layout: LayoutSpec,
 }
 
-/// What stands between columns.
+/// A separator of columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -54,18 +53,18 @@ pub enum Delimiter {
     Comma,
     /// `;`
     Semicolon,
-    /// A tab.
+    /// Tab.
     Tab,
 }
 
-/// When a row was recorded.
+/// Time of a row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeSpec {
     /// A column of times.
     Clock(ClockSpec),
-    /// A column of numbers of frames.
+    /// A column of frame numbers.
     Frames(FramesSpec),
 }
 
@@ -76,68 +75,68 @@ pub enum TimeSpec {
 pub struct ClockSpec {
     /// Name of the column.
     pub column: String,
-    /// Default: seconds.
+    /// Unit. Default: seconds.
     #[serde(default)]
     pub unit: TimeUnit,
 }
 
-/// A column of numbers of frames.
+/// A column of frame numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FramesSpec {
     /// Name of the column.
     pub column: String,
-    /// Frames a second.
+    /// Frames per second.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.5, max = 1000.0)))]
     pub rate_hz: f64,
 }
 
-/// What a row holds.
+/// Content of a row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LayoutSpec {
-    /// One instant of a line of vehicles, in columns that are numbered front to rear.
+    /// State of a line of vehicles, in columns numbered front to rear.
     Platoon(PlatoonSpec),
-    /// One instant of one vehicle that follows another.
+    /// State of one follower and its leader.
     Pairs(PairsSpec),
-    /// One instant of one vehicle among many.
+    /// State of one vehicle among many.
     Tracks(TracksSpec),
 }
 
-/// One instant of a line of vehicles.
+/// Columns of a line of vehicles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PlatoonSpec {
     /// Columns of speeds; `{}` in the name stands for the vehicle's number, from 1.
     pub speed: SpeedSpec,
-    /// Columns of spacings, numbered after the vehicle ahead.
+    /// Columns of spacings, with the number of the vehicle ahead.
     pub spacing: SpacingSpec,
-    /// Length of the vehicles in metres, needed where spacings are from front to front.
+    /// Length of the vehicles in metres, required for spacings from front to front.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 100.0)))]
     pub length_m: Option<f64>,
-    /// First field of the line before the columns' names that names the vehicles, front to rear.
+    /// First field of the line before the column names that lists the vehicles, front to rear.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub names_line: Option<String>,
-    /// First field of the line before the columns' names that says how many vehicles there were.
+    /// First field of the line before the column names that states the number of vehicles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count_line: Option<String>,
 }
 
-/// One instant of one vehicle that follows another. Two of the three speeds are needed.
+/// Columns of a follower and its leader. Two of the three speeds are required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PairsSpec {
-    /// Column of what tells events apart, rows of which stand together; without it, the file is one.
+    /// Column of the event, whose rows are consecutive. Default: the file is one event.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event: Option<String>,
     /// Column of spacings.
     pub spacing: SpacingSpec,
-    /// Length of the vehicle ahead in metres, needed where spacings are from front to front.
+    /// Length of the leader in metres, required for spacings from front to front.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 100.0)))]
     pub length_m: Option<f64>,
@@ -152,21 +151,21 @@ pub struct PairsSpec {
     pub relative_speed: Option<RelativeSpeedSpec>,
 }
 
-/// One instant of one vehicle among many, as in highD and NGSIM.
+/// Columns of one vehicle among many, as in highD and NGSIM.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TracksSpec {
-    /// Column of the vehicle's number, whole, from 0.
+    /// Column of vehicle numbers: whole, from 0.
     pub vehicle: String,
-    /// Column of the lane; without it, all drive in one.
+    /// Column of lanes. Default: a single lane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lane: Option<String>,
-    /// Column of positions along the road. Which way a vehicle drives shows in how its own change.
+    /// Column of positions along the road. Their change gives the direction of driving.
     pub position: PositionSpec,
     /// Column of speeds along the road; the sign does not matter.
     pub speed: SpeedSpec,
-    /// The length of vehicles.
+    /// Length of the vehicles.
     pub length: LengthSpec,
 }
 
@@ -177,22 +176,22 @@ pub struct TracksSpec {
 pub struct SpeedSpec {
     /// Name of the column.
     pub column: String,
-    /// Default: m/s.
+    /// Unit. Default: m/s.
     #[serde(default)]
     pub unit: SpeedUnit,
 }
 
-/// A column of differences of speeds.
+/// A column of speed differences.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RelativeSpeedSpec {
     /// Name of the column.
     pub column: String,
-    /// Default: m/s.
+    /// Unit. Default: m/s.
     #[serde(default)]
     pub unit: SpeedUnit,
-    /// Which is taken from which. Default: leader minus follower, negative when they close in.
+    /// Sign of the difference. Default: leader minus follower, negative when the gap closes.
     #[serde(default)]
     pub sign: Sign,
 }
@@ -204,10 +203,10 @@ pub struct RelativeSpeedSpec {
 pub struct SpacingSpec {
     /// Name of the column.
     pub column: String,
-    /// Default: metres.
+    /// Unit. Default: metres.
     #[serde(default)]
     pub unit: LengthUnit,
-    /// From where to where. Default: bumper to bumper.
+    /// Reference points. Default: bumper to bumper.
     #[serde(default)]
     pub from: Spacing,
 }
@@ -219,21 +218,21 @@ pub struct SpacingSpec {
 pub struct PositionSpec {
     /// Name of the column.
     pub column: String,
-    /// Default: metres.
+    /// Unit. Default: metres.
     #[serde(default)]
     pub unit: LengthUnit,
-    /// What of the vehicle is there.
+    /// Reference point of the vehicle.
     pub of: ReferencePoint,
 }
 
-/// The length of vehicles.
+/// Length of vehicles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LengthSpec {
     /// A column of lengths.
     Column(LengthColumnSpec),
-    /// All are as long, in metres.
+    /// One length of all vehicles, in metres.
     Metres(f64),
 }
 
@@ -244,51 +243,51 @@ pub enum LengthSpec {
 pub struct LengthColumnSpec {
     /// Name of the column.
     pub name: String,
-    /// Default: metres.
+    /// Unit. Default: metres.
     #[serde(default)]
     pub unit: LengthUnit,
 }
 
-/// Which speed is taken from which.
+/// Sign of a speed difference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Sign {
-    /// Negative when they close in.
+    /// Negative when the gap closes.
     #[default]
     LeaderMinusFollower,
-    /// Positive when they close in.
+    /// Positive when the gap closes.
     FollowerMinusLeader,
 }
 
-/// From where to where a spacing is.
+/// Reference points of a spacing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Spacing {
-    /// From the rear bumper ahead to the own front bumper.
+    /// From the leader's rear bumper to the own front bumper.
     #[default]
     BumperToBumper,
-    /// From front bumper to front bumper, the length of the vehicle ahead included.
+    /// From front bumper to front bumper, which includes the length of the leader.
     FrontToFront,
 }
 
-/// A point of a vehicle.
+/// A reference point of a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ReferencePoint {
-    /// The front bumper.
+    /// Front bumper.
     Front,
-    /// Half-way between the bumpers.
+    /// Midpoint between the bumpers.
     Centre,
-    /// The rear bumper.
+    /// Rear bumper.
     Rear,
-    /// Whichever bumper has the smaller position, as in highD: the rear one, or the front one of who drives the other way.
+    /// Bumper with the smaller position, as in highD: the front one of vehicles that drive towards smaller positions.
     LowEnd,
 }
 
-/// A map that was found valid.
+/// A valid map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingMap {
     spec: RecordingMapSpec,
@@ -298,7 +297,7 @@ impl RecordingMap {
     /// Reads a map.
     ///
     /// # Errors
-    /// [`FileError`] for a file that cannot be read, has more than 64 KiB, or is no valid map, with line and field.
+    /// [`FileError`] for a file that cannot be read, has more than 64 KiB, or is invalid, with line and field.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         Self::from_toml(&read_at_most(path, MAX_MAP_BYTES)?, path)
     }
@@ -306,31 +305,29 @@ impl RecordingMap {
     /// Reads a map from TOML text; `path` only names it in errors.
     ///
     /// # Errors
-    /// [`FileError`] for text that is no valid map.
+    /// [`FileError`] for text that is not a valid map.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
         let spec: RecordingMapSpec = parse_toml(text, path)?;
         check(&spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))?;
         Ok(Self { spec })
     }
 
-    /// What it says.
+    /// Returns the content of the map.
     #[must_use]
     pub fn spec(&self) -> &RecordingMapSpec {
         &self.spec
     }
 
-    /// The map of OpenACC files.
     pub(super) fn openacc() -> Result<Self, RecordingError> {
         parse_built_in(OPENACC)
     }
 
-    /// The map of car-following events.
     pub(super) fn car_following() -> Result<Self, RecordingError> {
         parse_built_in(CAR_FOLLOWING)
     }
 }
 
-/// Name and text of every map that is built in.
+/// Name and text of every built-in map.
 pub const BUILT_IN_MAPS: [(&str, &str); 2] = [("openacc", OPENACC), ("car-following", CAR_FOLLOWING)];
 
 const OPENACC: &str = include_str!("../built_in/openacc.toml");
@@ -340,7 +337,7 @@ fn parse_built_in(text: &str) -> Result<RecordingMap, RecordingError> {
     RecordingMap::from_toml(text, Path::new("built in")).map_err(|error| RecordingError::Map(Box::new(error)))
 }
 
-/// The JSON Schema of maps.
+/// Returns the JSON Schema of maps.
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {

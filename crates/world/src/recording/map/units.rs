@@ -12,7 +12,7 @@ macro_rules! units {
         }
 
         impl $name {
-            /// How many of the metric unit one is.
+            /// Returns the size of the unit in metric units.
             pub(in crate::recording) fn factor(self) -> f64 {
                 match self {
                     $(Self::$unit => $factor,)*
@@ -38,14 +38,14 @@ units! {
 units! {
     /// Units of speed.
     SpeedUnit {
-        /// Metres a second.
+        /// Metres per second.
         #[default]
         MetresPerSecond = "m/s": 1.0;
-        /// Kilometres an hour.
+        /// Kilometres per hour.
         KilometresPerHour = "km/h": 1.0 / 3.6;
-        /// Feet a second.
+        /// Feet per second.
         FeetPerSecond = "ft/s": 0.3048;
-        /// Miles an hour.
+        /// Miles per hour.
         MilesPerHour = "mph": 0.447_04;
     }
 }

@@ -1,4 +1,4 @@
-//! The built-in spaces.
+//! Built-in spaces.
 
 use std::path::Path;
 
@@ -26,25 +26,25 @@ const ALONE: &str = include_str!("built_in/alone.toml");
 const ASSISTED: &str = include_str!("built_in/assisted.toml");
 const STEADY: &str = include_str!("built_in/steady.toml");
 
-/// Why there is no space of a name.
+/// An error of a space name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FindSpaceError {
-    /// It is the name of no built-in one, and no file's.
+    /// Neither a built-in space nor a file.
     #[error("`{name}` is neither a built-in space ({}) nor a file", BUILT_IN_SPACES.map(|(known, ..)| known).join(", "))]
     Name {
         /// The name.
         name: String,
     },
-    /// The file is no space.
+    /// An invalid file.
     #[error(transparent)]
     File(#[from] FileError),
 }
 
-/// A built-in space, or the one in a file, whose name has an extension.
+/// Returns the built-in space `name`, or loads the file `name`, which needs an extension.
 ///
 /// # Errors
-/// [`FindSpaceError`] if there is none.
+/// [`FindSpaceError`] if there is no such space.
 pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     match built_in_space(name) {
         Some(space) => Ok(space),
@@ -53,7 +53,7 @@ pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     }
 }
 
-/// The built-in space of that name.
+/// Returns the built-in space `name`.
 #[must_use]
 pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
     let (_, _, text) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name)?;

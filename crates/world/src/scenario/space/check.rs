@@ -1,4 +1,4 @@
-//! From a space file's data to a space: every mistake is found here, so that every point of the space is a scenario.
+//! Validation of space files: a valid space holds only valid scenarios.
 
 use std::path::Path;
 
@@ -14,25 +14,24 @@ use crate::scenario::{
     format_compact,
 };
 
-/// What makes a space unusable: where it is and what is wrong with it.
+/// An invalid field of a space, with its path and its problem.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: {problem}")]
 pub struct InvalidSpace {
     /// Path of the field in the file, such as `parameters[1].distribution`.
     pub field: String,
-    /// What is wrong.
+    /// Problem of the field.
     pub problem: String,
-    /// Refusal to start a program that the base scenario names, if that is what is wrong.
+    /// Refusal to start a program of the base scenario, if that is the problem.
     pub start_refused: Option<StartRefusal>,
 }
 
 impl InvalidSpace {
-    /// Names a field and what is wrong with it.
+    /// Creates an error from a field and its problem.
     pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
         Self { field: field.into(), problem: problem.into(), start_refused: None }
     }
 
-    /// Names the field of a base scenario that is invalid.
     fn from_base(field: String, problem: FieldProblem) -> Self {
         let words = problem.to_string();
         let start_refused = if let FieldProblem::StartRefused(refused) = problem { Some(refused) } else { None };
@@ -40,10 +39,10 @@ impl InvalidSpace {
     }
 }
 
-/// Columns of an evaluation log before those of the coordinates. No parameter may have such a name.
+/// Columns of an evaluation log before the coordinates. Parameters may not have these names.
 pub const KEY_COLUMNS: [&str; 2] = ["method", "evaluation"];
 
-/// Columns of an evaluation log after those of the coordinates. No parameter may have such a name.
+/// Columns of an evaluation log after the coordinates. Parameters may not have these names.
 pub const RESULT_COLUMNS: [&str; 8] = [
     "ln_likelihood",
     "robustness",
@@ -57,7 +56,7 @@ pub const RESULT_COLUMNS: [&str; 8] = [
 
 const MAX_PARAMETERS: usize = 200;
 const MAX_COORDINATES: usize = 1000;
-/// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
+/// Maximum number of parameters whose corners are all checked: 2 to this power.
 const MAX_CORNER_PARAMETERS: usize = 14;
 
 /// Returns a unit with the exponents of this crate's units: `m/s2` and `m/s^2` are `m/s²`.
@@ -65,7 +64,6 @@ fn with_superscripts(unit: &str) -> String {
     unit.replace('^', "").replace('2', "²").replace('3', "³")
 }
 
-/// The classes, in words.
 fn class_names(between: &str) -> String {
     VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
 }
@@ -75,10 +73,10 @@ pub(super) fn reject<T>(field: impl Into<String>, problem: impl Into<String>) ->
 }
 
 impl ScenarioSpace {
-    /// Accepts a spec if every point of it is a valid scenario. A base scenario named as a file is looked for in `folder`.
+    /// Creates a space if all of its points are valid scenarios. A base scenario in a file is relative to `folder`.
     ///
     /// # Errors
-    /// [`InvalidSpace`] names the first field that is wrong.
+    /// [`InvalidSpace`] names the first invalid field.
     pub fn new(mut spec: SpaceSpec, folder: &Path) -> Result<Self, InvalidSpace> {
         if spec.version != SPACE_VERSION {
             let found = spec.version;
@@ -134,7 +132,6 @@ impl ScenarioSpace {
         Ok(space)
     }
 
-    /// Adds parameter `index` of the file.
     fn add_parameter(&mut self, index: usize, written: &mut Vec<(String, String)>) -> Result<(), InvalidSpace> {
         let at = |field: &str| format!("parameters[{index}].{field}");
         let Some(spec) = self.spec.parameters.get(index) else { return Ok(()) };
@@ -231,7 +228,7 @@ impl ScenarioSpace {
         Ok(())
     }
 
-    /// Both ends of each range, with everything else nominal: fields are checked one by one, and each against a range.
+    /// Checks both ends of each range with all else nominal: most fields are validated alone, against a range.
     fn check_range_ends(&self) -> Result<(), InvalidSpace> {
         let nominal = self.nominal();
         for (index, parameter) in self.parameters.iter().enumerate() {
@@ -252,8 +249,8 @@ impl ScenarioSpace {
         Ok(())
     }
 
-    /// Where several fields decide together (places and lengths; what a script asks for and what the vehicle can do) each
-    /// is at its worst at an end of its range: all corners are tried.
+    /// Checks all corners of fields that are validated jointly (positions and lengths; scripts and vehicle limits),
+    /// since the worst case of each is an end of its range.
     fn check_corners(&self) -> Result<(), InvalidSpace> {
         for vehicle in 0..self.template.vehicles.len() {
             let near = |parameter: &&SpaceParameter| {
@@ -285,14 +282,14 @@ impl ScenarioSpace {
     }
 }
 
-/// Whether two paths name one field, or one of them a part of the other.
+/// Returns true if the paths are equal or one contains the other.
 fn is_overlapping(a: &str, b: &str) -> bool {
     let is_part =
         |part: &str, of: &str| part.strip_prefix(of).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
     is_part(a, b) || is_part(b, a)
 }
 
-/// Whether a problem can come from several fields together.
+/// Returns true for problems that several fields cause jointly.
 fn is_joint_problem(invalid: &InvalidField) -> bool {
     use crate::scenario::FieldProblem as P;
     matches!(invalid.problem, P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. })
@@ -329,7 +326,7 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
 }
 
 impl ParameterValue {
-    /// The number itself, or that of a class or a driver.
+    /// Returns the number itself, or the number of a class or a driver.
     pub(super) fn number(self) -> f64 {
         match self {
             Self::Number(number) => number,

@@ -1,4 +1,4 @@
-//! How parameters depend on each other: a Gaussian copula.
+//! Dependence of parameters: a Gaussian copula.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -9,37 +9,35 @@ use super::check::{InvalidSpace, reject};
 use super::spec::ValueKind;
 use crate::scenario::format_compact;
 
-/// The most parameters that depend on each other.
 const MAX_CORRELATED: usize = 50;
-/// The least eigenvalue of a correlation matrix: below it a draw decides the next one to all digits that count.
+/// Smallest eigenvalue of a correlation matrix; below it, one sample determines the next to all relevant digits.
 const MIN_EIGENVALUE: f64 = 1e-6;
-/// Shares are kept this far from 0 and 1, where normal numbers have no bounds: 38 standard deviations below, 8 above.
+/// Range of probabilities, which keeps normal scores finite: 38 standard deviations below, 8 above.
 const PROBABILITY_RANGE: [f64; 2] = [f64::MIN_POSITIVE, 1.0 - f64::EPSILON];
 
-/// How parameters depend on each other.
+/// Dependence of parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Dependence {
-    /// As normal numbers do that are correlated.
+    /// Correlated normal scores.
     GaussianCopula(GaussianCopula),
 }
 
-/// A Gaussian copula: parameters depend on each other as correlated normal numbers do, whatever their own distributions.
+/// A Gaussian copula: parameters with any marginal distributions depend on each other as correlated normal numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GaussianCopula {
-    /// Names of parameters, 2 to 50: numbers with one value each. Those that are not named depend on none. A value that has a probability of
-    /// its own (of a choice, or a point mass) is taken where the normal number is between two ends that give it this probability: values
-    /// of a choice in the order in which they are listed.
+    /// Names of 2 to 50 parameters with one numeric value each; all others are independent. A value with positive
+    /// probability (of a choice or a point mass) occupies an interval of normal scores with that probability; values of
+    /// a choice in their listed order.
     #[cfg_attr(feature = "schema", schemars(length(min = 2, max = 50)))]
     pub parameters: Vec<String>,
-    /// Their correlation matrix, in that order, row by row: of the normal numbers, not of the values. Positive definite.
+    /// Correlation matrix of the normal scores, in the order of `parameters`, row by row. Positive definite.
     pub correlation: Vec<Vec<f64>>,
 }
 
-/// A copula ready for use.
 #[derive(Debug, Clone)]
 pub(super) struct Copula {
     coordinates: Vec<usize>,
@@ -71,7 +69,7 @@ impl Copula {
         Ok(Self { coordinates, cholesky_factor: cholesky.l(), precision, half_ln_determinant })
     }
 
-    /// Independent uniform numbers, made dependent.
+    /// Makes independent uniform numbers dependent.
     pub(super) fn correlate(&self, uniform: &[f64]) -> Vec<f64> {
         let normal = self.normal_scores(uniform);
         let mut depending = uniform.to_vec();
@@ -84,7 +82,7 @@ impl Copula {
         depending
     }
 
-    /// Logarithm of the copula's density where shares `below` of each distribution lie below: ln c(u) = −½ ln det R − ½ zᵀ (R⁻¹ − 1) z.
+    /// Returns the logarithm of the copula density at CDF values `below`: ln c(u) = −½ ln det R − ½ zᵀ (R⁻¹ − 1) z.
     pub(super) fn ln_density(&self, below: &[f64]) -> f64 {
         let z = self.normal_scores(below);
         let mut form = 0.0;
@@ -96,7 +94,7 @@ impl Copula {
         -self.half_ln_determinant - 0.5 * form
     }
 
-    /// The normal numbers of those shares that depend on each other; of one that is missing, the middle.
+    /// Returns the normal scores of the dependent coordinates; 0 for missing ones.
     fn normal_scores(&self, shares: &[f64]) -> Vec<f64> {
         let share = |&place: &usize| {
             shares.get(place).copied().unwrap_or(0.5).clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1])
@@ -106,7 +104,6 @@ impl Copula {
 }
 
 impl GaussianCopula {
-    /// The coordinate of each parameter.
     fn coordinates(&self, parameters: &[SpaceParameter]) -> Result<Vec<usize>, InvalidSpace> {
         let at = |index: usize| format!("dependence.gaussian-copula.parameters[{index}]");
         let found = self.parameters.len();
@@ -133,7 +130,6 @@ impl GaussianCopula {
         Ok(coordinates)
     }
 
-    /// The matrix, if it is one of correlations.
     fn correlation_matrix(&self) -> Result<DMatrix<f64>, InvalidSpace> {
         let size = self.parameters.len();
         if self.correlation.len() != size {

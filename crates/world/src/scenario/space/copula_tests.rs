@@ -44,7 +44,6 @@ fn space(text: &str) -> Result<ScenarioSpace, String> {
     file::from_toml(text, Path::new("pairs.toml")).map_err(|error| error.to_string())
 }
 
-/// Each damage, and what is said of it.
 #[test]
 fn what_is_wrong_with_dependence_exposure_and_data_is_said_with_its_field() {
     let damaged: [(&str, &str, &str); 25] = [
@@ -118,7 +117,7 @@ fn what_is_wrong_with_dependence_exposure_and_data_is_said_with_its_field() {
     }
 }
 
-/// The copula's density is what draws have: the mean of its inverse over draws is 1, and shares stay even.
+/// The copula density matches the samples: its mean inverse over samples is 1, and marginals stay uniform.
 #[test]
 fn draws_have_the_density_that_is_stated() {
     let space = space(SPACE).unwrap();
@@ -134,7 +133,7 @@ fn draws_have_the_density_that_is_stated() {
 }
 
 proptest! {
-    /// Whatever uniform numbers come, ends included, there is a point of the space.
+    /// Any uniform numbers, ends included, map to a point of the space.
     #[test]
     fn every_corner_of_the_cube_is_a_point(u in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 3)) {
         let space = space(SPACE).unwrap();

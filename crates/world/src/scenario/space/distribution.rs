@@ -1,4 +1,4 @@
-//! From a distribution's data to one that is found to be valid.
+//! Validation of distributions.
 
 use statrs::distribution::{Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw};
 
@@ -6,9 +6,9 @@ use super::marginal::{ContinuousDistribution, CoordinateMarginal};
 use super::spec::{ChoiceSpec, DistributionSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ValueKind};
 use crate::scenario::format_compact;
 
-/// Least share of a distribution that must lie in its range.
+/// Smallest probability mass of a distribution within its range.
 const MIN_MASS: f64 = 1e-6;
-/// Shapes of gamma and Weibull distributions.
+/// Range of shapes of gamma and Weibull distributions.
 const SHAPE_RANGE: [f64; 2] = [0.01, 1e6];
 
 impl DistributionSpec {
@@ -19,7 +19,7 @@ impl DistributionSpec {
         }
     }
 
-    /// The distribution ready for use, or which field of it is wrong and why.
+    /// Returns the validated distribution, or the invalid field and its problem.
     pub(super) fn marginal(&self) -> Result<CoordinateMarginal, (&'static str, String)> {
         let range = |low: f64, high: f64, kind: &'static str| {
             check_finite(kind, "low", low)?;
@@ -87,7 +87,6 @@ impl DistributionSpec {
 }
 
 impl ShapeScaleSpec {
-    /// Shape and scale.
     fn validate(&self, kind: &'static str) -> Result<[f64; 2], (&'static str, String)> {
         check_non_negative(kind, self.low)?;
         let Self { shape, scale, .. } = *self;
@@ -135,7 +134,6 @@ impl PointMassSpec {
     }
 }
 
-/// A law within a range, if the range holds enough of it.
 fn truncate(
     kind: &'static str,
     law: ContinuousDistribution,
@@ -154,12 +152,10 @@ fn truncate(
     Ok(CoordinateMarginal::Truncated { low, high, distribution: law, cdf_low: below, mass })
 }
 
-/// A law of positive values has no range below 0.
 fn check_non_negative(kind: &'static str, low: f64) -> Result<(), (&'static str, String)> {
     if low >= 0.0 { Ok(()) } else { Err((kind, format!("low must be from 0, found {}", format_compact(low)))) }
 }
 
-/// Refuses what is no number, by the name of its field.
 fn check_finite(kind: &'static str, field: &str, found: f64) -> Result<(), (&'static str, String)> {
     if found.is_finite() { Ok(()) } else { Err((kind, format!("{field} must be a finite number, found {found}"))) }
 }

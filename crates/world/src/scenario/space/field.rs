@@ -1,4 +1,4 @@
-//! Which field of a scenario a parameter sets: paths looked up once, then typed access.
+//! Fields that parameters set: paths are resolved once to typed access.
 
 use super::derived::{apply_cruise, apply_load, closing_gap_m};
 use super::numeric_fields::{
@@ -8,66 +8,63 @@ use super::numeric_fields::{
 use super::spec::{DriverName, ValueKind};
 use crate::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
 
-/// A field, ready to be set.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum FieldTarget {
     /// A number of the whole scenario.
     Scenario(fn(&mut ScenarioSpec) -> &mut f64),
     /// A number of one vehicle, or of all of them.
     Vehicle(Option<usize>, fn(&mut VehicleSpec) -> &mut f64),
-    /// A number of a script.
+    /// A number of a scripted driver.
     Driver(usize, fn(&mut Driver) -> Option<&mut f64>),
-    /// A setting of a controller, by its place.
+    /// A setting of a controller, by index.
     Setting(usize, usize),
-    /// When a vehicle enters the lane or leaves it.
+    /// The trigger of entering or leaving the lane.
     LaneChange(usize, LaneChangeAccessor),
-    /// A list among a driver's settings: a signal.
+    /// A list of a driver: a signal.
     Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
-    /// The class.
+    /// The vehicle class.
     Class(usize),
-    /// Which built-in controller drives.
+    /// The built-in controller that drives.
     ControllerChoice(usize),
-    /// The length, and the class that goes with it.
+    /// The length, with the class of that length.
     Size(usize),
     /// The bumper gap ahead.
     Gap(usize),
-    /// The same, as the time it takes at the vehicle's own speed.
+    /// The gap ahead as a time at the vehicle's own speed.
     TimeGap(usize),
-    /// The same, as the time it takes at the speed at which the vehicle closes in.
+    /// The gap ahead as a time at the closing speed.
     ClosingTime(usize),
-    /// Speed as a share of the one that it has otherwise.
+    /// A factor of the vehicle's speed.
     SpeedShare(usize),
-    /// Speed down to which a script brakes, as a share of the one it begins with.
+    /// The final speed of a braking script, relative to its initial speed.
     FinalSpeedShare(usize),
-    /// Mass relative to that of the class, and the braking it leaves.
+    /// The mass relative to that of the class, with the resulting deceleration.
     Load(usize),
-    /// Deceleration at most, relative to that of the class.
+    /// The difference to the class's largest deceleration.
     BrakeOffset(usize),
-    /// Deceleration of a braking script, as a share of what the vehicle can do on this road.
+    /// The deceleration of a braking script, relative to what the vehicle can do on this road.
     RateShare(usize),
-    /// The same for every piece of a script.
+    /// The deceleration of every piece of a script, relative to what the vehicle can do on this road.
     PiecesShare(usize),
-    /// Start of the first piece; the others keep their distance.
+    /// The start of the first piece; the intervals between pieces stay.
     PiecesOnset(usize),
-    /// Acceleration of every piece, cut where the speed would leave 18 to 130 km/h.
+    /// The acceleration of every piece, reduced where the speed would leave 18 to 130 km/h.
     PiecesCruise(usize),
-    /// What all pieces are multiplied by, after everything else.
+    /// A factor of all pieces, applied last.
     PiecesScale(usize),
 }
 
-/// What a path stands for.
 #[derive(Debug, Clone)]
 pub(super) struct ParameterField {
     pub(super) target: FieldTarget,
     pub(super) unit: &'static str,
-    /// Coordinates: one, or one for each piece of a signal.
+    /// Number of coordinates: one, or one for each piece of a signal.
     pub(super) length: usize,
-    /// Fields of the file that it sets, so that no two parameters set the same one.
+    /// Paths that it sets; two parameters may not set the same path.
     pub(super) written_paths: Vec<String>,
 }
 
 impl ParameterField {
-    /// The field of a path in a base scenario.
     pub(super) fn resolve(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
         if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(known, ..)| *known == path) {
             return Ok(Self::new_scalar(FieldTarget::Scenario(*access), unit, path));
@@ -183,7 +180,7 @@ impl ParameterField {
 }
 
 impl FieldTarget {
-    /// When it is set: what others build on comes first.
+    /// Returns the stage in which the field is set; dependent fields follow.
     pub(super) fn stage(self) -> u8 {
         match self {
             Self::Class(_) | Self::ControllerChoice(_) | Self::Size(_) => 0,
@@ -195,7 +192,7 @@ impl FieldTarget {
         }
     }
 
-    /// Sets the field. In a scenario that is lined up afterwards, `position_m` holds the gap ahead until then.
+    /// Sets the field. In a scenario with gaps, `position_m` holds the gap ahead until positions are computed.
     #[inline]
     pub(super) fn set(self, spec: &mut ScenarioSpec, values: &[f64]) {
         let Some(&value) = values.first() else { return };
@@ -285,7 +282,7 @@ impl FieldTarget {
         }
     }
 
-    /// What the field is in a scenario with gaps in place of positions where `lines_up`.
+    /// Returns the value of the field in a scenario with gaps in place of positions.
     pub(super) fn get(self, spec: &ScenarioSpec) -> Vec<f64> {
         let mut spec = spec.clone();
         let friction = spec.environment.friction;
@@ -339,7 +336,6 @@ impl FieldTarget {
         }
     }
 
-    /// What its values are.
     pub(super) fn kind(self) -> ValueKind {
         match self {
             Self::Class(_) => ValueKind::Class,
@@ -348,7 +344,7 @@ impl FieldTarget {
         }
     }
 
-    /// The vehicle whose driver's settings it is.
+    /// Returns the vehicle whose driver the field changes.
     pub(super) fn driver_vehicle(self) -> Option<usize> {
         match self {
             Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
@@ -369,7 +365,7 @@ impl FieldTarget {
         }
     }
 
-    /// The vehicle whose limits or place it changes, where that can make a scenario invalid.
+    /// Returns the vehicle whose limits or position the field changes, if that can make a scenario invalid.
     pub(super) fn affected_vehicle(self) -> Option<usize> {
         match self {
             Self::Class(i) | Self::Load(i) | Self::BrakeOffset(i) | Self::RateShare(i) | Self::PiecesShare(i) => {

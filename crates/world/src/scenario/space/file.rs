@@ -14,7 +14,7 @@ pub fn load(path: &Path) -> Result<ScenarioSpace, FileError> {
     from_toml(&read(path)?, path)
 }
 
-/// Reads a space from TOML text. `path` names it in errors, and a base scenario in a file is looked for beside it.
+/// Reads a space from TOML text. `path` names it in errors; a base scenario in a file is relative to its folder.
 ///
 /// # Errors
 /// [`FileError`] for text that is not a valid space.
@@ -31,10 +31,10 @@ pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, FileError> {
     })
 }
 
-/// The space as TOML text, its base scenario spelled out.
+/// Serializes the space as TOML, with its base scenario inline.
 ///
 /// # Errors
-/// None for a valid space; the serializer's error is passed on rather than hidden.
+/// None for a valid space; passes on the error of the serializer.
 pub fn to_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
     toml::to_string(space.spec())
 }

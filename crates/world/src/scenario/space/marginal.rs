@@ -1,13 +1,13 @@
-//! One coordinate: from the unit interval to values of a parameter, by range and by distribution.
+//! Marginal distribution of one coordinate: maps the unit interval to values of a parameter.
 
 use statrs::distribution::{Continuous, ContinuousCDF, Gamma, LogNormal, Normal as Gauss, Weibull};
 
 /// The distribution of one coordinate over its range.
 ///
-/// A *coordinate* lies in [0, 1] and runs evenly over the range (over the logarithm of the range, for a logarithmic
-/// distribution; over equal slices, one a value, for a choice; over a tenth for a value with a probability of its own, and over the others
-/// for these). Classes are numbered. Where a coordinate lies within the slice of one value makes no difference to a scenario, and keeps
-/// the share of the distribution that it stands for: the way from coordinates to shares can be gone back.
+/// A *coordinate* in [0, 1] maps linearly to the range, or to its logarithm for a log-uniform distribution. A choice
+/// has equal slices, one a value; a point mass has a tenth, and the other values the rest. Classes are numbered. The
+/// position within a slice does not affect the scenario, but encodes the CDF, so that coordinates map back to it
+/// exactly.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum CoordinateMarginal {
     Uniform {
@@ -18,7 +18,7 @@ pub(super) enum CoordinateMarginal {
         low: f64,
         high: f64,
     },
-    /// A law of which the range holds the share `mass`, with the share `below` below it.
+    /// A distribution with mass `mass` within the range and `cdf_low` below it.
     Truncated {
         low: f64,
         high: f64,
@@ -30,7 +30,7 @@ pub(super) enum CoordinateMarginal {
         values: Vec<f64>,
         probabilities: Vec<f64>,
     },
-    /// One value, before all others or behind them, and how these are distributed.
+    /// A value with positive probability before or after all others, and the distribution of these.
     PointMass {
         at: f64,
         probability: f64,
@@ -39,15 +39,15 @@ pub(super) enum CoordinateMarginal {
     },
 }
 
-/// The part of a coordinate that stands for a value with a probability of its own: a search meets it in one of ten places.
+/// Width of the slice of a point mass: one in ten points of a search has its value.
 const POINT_MASS_WIDTH: f64 = 0.1;
 
-/// A place in [0, 1] of which one end is a slice for one value.
+/// A position in [0, 1], one end of which is a slice for a point mass.
 #[derive(Clone, Copy)]
 enum MixturePosition {
-    /// Within the slice, from 0 to 1.
+    /// Position within the slice, from 0 to 1.
     PointMass(f64),
-    /// Within what is left, from 0 to 1.
+    /// Position within the rest, from 0 to 1.
     Others(f64),
 }
 
@@ -61,7 +61,7 @@ impl MixturePosition {
         }
     }
 
-    /// The place in [0, 1] where the slice has another width.
+    /// Returns the position in [0, 1] for a slice of another width.
     fn to_unit(self, slice: f64, is_first: bool) -> f64 {
         match self {
             Self::PointMass(within) if is_first => within.min(1.0 - f64::EPSILON) * slice,
@@ -72,7 +72,7 @@ impl MixturePosition {
     }
 }
 
-/// A distribution that is not cut yet.
+/// A distribution before truncation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum ContinuousDistribution {
     Normal(Gauss),
@@ -81,7 +81,7 @@ pub(super) enum ContinuousDistribution {
     Weibull(Weibull),
 }
 
-/// The least value of a gamma distribution, relative to its scale, whose share is worked out.
+/// Smallest argument of a gamma distribution, relative to its scale, at which the CDF is evaluated.
 const MIN_SCALED: f64 = 1e-200;
 
 impl ContinuousDistribution {
@@ -89,7 +89,7 @@ impl ContinuousDistribution {
         match self {
             Self::Normal(law) => law.cdf(value),
             Self::LogNormal(law) => law.cdf(value),
-            // The library panics where the product of value and rate is no number above 0.
+            // Statrs panics unless the product of value and rate is positive.
             Self::Gamma(law) => match value * law.rate() {
                 scaled if scaled < MIN_SCALED => 0.0,
                 scaled if scaled > 1.0 / MIN_SCALED => 1.0,
@@ -120,8 +120,8 @@ impl ContinuousDistribution {
         }
     }
 
-    /// The least value at which the density is looked at in a range that begins at `low`: at 0 that of a law of positive values may be
-    /// without bounds.
+    /// Returns the smallest value at which the density of a range from `low` is evaluated: positive distributions may
+    /// be unbounded at 0.
     fn min_pdf_argument(&self, low: f64, high: f64) -> f64 {
         if matches!(self, Self::Normal(_)) { low } else { low.max(1e-9 * high) }
     }
@@ -144,7 +144,6 @@ impl CoordinateMarginal {
         }
     }
 
-    /// The value at a coordinate.
     #[inline]
     pub(super) fn value(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
@@ -166,7 +165,7 @@ impl CoordinateMarginal {
         }
     }
 
-    /// A coordinate at which the value is taken; of one that has a slice, the middle of it.
+    /// Returns a coordinate with this value; the middle of its slice, if it has one.
     pub(super) fn coordinate(&self, value: f64) -> f64 {
         match self {
             Self::Uniform { low, high } | Self::Truncated { low, high, .. } => {
@@ -187,7 +186,7 @@ impl CoordinateMarginal {
         }
     }
 
-    /// The coordinate below which a share `u` of the distribution lies: the inverse of its CDF.
+    /// Returns the coordinate at CDF value `u`.
     #[inline]
     pub(super) fn quantile(&self, u: f64) -> f64 {
         let u = u.clamp(0.0, 1.0);
@@ -218,7 +217,6 @@ impl CoordinateMarginal {
         }
     }
 
-    /// The share of the distribution below a coordinate.
     pub(super) fn cdf(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
@@ -243,7 +241,7 @@ impl CoordinateMarginal {
         }
     }
 
-    /// The share of the distribution at a value or below it.
+    /// Returns the probability of values up to `value`.
     pub(super) fn cdf_of_value(&self, value: f64) -> f64 {
         match self {
             Self::PointMass { at, is_first: true, .. } if value < *at => 0.0,
@@ -253,8 +251,8 @@ impl CoordinateMarginal {
         }
     }
 
-    /// Logarithm of the density at a coordinate, with respect to coordinates: 0 where the distribution is as dense as if it
-    /// were even over the range.
+    /// Returns the logarithm of the density with respect to coordinates; 0 where the distribution is uniform over the
+    /// range.
     #[inline]
     pub(super) fn ln_density(&self, coordinate: f64) -> f64 {
         match self {
@@ -294,7 +292,7 @@ mod tests {
             let (mean, deviation) = (low + at * width, deviation * width);
             DistributionSpec::Normal(NormalSpec { mean, deviation, low, high: low + width })
         });
-        // Shapes above 1: where the density has no bounds, cells would have to be finer.
+        // Shapes above 1: an unbounded density would need finer cells.
         let positive = (0..3, 1.1..8.0f64, 0.3..3.0f64, 0.1..0.9f64).prop_map(|(law, shape, scale, low)| {
             let high = low + 4.0 * scale;
             match law {
@@ -335,7 +333,7 @@ mod tests {
         .prop_filter_map("its range holds next to nothing", |distribution| distribution.marginal().ok())
     }
 
-    /// The edges of what a file may state: no panic, no hang, no value outside the range.
+    /// Extreme distributions of a file: no panic, no hang, no value outside the range.
     #[test]
     fn extreme_laws_have_values_at_every_share() {
         let ranges = [[0.0, 1.0], [0.0, 1e300], [1e-320, 1e-300], [0.0, 1e-310], [1e-3, 12.0], [1e200, 1e308]];
@@ -364,8 +362,7 @@ mod tests {
     }
 
     proptest! {
-        /// The density integrates to one, its integral is the inverse of the quantile, and values survive the way to a
-        /// coordinate and back.
+        /// The density integrates to one, its integral inverts the quantile, and values map to a coordinate and back.
         #[test]
         fn density_quantile_and_value_belong_together(marginal in any_marginal(), u in 0.001..0.999f64) {
             const CELLS: usize = 20_000;
@@ -373,7 +370,7 @@ mod tests {
             prop_assert!(((0..CELLS).map(cell).sum::<f64>() - 1.0).abs() < 2e-3);
             let at = marginal.quantile(u);
             prop_assert!((0.0..=1.0).contains(&at));
-            // With its share of the last cell: of a steep density a single cell holds more than is allowed here.
+            // Includes the fraction of the last cell: at a steep density one cell exceeds the tolerance.
             let place = at * CELLS as f64;
             let whole = place as usize;
             let below: f64 = (0..whole).map(cell).sum::<f64>() + (place - whole as f64) * cell(whole);

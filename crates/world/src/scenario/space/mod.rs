@@ -1,49 +1,49 @@
 //! Search spaces: scenarios with parameters that vary, each with a range, a unit and a distribution.
 //!
-//! [`SpaceSpec`] is the file: plain data that may hold nonsense. [`ScenarioSpace`] is a spec in which every point was found to be a
-//! valid scenario. Field paths are looked up once; making a scenario of a point costs a few microseconds.
+//! [`SpaceSpec`] is the unchecked content of a file. [`ScenarioSpace`] is a spec whose points are all valid scenarios.
+//! Field paths are resolved once; a scenario of a point costs a few microseconds.
 //!
 //! # Points, values, scenarios
 //!
-//! A *point* lies in the unit cube, one coordinate a parameter, or one for each piece of a signal. A coordinate runs evenly
-//! over the *range* of its parameter, whatever the distribution: a search must reach an unlikely corner as easily as a
-//! likely one. How likely a point is says [`ScenarioSpace::ln_likelihood`]: the logarithm of the distribution's density with
-//! respect to points, hence 0 where the distribution is even over the range. Whoever wants scenarios *by the
-//! distribution* (failure rates, training, held-out sets) draws them with [`ScenarioSpace::draw`], or sends uniform numbers
-//! through [`ScenarioSpace::quantile`], the inverse of the distribution's CDF. Expectations under the distribution are thus
-//! integrals over uniform numbers u of f(quantile(u)), or over points x of f(x) exp(ln_likelihood(x)).
+//! A *point* lies in the unit cube, with one coordinate for each parameter, or for each piece of a signal. A coordinate
+//! is uniform over the *range* of its parameter for any distribution, so that a search reaches unlikely corners as
+//! easily as likely ones. [`ScenarioSpace::ln_likelihood`] is the logarithm of the distribution's density with respect
+//! to points; it is 0 where the distribution is uniform over the range. [`ScenarioSpace::draw`] samples scenarios from
+//! the distribution (failure rates, training, test sets); [`ScenarioSpace::quantile`] maps uniform numbers through the
+//! inverse CDF. Expectations under the distribution are thus integrals over uniform numbers u of f(quantile(u)), or
+//! over points x of f(x) exp(ln_likelihood(x)).
 //!
 //! # Fields
 //!
 //! A parameter names a number of the scenario file by its path (`environment.friction`, `vehicles[2].reaction_delay_s`,
-//! `vehicles[0].driver.brake.rate_mps2`), a vehicle's class, a number of all vehicles (`vehicles[*].speed_mps`), a signal
-//! (`vehicles[0].driver.pieces.accel_mps2`, as many coordinates as the base scenario has pieces), or one of these,
-//! which keep nonsense out by construction:
+//! `vehicles[0].driver.brake.rate_mps2`), a vehicle's class, a number of all vehicles (`vehicles[*].speed_mps`), a
+//! signal (`vehicles[0].driver.pieces.accel_mps2`, with a coordinate for each piece of the base scenario), or a derived
+//! field, which rules out invalid combinations:
 //!
-//! | field | what it sets |
+//! | field | value |
 //! |---|---|
-//! | `vehicles[i].gap_m` | the bumper gap ahead; vehicles are lined up behind the leader, so that none overlap |
-//! | `vehicles[i].time_gap_s` | the same, as the time it takes at the vehicle's own speed |
-//! | `vehicles[i].closing_time_s` | the same, as the time it takes at the speed at which the vehicle closes in; 2 m at least |
-//! | `vehicles[i].speed_share` | speed as a share of the one that the vehicle has otherwise |
-//! | `vehicles[i].driver` | who drives: a choice of built-in controllers with their default settings |
-//! | `vehicles[i].size_m` | length, with the class that goes with it: heavy from 7.5 m on |
-//! | `vehicles[i].load` | mass relative to its class's, at its class's brake force: deceleration falls as 1 / load above 1 |
+//! | `vehicles[i].gap_m` | the bumper gap ahead; vehicles are placed behind the leader without overlap |
+//! | `vehicles[i].time_gap_s` | the gap ahead as a time at the vehicle's own speed |
+//! | `vehicles[i].closing_time_s` | the gap ahead as a time at the closing speed; at least 2 m |
+//! | `vehicles[i].speed_share` | a factor of the vehicle's speed |
+//! | `vehicles[i].driver` | a choice of built-in controllers with default settings |
+//! | `vehicles[i].size_m` | length, with the class of that length: heavy from 7.5 m on |
+//! | `vehicles[i].load` | mass relative to its class's, at equal brake force: deceleration falls as 1 / load above 1 |
 //! | `vehicles[i].brake_offset_mps2` | largest deceleration relative to its class's |
-//! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, as a share of what the vehicle can do on this road |
-//! | `vehicles[i].driver.brake-to-speed.final_share` | speed down to which a script brakes, as a share of its first |
-//! | `vehicles[i].driver.pieces.brake_share` | the same for every piece of a script |
-//! | `vehicles[i].driver.pieces.onset_s` | when the first piece starts; the others keep their distance |
-//! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, cut where the speed would leave 18 to 130 km/h |
-//! | `vehicles[i].driver.pieces.scale` | what all pieces are multiplied by, after everything else: 0 is a constant speed |
+//! | `vehicles[i].driver.NAME.rate_share` | rate of a braking script, relative to the vehicle's limit on this road |
+//! | `vehicles[i].driver.brake-to-speed.final_share` | final speed of a braking script, relative to its initial speed |
+//! | `vehicles[i].driver.pieces.brake_share` | rate of every piece, relative to the vehicle's limit on this road |
+//! | `vehicles[i].driver.pieces.onset_s` | start of the first piece; the intervals between pieces stay |
+//! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, limited to keep 18 to 130 km/h |
+//! | `vehicles[i].driver.pieces.scale` | factor of all pieces, applied last: 0 is a constant speed |
 //!
 //! # Dependence
 //!
-//! Parameters are independent unless `dependence` says otherwise, by a Gaussian copula: uniform numbers u become normal ones,
-//! z = Φ⁻¹(u), these become correlated, y = L z with L Lᵀ the correlation matrix, and the shares Φ(y) go through the inverse CDF
-//! of each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, stay as they are. A value with a
-//! probability of its own takes all shares between two ends, and its slice of a coordinate keeps which of these it was: densities of
-//! points are exact. Where a point is made of values, it is the middle.
+//! Parameters are independent unless `dependence` states a Gaussian copula: uniform numbers u become normal scores z =
+//! Φ⁻¹(u), correlated scores y = L z with L Lᵀ the correlation matrix, and probabilities Φ(y) for the inverse CDF of
+//! each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, do not change. A
+//! value with positive probability has an interval of probabilities; the position in its slice of a coordinate encodes
+//! the probability, so that densities of points are exact. Points made from values use the middle.
 //!
 //! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
 
@@ -91,19 +91,19 @@ use crate::random::{self, Purpose};
 /// use crumple_world::scenario::space::built_in_space;
 ///
 /// let space = built_in_space("high-risk").unwrap();
-/// // One seed decides every draw, in any order.
+/// // The seed and the index determine the sample.
 /// assert_eq!(space.draw(7, 3).unwrap(), space.draw(7, 3).unwrap());
 /// ```
 #[derive(Debug, Clone)]
 pub struct ScenarioSpace {
     spec: SpaceSpec,
-    /// The base scenario; where it lines up, with gaps in place of all positions but the leader's.
+    /// Base scenario; with gaps, these replace all positions but the leader's.
     template: ScenarioSpec,
     uses_gaps: bool,
     parameters: Vec<SpaceParameter>,
-    /// Parameters in the order in which they are set.
+    /// Indices of parameters in the order in which they are set.
     order: Vec<usize>,
-    /// How coordinates depend on each other.
+    /// Dependence of coordinates.
     copula: Option<Copula>,
 }
 
@@ -119,25 +119,25 @@ pub struct SpaceParameter {
 }
 
 impl SpaceParameter {
-    /// Its name.
+    /// Returns the name.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Its unit: `1` for a share, empty for a class or a driver.
+    /// Returns the unit: `1` for a share, empty for a class or a driver.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         self.unit
     }
 
-    /// Its coordinates in a point; more than one for a signal.
+    /// Returns the coordinates in a point; more than one for a signal.
     #[must_use]
     pub fn coordinates(&self) -> Range<usize> {
         self.coordinates.clone()
     }
 
-    /// Nominal values, one a coordinate.
+    /// Returns the nominal values, one for each coordinate.
     #[must_use]
     pub fn nominal(&self) -> &[f64] {
         &self.nominal
@@ -149,37 +149,36 @@ impl SpaceParameter {
         [self.marginal.low(), self.marginal.high()]
     }
 
-    /// Whether it is one of a few values.
+    /// Returns true for a choice of a few values.
     #[must_use]
     pub fn is_choice(&self) -> bool {
         matches!(self.marginal, CoordinateMarginal::Choice { .. })
     }
 
-    /// Whether its values have names instead of being numbers: a vehicle's class, or its driver.
+    /// Returns true if values are names of classes or drivers.
     #[must_use]
     pub fn has_named_values(&self) -> bool {
         self.target.kind() != ValueKind::Number
     }
 
-    /// The value at a coordinate from 0 to 1, on the parameter's own scale: even over the range, or over its logarithm.
+    /// Returns the value at a coordinate in [0, 1], linear over the range or over its logarithm.
     #[must_use]
     pub fn value(&self, coordinate: f64) -> f64 {
         self.marginal.value(coordinate)
     }
 
-    /// Whether it is part of the script that vehicle 0 follows.
+    /// Returns true if the parameter is part of the script of vehicle 0.
     #[must_use]
     pub fn is_leader_script(&self) -> bool {
         self.target.driver_vehicle() == Some(0)
     }
 
-    /// Where in [0, 1] a value lies.
     #[must_use]
     pub(crate) fn coordinate(&self, value: f64) -> f64 {
         self.marginal.coordinate(value)
     }
 
-    /// The value as a reader knows it: a number, or a name.
+    /// Formats a value as a number or a name.
     #[must_use]
     pub fn format_value(&self, value: f64) -> String {
         let name = match self.target.kind() {
@@ -192,31 +191,31 @@ impl SpaceParameter {
 }
 
 impl ScenarioSpace {
-    /// The data of the space, with the base scenario spelled out.
+    /// Returns the data of the space, with the base scenario inline.
     #[must_use]
     pub fn spec(&self) -> &SpaceSpec {
         &self.spec
     }
 
-    /// Its name.
+    /// Returns the name.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.spec.name
     }
 
-    /// What varies.
+    /// Returns the parameters.
     #[must_use]
     pub fn parameters(&self) -> &[SpaceParameter] {
         &self.parameters
     }
 
-    /// The number of coordinates of a point, at least one.
+    /// Returns the number of coordinates of a point, at least one.
     #[must_use]
     pub fn dimension(&self) -> usize {
         self.parameters.last().map_or(0, |parameter| parameter.coordinates.end)
     }
 
-    /// A name for each coordinate: the parameter's, with the number of the piece for a signal.
+    /// Returns a name for each coordinate: the parameter's, with the number of the piece for a signal.
     #[must_use]
     pub fn coordinate_names(&self) -> Vec<String> {
         let name = |parameter: &SpaceParameter| -> Vec<String> {
@@ -228,26 +227,26 @@ impl ScenarioSpace {
         self.parameters.iter().flat_map(name).collect()
     }
 
-    /// The parameter that each coordinate belongs to.
+    /// Returns the parameter of each coordinate.
     pub fn coordinate_parameters(&self) -> impl Iterator<Item = &SpaceParameter> {
         self.parameters.iter().flat_map(|parameter| std::iter::repeat_n(parameter, parameter.coordinates.len()))
     }
 
-    /// The same space with another seed for all noise of its scenarios.
+    /// Returns the space with another noise seed for its scenarios.
     #[must_use]
     pub fn with_noise_seed(mut self, seed: u64) -> Self {
-        // A TOML file cannot hold more.
+        // TOML integers are signed.
         self.template.seed = seed & i64::MAX as u64;
         self
     }
 
-    /// The nominal values, one a coordinate.
+    /// Returns the nominal values, one for each coordinate.
     #[must_use]
     pub fn nominal(&self) -> Vec<f64> {
         self.parameters.iter().flat_map(|parameter| parameter.nominal.iter().copied()).collect()
     }
 
-    /// The values at a point. Coordinates that are missing are taken as nominal, and those outside [0, 1] as the nearest end.
+    /// Returns the values at a point. Missing coordinates are nominal; coordinates outside [0, 1] are clipped.
     #[must_use]
     pub fn values(&self, point: &[f64]) -> Vec<f64> {
         let mut values = self.nominal();
@@ -258,14 +257,15 @@ impl ScenarioSpace {
         values
     }
 
-    /// The point at which values are taken.
+    /// Returns the point of values.
     #[must_use]
     pub fn point(&self, values: &[f64]) -> Vec<f64> {
         let pairs = self.coordinate_parameters().zip(values);
         pairs.map(|(parameter, &value)| parameter.marginal.coordinate(value)).collect()
     }
 
-    /// Whether values, one a coordinate, are in the space: each within its range, and of a choice one of its values.
+    /// Returns true if all values, one for each coordinate, are in the space: within the range, or among those of a
+    /// choice.
     #[must_use]
     pub fn contains(&self, values: &[f64]) -> bool {
         let is_of = |(parameter, &value): (&SpaceParameter, &f64)| {
@@ -276,35 +276,34 @@ impl ScenarioSpace {
         values.len() == self.dimension() && self.coordinate_parameters().zip(values).all(is_of)
     }
 
-    /// The scenario of values, one a coordinate.
+    /// Creates the scenario of values, one for each coordinate.
     ///
     /// # Errors
-    /// [`InvalidField`] for values outside the ranges; never for what [`ScenarioSpace::values`] returns.
+    /// [`InvalidField`] for values outside the ranges; never for results of [`ScenarioSpace::values`].
     pub fn scenario(&self, values: &[f64]) -> Result<Scenario, InvalidField> {
         Scenario::new(self.fill_template(values))
     }
 
-    /// The scenario at a point, coordinates running over the ranges.
+    /// Creates the scenario at a point.
     ///
     /// # Errors
-    /// None: [`ScenarioSpace::new`] has checked all points. The error is passed on rather than hidden.
+    /// None: [`ScenarioSpace::new`] has checked all points. Passes on the error.
     pub fn scenario_at(&self, point: &[f64]) -> Result<Scenario, InvalidField> {
         self.scenario(&self.values(point))
     }
 
-    /// The scenario at a point, with noise of its own.
+    /// Creates the scenario at a point with a noise seed.
     ///
     /// # Errors
-    /// None, as for [`ScenarioSpace::at`].
+    /// None, as for [`ScenarioSpace::scenario_at`].
     pub fn scenario_at_with_seed(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
         let mut spec = self.fill_template(&self.values(point));
-        // A TOML file cannot hold more.
+        // TOML integers are signed.
         spec.seed = seed & i64::MAX as u64;
         Scenario::new(spec)
     }
 
-    /// The point that independent uniform numbers, one a coordinate, come to: below it lie shares `uniform` of the distribution,
-    /// coordinate by coordinate; where coordinates depend on each other, shares that the copula makes of them.
+    /// Maps independent uniform numbers, one for each coordinate, through the copula and the inverse CDFs to a point.
     #[must_use]
     pub fn quantile(&self, uniform: &[f64]) -> Vec<f64> {
         let depending = self.copula.as_ref().map(|copula| copula.correlate(uniform));
@@ -312,7 +311,7 @@ impl ScenarioSpace {
         self.coordinate_parameters().zip(shares).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
     }
 
-    /// Logarithm of the distribution's density at a point, relative to a distribution that is even over all ranges.
+    /// Returns the logarithm of the density at a point, relative to the uniform distribution over all ranges.
     #[must_use]
     pub fn ln_likelihood(&self, point: &[f64]) -> f64 {
         let apart: f64 =
@@ -322,11 +321,11 @@ impl ScenarioSpace {
         apart + copula.ln_density(&below.collect::<Vec<_>>())
     }
 
-    /// The `index`-th draw by the distribution, with noise of its own. The same seed and index give the same scenario, in
+    /// Draws sample `index` from the distribution, with its own noise. Equal seed and index give an equal scenario, in
     /// any order.
     ///
     /// # Errors
-    /// None, as for [`ScenarioSpace::at`].
+    /// None, as for [`ScenarioSpace::scenario_at`].
     pub fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         let mut spec = self.fill_template(&self.values(&self.draw_point(seed, index)));
         spec.seed = random::derived_seed(seed, index);
@@ -335,7 +334,7 @@ impl ScenarioSpace {
         Scenario::new(spec)
     }
 
-    /// The point of the `index`-th draw.
+    /// Draws the point of sample `index`.
     #[must_use]
     pub fn draw_point(&self, seed: u64, index: u64) -> Vec<f64> {
         let mut stream = random::stream(seed, Purpose::ScenarioSampling, index);
@@ -361,7 +360,7 @@ impl ScenarioSpace {
     }
 }
 
-/// The JSON Schema of space files.
+/// Returns the JSON Schema of space files.
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {

@@ -1,8 +1,8 @@
-//! The numbers of a scenario that may vary, by their paths.
+//! Numeric fields of a scenario that may vary, by path.
 
 use crate::scenario::{Driver, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec};
 
-/// The part of a path behind `vehicles[i].`, its unit, and how to reach the number.
+/// Path after `vehicles[i].`, unit, and accessor.
 pub(super) type VehicleNumericField = (&'static str, &'static str, fn(&mut VehicleSpec) -> &mut f64);
 
 pub(super) const VEHICLE_FIELDS: [VehicleNumericField; 11] = [
@@ -30,7 +30,7 @@ pub(super) const SCENARIO_FIELDS: [ScenarioNumericField; 4] = [
 
 pub(super) type DriverNumericField = (&'static str, &'static str, fn(&mut Driver) -> Option<&mut f64>);
 
-/// `driver.NAME.SETTING` of a script.
+/// Declares `driver.NAME.SETTING` of a script.
 macro_rules! setting {
     ($path:literal, $unit:literal, $kind:ident, $field:ident) => {
         ($path, $unit, |driver| match driver {
@@ -52,7 +52,6 @@ pub(super) const DRIVER_FIELDS: [DriverNumericField; 9] = [
     setting!("driver.brake-to-speed.final_speed_mps", "m/s", BrakeToSpeed, final_speed_mps),
 ];
 
-/// When a vehicle enters the lane, or leaves it.
 pub(super) type LaneChangeAccessor = fn(&mut VehicleSpec) -> Option<&mut LaneChange>;
 
 pub(super) const LANE_CHANGES: [(&str, LaneChangeAccessor); 2] =
@@ -83,7 +82,6 @@ pub(super) fn recorded_speeds_mut(driver: &mut Driver) -> Option<&mut [f64]> {
     }
 }
 
-/// The deceleration of a braking script.
 pub(super) fn brake_rate_mut(driver: &mut Driver) -> Option<&mut f64> {
     match driver {
         Driver::Profile(LeadProfile::Brake(brake)) => Some(&mut brake.rate_mps2),
@@ -93,7 +91,6 @@ pub(super) fn brake_rate_mut(driver: &mut Driver) -> Option<&mut f64> {
     }
 }
 
-/// The speed down to which a script brakes.
 pub(super) fn final_speed_mut(driver: &mut Driver) -> Option<&mut f64> {
     match driver {
         Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.final_speed_mps),
@@ -101,7 +98,6 @@ pub(super) fn final_speed_mut(driver: &mut Driver) -> Option<&mut f64> {
     }
 }
 
-/// What may vary in a vehicle besides its numbers.
 const DERIVED_VEHICLE_FIELDS: [&str; 9] =
     ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "size_m", "load", "brake_offset_mps2"];
 

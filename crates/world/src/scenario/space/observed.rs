@@ -1,4 +1,4 @@
-//! What a space was fitted to: how much driving, and the numbers of each episode.
+//! Data of a fitted space: driving exposure and the values of each episode.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,46 +6,44 @@ use super::check::{InvalidSpace, reject};
 use super::spec::SpaceSpec;
 use crate::scenario::format_compact;
 
-/// The most sources of a space.
 const MAX_SOURCES: usize = 1000;
-/// The most episodes whose numbers a space keeps.
 const MAX_EPISODES: usize = 10_000;
 
-/// In how much driving the scenarios of a space were observed.
+/// Driving in which the scenarios of a space were observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DrivingExposure {
-    /// How many such scenarios there were; at least 1.
+    /// Number of observed scenarios; at least 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub episodes: u64,
-    /// Hours of one vehicle following another in which they were; above 0.
+    /// Hours of following, one vehicle behind another; above 0.
     pub hours: f64,
-    /// Kilometres that the followers drove meanwhile; above 0.
+    /// Kilometres of the followers in these hours; above 0.
     pub kilometres: f64,
-    /// How many brakings there were besides in this driving that the space does not describe. Failures per hour count them too, as if they
-    /// failed as often as the episodes. Default: 0.
+    /// Number of brakings in this driving that the space does not describe. Failures per hour count them with the
+    /// failure rate of the episodes. Default 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub left_out: u64,
-    /// The same for each source; at most 1000, or none where it is not known. They add up to the above.
+    /// Exposure of each source, up to 1000; empty if unknown. The sums equal the numbers above.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceExposure>,
 }
 
-/// What one source adds.
+/// Exposure of one source.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SourceExposure {
-    /// Its name, such as a file's; 1 to 200 characters.
+    /// Name, such as a file's; 1 to 200 characters.
     pub name: String,
-    /// Scenarios in it.
+    /// Number of observed scenarios.
     pub episodes: u64,
     /// Hours of following.
     pub hours: f64,
     /// Kilometres of following.
     pub kilometres: f64,
-    /// Brakings besides that the space does not describe.
+    /// Number of brakings that the space does not describe.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub left_out: u64,
 }
@@ -54,34 +52,34 @@ fn is_zero(number: &u64) -> bool {
     *number == 0
 }
 
-/// The numbers that a distribution was fitted to, so that it can be fitted again to resamples of the episodes.
+/// Values to which a distribution was fitted, for refits to resampled episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ObservedData {
-    /// Number of the wave of braking that each episode belongs to, from 0: those of one wave are not independent of each other, and are
-    /// resampled together.
+    /// Number of the braking wave of each episode, from 0. Episodes of one wave are dependent and are resampled
+    /// together.
     #[serde(rename = "waves")]
     pub braking_clusters: Vec<u32>,
-    /// The parameters, all or some.
+    /// All parameters, or some.
     pub parameters: Vec<ObservedParameter>,
 }
 
-/// The values of a parameter in the episodes.
+/// Values of a parameter in the episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ObservedParameter {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// Smallest value that a scenario may have; a fitted distribution is cut there.
+    /// Smallest value of a scenario; fitted distributions are truncated there.
     pub low: f64,
-    /// Largest value that a scenario may have.
+    /// Largest value of a scenario.
     pub high: f64,
-    /// One of these two that has a probability of its own beside a density over the others, such as standstill.
+    /// Either `low` or `high`, if it has positive probability beside a density of the others, such as standstill.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<f64>,
-    /// One value an episode, within these.
+    /// One value for each episode, within `low` and `high`.
     pub values: Vec<f64>,
 }
 

@@ -1,18 +1,18 @@
-//! A distribution by itself, in the parameter's unit, for whoever fits one.
+//! Distributions of a parameter, in its unit, for fitting.
 
 use super::check::InvalidSpace;
 use super::marginal::CoordinateMarginal;
 use super::spec::DistributionSpec;
 
-/// A distribution of numbers that is found to be valid.
+/// A validated distribution of numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterDistribution(CoordinateMarginal);
 
 impl DistributionSpec {
-    /// The distribution ready for use.
+    /// Validates the distribution.
     ///
     /// # Errors
-    /// [`InvalidSpace`] names the field that is wrong.
+    /// [`InvalidSpace`] names the invalid field.
     pub fn build(&self) -> Result<ParameterDistribution, InvalidSpace> {
         let wrong = |(field, problem)| InvalidSpace::new(format!("distribution{field}"), problem);
         self.marginal().map(ParameterDistribution).map_err(wrong)
@@ -20,19 +20,19 @@ impl DistributionSpec {
 }
 
 impl ParameterDistribution {
-    /// The share of the distribution up to a value.
+    /// Returns the CDF at a value.
     #[must_use]
     pub fn cdf(&self, value: f64) -> f64 {
         self.0.cdf_of_value(value)
     }
 
-    /// The value below which a share of it lies.
+    /// Returns the value at a CDF value.
     #[must_use]
     pub fn quantile(&self, share: f64) -> f64 {
         self.0.value(self.0.quantile(share))
     }
 
-    /// How much of the law, before it was cut, lies within its range; 1 where nothing is cut.
+    /// Returns the probability mass within the range before truncation; 1 without truncation.
     #[must_use]
     pub fn truncation_mass(&self) -> f64 {
         match &self.0 {

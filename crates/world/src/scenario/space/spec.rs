@@ -1,4 +1,4 @@
-//! Space files: plain data that may hold nonsense.
+//! Unchecked content of space files.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use super::observed::{DrivingExposure, ObservedData};
 use crate::control::ControllerSpec;
 use crate::scenario::{ScenarioSpec, VehicleClass};
 
-/// The version of the space file format this release reads and writes.
+/// Space file version that this release reads and writes.
 pub const SPACE_VERSION: u32 = 1;
 
-/// A search space as a file states it: a scenario, and what may vary in it.
+/// Content of a space file: a scenario and the parameters that vary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a space: a table of fields")]
@@ -20,76 +20,76 @@ pub const SPACE_VERSION: u32 = 1;
 pub struct SpaceSpec {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Short name; scenarios of the space are named after it.
+    /// Short name, which begins the names of its scenarios.
     pub name: String,
-    /// What the space covers and why, in a sentence or a few.
+    /// Coverage and purpose of the space, in a few sentences.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub about: String,
-    /// The scenario in which the parameters vary; its values are the nominal ones.
+    /// Scenario in which the parameters vary, with the nominal values.
     pub base: Base,
-    /// What varies; 1 to 200 of them, with at most 1000 coordinates.
+    /// Parameters; 1 to 200, with at most 1000 coordinates.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 200)))]
     pub parameters: Vec<ParameterSpec>,
-    /// How parameters depend on each other; by default not at all.
+    /// Dependence of the parameters. Default: independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dependence: Option<Dependence>,
-    /// In how much driving the distribution was observed, so that failures can be stated per hour and kilometre.
+    /// Driving in which the distribution was observed, for failures per hour and kilometre.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<DrivingExposure>,
-    /// What the distribution was fitted to, so that it can be fitted again to resamples.
+    /// Values to which the distribution was fitted, for refits to resamples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observed: Option<ObservedData>,
 }
 
-/// The base scenario: spelled out, or the name of a built-in one or of a file beside the space's.
+/// The base scenario: inline, or the name of a built-in one or of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Base {
-    /// A built-in scenario, or a file; a relative path starts at the folder of the space file.
+    /// Built-in scenario, or file; a relative path starts at the folder of the space file.
     Named(String),
-    /// Spelled out.
+    /// Inline scenario.
     Inline(Box<ScenarioSpec>),
 }
 
-/// Something that varies.
+/// A parameter of a space.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ParameterSpec {
     /// Name in logs and summaries: letters, digits and underscores.
     pub name: String,
-    /// Which field of the scenario, such as `environment.friction` or `vehicles[2].gap_m`.
+    /// Field of the scenario, such as `environment.friction` or `vehicles[2].gap_m`.
     pub field: String,
-    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class or a driver. `m/s2` may stand for
+    /// Unit of the field, repeated for readers; `1` for a share, empty for a class or a driver. `m/s2` may stand for
     /// `m/s²`.
     #[serde(default)]
     pub unit: String,
-    /// Nominal value; by default the one in the base scenario.
+    /// Nominal value. Default: the value in the base scenario.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nominal: Option<ParameterValue>,
-    /// How it is distributed, and in which range.
+    /// Distribution and range.
     pub distribution: DistributionSpec,
 }
 
-/// How a parameter is distributed. Each piece of a signal is distributed like this, independently of the others.
+/// Distribution of a parameter. Each piece of a signal has this distribution independently.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DistributionSpec {
-    /// Every value alike.
+    /// Uniform.
     Uniform(UniformSpec),
-    /// Every value alike on a logarithmic scale.
+    /// Uniform on a logarithmic scale.
     LogUniform(UniformSpec),
-    /// Normal, cut at both ends of the range.
+    /// Normal, truncated to the range.
     Normal(NormalSpec),
-    /// Log-normal, cut at both ends of the range.
+    /// Log-normal, truncated to the range.
     LogNormal(LogNormalSpec),
-    /// Gamma, cut at both ends of the range.
+    /// Gamma, truncated to the range.
     Gamma(ShapeScaleSpec),
-    /// Weibull, cut at both ends of the range.
+    /// Weibull, truncated to the range.
     Weibull(ShapeScaleSpec),
     /// One of a few values.
     Choice(ChoiceSpec),
-    /// One value with a probability of its own, and a density over all others.
+    /// One value with positive probability, and a density over all others.
     PointMass(PointMassSpec),
 }
 
@@ -104,14 +104,14 @@ pub struct UniformSpec {
     pub high: f64,
 }
 
-/// A normal distribution cut at both ends.
+/// A truncated normal distribution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct NormalSpec {
-    /// Mean before cutting.
+    /// Mean before truncation.
     pub mean: f64,
-    /// Standard deviation before cutting; above 0.
+    /// Standard deviation before truncation; above 0.
     pub deviation: f64,
     /// Smallest value.
     pub low: f64,
@@ -119,14 +119,14 @@ pub struct NormalSpec {
     pub high: f64,
 }
 
-/// A log-normal distribution cut at both ends.
+/// A truncated log-normal distribution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LogNormalSpec {
-    /// Mean of the logarithm before cutting.
+    /// Mean of the logarithm before truncation.
     pub ln_mean: f64,
-    /// Standard deviation of the logarithm before cutting; above 0.
+    /// Standard deviation of the logarithm before truncation; above 0.
     pub ln_deviation: f64,
     /// Smallest value, from 0.
     pub low: f64,
@@ -134,7 +134,7 @@ pub struct LogNormalSpec {
     pub high: f64,
 }
 
-/// A distribution of values above 0 with a shape and a scale, cut at both ends.
+/// A truncated distribution of positive values with a shape and a scale.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -149,28 +149,27 @@ pub struct ShapeScaleSpec {
     pub high: f64,
 }
 
-/// One value with a probability of its own beside a distribution that has a density, such as the final speed of vehicles that brake, of
-/// which some come to a standstill.
+/// A value with positive probability beside a density, such as the final speed of braking vehicles, some of which stop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PointMassSpec {
-    /// The value: an end of the range of the others, or outside it.
+    /// Value with positive probability: an end of the range of the others, or outside it.
     pub at: f64,
-    /// Its probability: from 0, below 1.
+    /// Probability of the value: from 0, below 1.
     pub probability: f64,
-    /// How all other values are distributed: neither a choice nor another point mass.
+    /// Distribution of all other values: neither a choice nor another point mass.
     pub others: Box<DistributionSpec>,
 }
 
-/// A few values.
+/// A choice of a few values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ChoiceSpec {
-    /// The values: numbers, vehicle classes, or built-in controllers.
+    /// Numbers, vehicle classes, or built-in controllers.
     pub values: Vec<ParameterValue>,
-    /// How likely each is, relative to the others; by default all alike.
+    /// Relative weights of the values. Default: equal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<Vec<f64>>,
 }
@@ -188,7 +187,6 @@ pub enum ParameterValue {
     Driver(DriverName),
 }
 
-/// What a value is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ValueKind {
     Number,
@@ -211,29 +209,27 @@ impl ParameterValue {
 pub struct DriverName(&'static str);
 
 impl DriverName {
-    /// The name, if it is one.
+    /// Returns the name if it is that of a built-in controller.
     #[must_use]
     pub fn find(name: &str) -> Option<Self> {
         ControllerSpec::from_name(name).map(|spec| Self(spec.name()))
     }
 
-    /// The name itself.
+    /// Returns the name.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.0
     }
 
-    /// The controller with its default settings.
     pub(super) fn controller(self) -> Option<ControllerSpec> {
         ControllerSpec::from_name(self.0)
     }
 
-    /// Its place among the built-in controllers, by which points hold it while a program runs.
+    /// Returns the index among the built-in controllers, which represents the name in points.
     pub(super) fn number(self) -> f64 {
         ControllerSpec::all().iter().position(|spec| spec.name() == self.0).map_or(f64::NAN, |index| index as f64)
     }
 
-    /// The name at a place.
     pub(super) fn from_number(number: f64) -> Option<Self> {
         ControllerSpec::all().get(number as usize).map(|spec| Self(spec.name()))
     }
@@ -252,7 +248,7 @@ impl<'de> Deserialize<'de> for DriverName {
     }
 }
 
-/// The law and the range, as a reader wants them; without the unit.
+/// Writes distribution and range for readers, without the unit.
 impl fmt::Display for DistributionSpec {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -306,7 +302,7 @@ impl Serialize for Base {
 
 impl<'de> Deserialize<'de> for Base {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        /// Not an untagged enum: that would lose the line and field of a mistake inside the scenario.
+        /// An untagged enum would lose line and field of an error inside the scenario.
         struct BaseVisitor;
         impl<'de> de::Visitor<'de> for BaseVisitor {
             type Value = Base;

@@ -12,7 +12,7 @@ fn space(name: &str) -> ScenarioSpace {
     built_in_space(name).expect("built in")
 }
 
-/// A space over `paper-1` with these parameters.
+/// Creates a space over `paper-1` with these parameters.
 fn over_paper_1(parameters: &str) -> Result<ScenarioSpace, String> {
     let text = format!("version = 1\nname = \"s\"\nbase = \"paper-1\"\n{parameters}");
     file::from_toml(&text, Path::new("s.toml")).map_err(|error| error.to_string())
@@ -43,7 +43,7 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
 }
 
 proptest! {
-    /// Every point is a scenario, and values survive the way to a point and back.
+    /// Every point is a valid scenario, and values map to a point and back.
     #[test]
     fn every_point_is_a_scenario(
         point in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 20),
@@ -68,7 +68,7 @@ proptest! {
     }
 }
 
-/// The largest distance between two empirical distribution functions (Kolmogorov and Smirnov).
+/// Returns the Kolmogorov-Smirnov distance of two samples.
 fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
     a.sort_by(f64::total_cmp);
     b.sort_by(f64::total_cmp);
@@ -97,7 +97,7 @@ fn the_paper_space_has_the_papers_law() {
         ("follower's brake", &|s| s.vehicles()[2].max_brake_mps2()),
         ("seed", &|s| s.spec().seed as f64),
     ];
-    // Two samples of one law are further apart than this once in about 10 000 times.
+    // Two samples of one distribution exceed this distance once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
     for (name, of) in quantities {
         let found = ks_distance(ours.iter().map(of).collect(), theirs.iter().map(of).collect());
@@ -180,8 +180,8 @@ fn derived_fields_do_what_they_say() {
 }
 
 proptest! {
-    /// In traffic everywhere: the leader keeps to the speeds and accelerations that the file promises, the others start at
-    /// their time gaps, and the drivers are those named.
+    /// Leader speeds and accelerations stay within the limits of the file, followers start at their time gaps, and the
+    /// drivers are the named ones.
     #[test]
     fn everyday_traffic_is_what_it_says(
         point in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 17),
@@ -213,7 +213,8 @@ proptest! {
     }
 }
 
-/// What the space is for: rules of the road get through it, and a policy that was paid for not touching alone is shown up.
+/// The space separates controllers: reference drivers pass without hard braking, a policy rewarded only for avoiding
+/// collisions does not.
 #[test]
 fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
     let space = space("traffic");
@@ -235,7 +236,6 @@ fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
     }
 }
 
-/// Keyboards have no superscripts, and a space is the same space however its units are written.
 #[test]
 fn units_may_be_written_without_superscripts() {
     let uniform = "distribution.uniform = { low = 1.0, high = 5.0 }";

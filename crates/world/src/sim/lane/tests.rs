@@ -8,7 +8,7 @@ use crate::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in_scenario,
 };
 
-/// Vehicles on a dry road without noise, for `duration_s`.
+/// Creates a scenario with vehicles on a dry road, without noise.
 fn scenario(vehicles: Vec<VehicleSpec>, duration_s: f64) -> Scenario {
     let spec = built_in_scenario("paper-1").unwrap().spec().clone();
     Scenario::new(ScenarioSpec { name: "lanes".to_owned(), duration_s, vehicles, ..spec }).unwrap()
@@ -53,7 +53,7 @@ fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
 
 #[test]
 fn the_moment_is_that_of_the_closed_form() {
-    // 20 m/s behind 14 m/s: a gap of 50 m is 17 m after 5.5 s, and lasts 2 s, at 6 m/s, once it is 12 m.
+    // 20 m/s behind 14 m/s: a gap of 50 m is 17 m after 5.5 s, and lasts 2 s, at 6 m/s, when it is 12 m.
     let entered = |enters| {
         let line = vec![with_entry(steady_vehicle(52.0, 14.0), enters), steady_vehicle(0.0, 20.0)];
         tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0]
@@ -62,14 +62,14 @@ fn the_moment_is_that_of_the_closed_form() {
     assert!((entered(LaneChange::TimeToCollision(2.0)) - 38.0 / 6.0).abs() < 1e-9);
     assert_eq!(entered(LaneChange::At(3.456)), 3.456);
     assert_eq!(entered(LaneChange::At(9.0)), f64::INFINITY);
-    // From behind: 26 m/s past 20 m/s is 9 m ahead, bumper to bumper, (15 + 2 + 9) / 6 s later.
+    // From behind: 26 m/s against 20 m/s is 9 m ahead, bumper to bumper, after (15 + 2 + 9) / 6 s.
     let line = vec![with_entry(steady_vehicle(-15.0, 26.0), LaneChange::Gap(9.0)), steady_vehicle(0.0, 20.0)];
     assert!((tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0] - 26.0 / 6.0).abs() < 1e-9);
 }
 
 #[test]
 fn who_leaves_counts_from_the_one_ahead() {
-    // Standing 100 m ahead of one that drives at 20 m/s and leaves 1.5 s before it would hit; who follows it sees it then.
+    // A vehicle at 20 m/s leaves 1.5 s before its collision with one that stands, and reveals it to the follower.
     let line = vec![
         steady_vehicle(140.0, 0.0),
         with_exit(steady_vehicle(38.0, 20.0), LaneChange::TimeToCollision(1.5)),
@@ -98,7 +98,7 @@ fn who_finds_no_room_stays_beside() {
     }
 }
 
-/// On the trace as in the engine: the last one leaves before anything moves, and nobody was ever ahead of it.
+/// Trace and engine agree: the last vehicle leaves before any motion, and never had a leader.
 #[test]
 fn who_leaves_at_the_start_was_never_there() {
     for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
@@ -110,10 +110,10 @@ fn who_leaves_at_the_start_was_never_there() {
     }
 }
 
-/// Of two whose moment is the same instant the one does not wait for the other: of whom it is asked first does not matter.
 #[test]
 fn all_whose_moment_it_is_change_together() {
-    // 100 m ahead one stands; the second lasts 1.5 s to it, and the third, faster, 1 s to the second: with that one gone it would stay.
+    // One vehicle stands 100 m ahead. The TTC of the second to it is 1.5 s, that of the faster third to the second is 1
+    // s. Without the second the third would stay.
     let line = vec![
         steady_vehicle(134.0, 0.0),
         with_exit(steady_vehicle(100.0, 20.0), LaneChange::TimeToCollision(2.0)),
@@ -124,7 +124,6 @@ fn all_whose_moment_it_is_change_together() {
     assert_eq!([1, 2].map(|vehicle| tracks(&simulated)[vehicle].in_lane_s[1]), [0.0, 0.0]);
 }
 
-/// Everything but the time in the lane.
 fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
     for track in simulated.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
         track.in_lane_s = Track::THROUGHOUT_S;
@@ -148,12 +147,12 @@ fn who_enters_at_the_start_has_been_there() {
 }
 
 proptest! {
-    /// The gap needed at entry against full braking from a reaction time on: Δv τ + Δv² / (2 b).
+    /// The gap needed at entry for full braking after a reaction time is Δv τ + Δv² / (2 b).
     #[test]
     fn the_gap_needed_is_that_of_the_closed_form(
         gap_m in 5.0..60.0_f64, closing_mps in 1.0..15.0_f64, reaction_s in 0.0..1.5_f64, brake_mps2 in 2.0..7.0_f64,
     ) {
-        // A script that begins inside a step is its mean over the step: it begins with one, and the entry lies inside one.
+        // A profile that begins inside a step is averaged over it, so it begins with a step; the entry is inside one.
         let (onset_s, enters_s) = (2.5, 2.5 - reaction_s);
         let start_m = gap_m + closing_mps * enters_s;
         let line = vec![
@@ -169,7 +168,7 @@ proptest! {
         }
     }
 
-    /// Whoever enters or leaves out of sight changes nothing for the others.
+    /// A vehicle that enters or leaves far away has no effect on others.
     #[test]
     fn far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
         let line = |far: Option<VehicleSpec>| {
@@ -183,8 +182,7 @@ proptest! {
         prop_assert_eq!(&tracks(&with)[1..], tracks(&without));
     }
 
-    /// One that leaves and its twin that enters at the same instant are one vehicle for everybody else: who is ahead for no time is
-    /// nobody's neighbour, and no gap passes through anything when they change over.
+    /// A vehicle that leaves and its twin that enters at the same instant are one vehicle for all others.
     #[test]
     fn a_twin_that_takes_over_changes_nothing(
         time_s in prop_oneof![Just(0.0), 0.0..5.0_f64], ahead_m in 5.0..60.0_f64, speed_mps in 10.0..30.0_f64,
@@ -202,7 +200,7 @@ proptest! {
         prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
     }
 
-    /// Behind those who look ahead alone, whoever leaves changes nothing for them.
+    /// A vehicle that leaves behind controllers that observe only their leader has no effect on them.
     #[test]
     fn who_leaves_behind_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
         let line = |last: VehicleSpec| {
@@ -213,8 +211,7 @@ proptest! {
         prop_assert_eq!(&tracks(&stays)[..2], &tracks(&leaves)[..2]);
     }
 
-    /// Entries and exits inside steps, contacts and smallest gaps do not depend on the integration step, and what is measured on the
-    /// trace is what the engine saw.
+    /// Results do not depend on the integration step, and measures of the trace equal those of the engine.
     #[test]
     fn steps_do_not_matter(
         enters in any_lane_change(), leaves in prop::option::of(any_lane_change()), place_m in -20.0..60.0_f64, speed_mps in 10.0..30.0_f64,

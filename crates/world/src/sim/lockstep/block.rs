@@ -9,19 +9,17 @@ use crate::sim::platoon::PlatoonState;
 use crate::sim::recorder::assemble_result;
 use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace};
 
-/// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
+/// Runs with the same shape, at most [`RunSet::CAPACITY`]. The last run takes the slot of a finished one.
 pub(super) struct LockstepBlock<'a> {
     arch: Arch,
     recording_level: RecordingLevel,
     lanes: Vec<RunLane<'a>>,
     columns: Vec<VehicleColumn<'a>>,
-    /// Runs in which vehicles have touched.
     collided: RunSet,
-    /// The step at which the next run ends, if no contact ends one before.
+    /// Step at which the next run ends without a collision.
     next_end: usize,
 }
 
-/// What belongs to one run.
 pub(super) struct RunLane<'a> {
     index: usize,
     pub(super) run: &'a Run,
@@ -30,11 +28,11 @@ pub(super) struct RunLane<'a> {
     trace: Option<Trace>,
 }
 
-/// A run in which vehicles touch, or have touched, and which is treated as the scalar engine does.
+/// A run with a collision in this or an earlier step, which the scalar engine advances.
 struct ScalarFallback {
     lane: usize,
     platoon: PlatoonState,
-    /// When the run ended, if it did, in seconds.
+    /// End of the run in seconds, if a collision ended it.
     ended_s: Option<f64>,
 }
 
@@ -64,8 +62,7 @@ impl<'a> LockstepBlock<'a> {
         block
     }
 
-    /// Runs all to their ends and hands over each result with the index of its run. Not generic, so that the engine is
-    /// compiled here once and not in every crate that calls it.
+    /// Simulates all runs; passes results with their index to `done`. Not generic, so that the engine compiles once.
     pub(super) fn run(mut self, done: &mut dyn FnMut(usize, SimulationResult)) {
         let Some(first) = self.lanes.first().map(|lane| lane.run) else { return };
         for step in 0.. {
@@ -90,9 +87,9 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// All drivers decide on the state at the start of the step. Runs in which one fails end there.
+    /// Computes the commands of all drivers for the state at the start of the step. Ends runs in which a driver fails.
     fn decide(&mut self, span_s: [f64; 2], done: &mut dyn FnMut(usize, SimulationResult)) {
-        // Allocates nothing unless a controller fails.
+        // Allocates only if a controller fails.
         let mut failed: Vec<(usize, FailedController)> = Vec::new();
         for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
@@ -106,7 +103,7 @@ impl<'a> LockstepBlock<'a> {
                 );
             }
         }
-        // The last lane first, since it takes the place of one that ends; of each the foremost vehicle.
+        // Descending, because the last run takes the slot of one that ends. Of each run the foremost vehicle counts.
         failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
         failed.dedup_by_key(|(lane, _)| *lane);
         for (lane, failed) in failed {
@@ -123,7 +120,6 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// Everybody moves by one integration step.
     fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut dyn FnMut(usize, SimulationResult)) {
         if self.recording_level == RecordingLevel::Trace {
             (0..self.lanes.len()).for_each(|lane| self.record_sample(lane, from_s));
@@ -150,7 +146,7 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// Looks inside the step: the runs in which vehicles touch or have touched, and for all others the smallest gap of each
+    /// Finds the runs with a collision in this or an earlier step. For all others also returns the minimum gap of each
     /// pair that is closest inside the step, as (run, rear vehicle, metres).
     fn find_contacts(&mut self, dt_s: f64) -> (RunSet, Vec<(usize, usize, f64)>) {
         let (mut touching, mut closest) = (self.collided, Vec::new());
@@ -171,7 +167,6 @@ impl<'a> LockstepBlock<'a> {
         (touching, closest)
     }
 
-    /// One run by one step, through whatever contacts happen on the way.
     fn advance_scalar(&mut self, lane: usize, from_s: f64, dt_s: f64) -> ScalarFallback {
         let mut platoon = self.gather(lane);
         let RunLane { run, impacts, .. } = &mut self.lanes[lane];
@@ -188,7 +183,6 @@ impl<'a> LockstepBlock<'a> {
         ScalarFallback { lane, platoon, ended_s: ends.then_some(from_s + done_s) }
     }
 
-    /// Time to collision before anybody has moved.
     fn init_min_gap_and_ttc(&mut self) {
         for column in &mut self.columns {
             column.step(self.arch, 0.0);
@@ -196,7 +190,6 @@ impl<'a> LockstepBlock<'a> {
         self.update_min_gap_and_ttc();
     }
 
-    /// Takes in gaps and times to collision at the end of the step.
     fn update_min_gap_and_ttc(&mut self) {
         for rear in 1..self.columns.len() {
             let (front, rear) = self.columns.split_at_mut(rear);
@@ -213,7 +206,6 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// Takes a run out of the block.
     fn finish_run(
         &mut self,
         lane: usize,
@@ -234,7 +226,7 @@ impl<'a> LockstepBlock<'a> {
         self.next_end = self.lanes.iter().map(|lane| lane.steps).min().unwrap_or(0);
     }
 
-    /// One run as a platoon, for the exact treatment.
+    /// Copies one run into a platoon, for the scalar engine.
     fn gather(&self, lane: usize) -> PlatoonState {
         PlatoonState {
             lane: crate::sim::lane::LaneState::with_all(self.columns.len()),
@@ -246,7 +238,7 @@ impl<'a> LockstepBlock<'a> {
         }
     }
 
-    /// Writes back what the exact treatment changes, apart from positions and speeds.
+    /// Writes back what the scalar engine changes, except positions and speeds.
     fn scatter(&mut self, lane: usize, platoon: &PlatoonState) {
         for (vehicle, column) in self.columns.iter_mut().enumerate() {
             column.acceleration_mps2[lane] = platoon.motion[vehicle].acceleration_mps2;

@@ -1,4 +1,4 @@
-//! One vehicle position in all runs of a block: arrays with one entry a run.
+//! One vehicle position in all runs of a block: arrays with one entry per run.
 
 use pulp::Arch;
 
@@ -18,10 +18,9 @@ use crate::sim::recorder::{VehicleExtremes, summarize_vehicle};
 use crate::sim::shielding::interventions;
 use crate::sim::{Intervention, VehicleSummary};
 
-/// One vehicle position in all runs.
 pub(super) struct VehicleColumn<'a> {
     drivers: Drivers<'a>,
-    /// Empty if everybody sees the truth.
+    /// Empty if all vehicles observe the true state.
     estimators: Vec<EgoEstimator>,
     /// Empty if every vehicle responds at once and fully.
     actuators: Vec<Actuator>,
@@ -33,11 +32,10 @@ pub(super) struct VehicleColumn<'a> {
     pub(super) position_m: PerRun,
     pub(super) speed_mps: PerRun,
     pub(super) acceleration_mps2: PerRun,
-    /// What was decided for the next step while others still look at the last one.
+    /// Accelerations of the next step; other vehicles still read the current ones.
     pub(super) next_acceleration_mps2: PerRun,
     pub(super) next_position_m: PerRun,
     pub(super) next_speed_mps: PerRun,
-    /// Runs in which the vehicle sticks to the one ahead of it.
     pub(super) locked_to_front: RunSet,
     pub(super) min_gap_m: PerRun,
     min_ttc_s: PerRun,
@@ -81,7 +79,7 @@ impl<'a> VehicleColumn<'a> {
         }
     }
 
-    /// From what is true to the acceleration of the next step. `touched` are the runs in which vehicles have touched.
+    /// Computes the acceleration of the next step. `touched` are the runs with an earlier collision.
     pub(super) fn decide(
         &mut self,
         arch: Arch,
@@ -126,7 +124,7 @@ impl<'a> VehicleColumn<'a> {
         StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2])
     }
 
-    /// What the drivers want; the runs in which one failed, and why.
+    /// Computes the commands of the drivers. Returns the runs in which a driver failed, with the failure.
     fn command(
         &mut self,
         arch: Arch,
@@ -134,9 +132,9 @@ impl<'a> VehicleColumn<'a> {
         [front, behind]: [Option<&Self>; 2],
         span_s: [f64; 2],
     ) -> Vec<(usize, ControllerFailure)> {
-        // One length for all, known as such, so that no index needs a check.
+        // The compiler knows that all slices have this length, so that no index needs a bounds check.
         let runs = lanes.len();
-        // Not by `seen`, which would take hold of the drivers as well.
+        // Not `state_slices`, which would borrow the drivers too.
         let own =
             StateSlices::first(runs, [&self.position_m, &self.length_m, &self.speed_mps, &self.acceleration_mps2]);
         let (front, behind) =
@@ -157,7 +155,6 @@ impl<'a> VehicleColumn<'a> {
         failed
     }
 
-    /// Where the vehicle is after `dt_s` if nobody touches it.
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::padded);
         let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
@@ -171,7 +168,7 @@ impl<'a> VehicleColumn<'a> {
         ));
     }
 
-    /// Marks the runs in which this vehicle and the one ahead may touch, or are closest, inside the step.
+    /// Finds the runs in which this vehicle and its leader may collide, or are closest, inside the step.
     pub(super) fn screen(&self, arch: Arch, front: &Self, dt_s: f64) -> RunSet {
         let now = PairSlices {
             front_m: front.position_m.padded(),
@@ -187,7 +184,6 @@ impl<'a> VehicleColumn<'a> {
         ))
     }
 
-    /// Takes in gap and time to collision at the end of the step.
     pub(super) fn update_min_gap_and_ttc(&mut self, arch: Arch, front: &Self) {
         let next = PairSlices {
             front_m: front.next_position_m.padded(),
@@ -203,20 +199,18 @@ impl<'a> VehicleColumn<'a> {
         ));
     }
 
-    /// The end of the step becomes the start of the next one.
     pub(super) fn swap_buffers(&mut self) {
         std::mem::swap(&mut self.position_m, &mut self.next_position_m);
         std::mem::swap(&mut self.speed_mps, &mut self.next_speed_mps);
     }
 
-    /// What a shield of this vehicle, number `vehicle` of the line, did in a run.
+    /// Returns the interventions of the shield of this vehicle, number `vehicle` of the lane, in a run.
     pub(super) fn interventions(&self, run: usize, vehicle: usize, step_s: f64) -> Vec<Intervention> {
         self.drivers
             .shielded_controller(run)
             .map_or_else(Vec::new, |controller| interventions(controller, vehicle, step_s))
     }
 
-    /// Takes a run out of the column.
     pub(super) fn remove_run(&mut self, run: usize) -> VehicleSummary {
         let last = self.position_m.as_slice().len() - 1;
         self.locked_to_front.swap_remove(run, last);

@@ -1,4 +1,4 @@
-//! The drivers of one vehicle position over all runs of a block.
+//! Drivers of one vehicle position in all runs of a block.
 
 use pulp::Arch;
 
@@ -15,16 +15,14 @@ use crate::sim::run::VehicleController;
 
 macro_rules! define {
     (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($rest:tt)* }) => {
-        /// One driver a run, sorted out by kind so that a whole block is driven by one loop without dispatch inside it.
         pub(super) enum Drivers<'s> {
             Profile(ScriptedLeaders<'s>),
-            /// The Intelligent Driver Model, laid out for vector registers.
+            /// The Intelligent Driver Model, in arrays for vector registers.
             Followers(Followers),
             $($(#[$doc])* $rule(Vec<control::$rule>),)*
             Policy(Vec<PolicyDriver>),
             Network(Vec<NetworkDriver>),
             Process(Vec<ProcessDriver>),
-            /// From outside.
             Custom(Vec<ZeroOrderHold>),
             /// Drivers of several kinds, or behind shields.
             Mixed(Vec<VehicleController<&'s LeadProfile>>),
@@ -32,7 +30,7 @@ macro_rules! define {
 
         impl<'s> Drivers<'s> {
             pub(super) fn new(drivers: Vec<VehicleController<&'s LeadProfile>>) -> Self {
-                /// The drivers back, unless all of them are as the pattern says.
+                /// Returns the sorted drivers if all match the pattern; otherwise evaluates to the unchanged drivers.
                 macro_rules! unless_all {
                     ($drivers:ident, $pattern:pat => $driver:ident, $all:ident => $sorted:expr) => {
                         match all_of_kind(
@@ -60,9 +58,7 @@ macro_rules! define {
                 Self::Mixed(drivers)
             }
 
-            /// Writes each run's command for a step into `commands`, and those that failed with their run into `failed`.
-            ///
-            /// `see` makes the observation of a run; it is called once for each, in order.
+            /// Writes each run's command to `commands`, failures to `failed`. Calls `see` for each run once, in order.
             #[inline]
             pub(super) fn command(
                 &mut self,
@@ -102,7 +98,6 @@ macro_rules! define {
                 }
             }
 
-            /// Forgets run `run`; the last one takes its place.
             pub(super) fn swap_remove(&mut self, run: usize) {
                 match self {
                     Self::Profile(leaders) => leaders.swap_remove(run),
@@ -120,7 +115,6 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-/// All of one kind, or everything back.
 fn all_of_kind<'s, T>(
     drivers: Vec<VehicleController<&'s LeadProfile>>,
     is: impl Fn(&VehicleController<&'s LeadProfile>) -> bool,
@@ -130,7 +124,7 @@ fn all_of_kind<'s, T>(
 }
 
 impl Drivers<'_> {
-    /// The commands of a step if every driver sees the truth.
+    /// Computes the commands of a step if every driver observes the true state.
     pub(super) fn command_from_true_state(
         &mut self,
         arch: Arch,
@@ -153,7 +147,6 @@ impl Drivers<'_> {
         }
     }
 
-    /// The driver of run `run`, if it may have a shield.
     pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
         match self {
             Self::Mixed(drivers) => match drivers.get(run) {

@@ -1,4 +1,4 @@
-//! Vehicles that follow by the Intelligent Driver Model, in all runs of a block.
+//! Vehicles with the Intelligent Driver Model, in all runs of a block.
 
 use pulp::Arch;
 
@@ -8,7 +8,7 @@ use super::view::NeighbourhoodView;
 use crate::control::Idm;
 use crate::policy::SimdClosure;
 
-/// One model a run, number by number: it is the car-following model of traffic, and so the driver there are most of.
+/// One model per run, one array per parameter. Fast, because it is the usual driver of traffic.
 pub(super) struct Followers([PerRun; 5]);
 
 impl From<Vec<Idm>> for Followers {
@@ -18,12 +18,10 @@ impl From<Vec<Idm>> for Followers {
 }
 
 impl Followers {
-    /// The model of one run.
     pub(super) fn model(&self, run: usize) -> Idm {
         Idm::from_array(std::array::from_fn(|number| self.0[number][run]))
     }
 
-    /// What everybody wants who sees the truth.
     pub(super) fn command(&self, arch: Arch, view: &NeighbourhoodView<'_>, decided_mps2: &mut [f64]) {
         let own = [view.own.position_m, view.own.speed_mps];
         let Some(front) = &view.front else {
@@ -40,7 +38,6 @@ impl Followers {
         ));
     }
 
-    /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) {
         for number in &mut self.0 {
             number.swap_remove(run);

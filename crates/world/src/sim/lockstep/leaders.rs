@@ -1,4 +1,4 @@
-//! Vehicles that follow a script, in all runs of a block.
+//! Vehicles with a profile, in all runs of a block.
 
 use pulp::Arch;
 
@@ -7,18 +7,17 @@ use super::per_run::PerRun;
 use crate::policy::SimdClosure;
 use crate::scenario::LeadProfile;
 
-/// One script a run.
 pub(super) enum ScriptedLeaders<'s> {
-    /// Everybody brakes at a constant rate from some time on, as leaders nearly always do: `[onset, rate]`.
+    /// All vehicles brake at a constant rate from an onset on, as most leaders do: `[onset, rate]`.
     Brake([PerRun; 2]),
     Any(Vec<Script<'s>>),
 }
 
-/// A script with what it says until it changes, so that it is looked up as often as it changes and not at each step.
+/// A profile with its current acceleration, so that it is evaluated once per change instead of once per step.
 pub(super) struct Script<'s> {
     profile: &'s LeadProfile,
     cached_mps2: f64,
-    /// Nothing is held any longer by a step that ends after that.
+    /// Time until which the cached acceleration holds, in seconds.
     valid_until_s: f64,
 }
 
@@ -62,7 +61,6 @@ impl<'s> ScriptedLeaders<'s> {
         }
     }
 
-    /// Accelerations to hold over a step.
     pub(super) fn command(
         &mut self,
         arch: Arch,
@@ -86,7 +84,6 @@ impl<'s> ScriptedLeaders<'s> {
         }
     }
 
-    /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) {
         match self {
             Self::Brake([onset_s, rate_mps2]) => {

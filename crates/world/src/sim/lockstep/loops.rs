@@ -1,8 +1,8 @@
-//! The inner loops: one vehicle position after the other, in all runs of a block.
+//! Inner loops over all runs of a block, for one vehicle position at a time.
 //!
-//! They are to be inlined where they are compiled for the vector registers of the machine at hand. Every operation is rounded
-//! by itself and there is no sum over runs, so the width of the registers does not change a bit. All slices of a loop have
-//! one length. Slices are arguments, not fields, since only so does the compiler know that what is written is not what is read.
+//! They are inlined into code for the vector registers of this machine. Each operation is rounded by itself and no sum
+//! runs over runs, so that the register width does not change the result. All slices of a loop have the same length.
+//! They are arguments, not fields, so that the compiler can assume that inputs and outputs do not alias.
 
 use super::per_run::RunSet;
 use crate::control::{Idm, clamp_command};
@@ -11,7 +11,6 @@ use crate::sim::actuator::add_noise_unless_at_rest;
 use crate::sim::motion;
 use crate::sim::recorder::{hardest_brake_mps2, ttc_s};
 
-/// Cuts commands to what the vehicles can do.
 #[inline(always)]
 pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_mps2: &[f64]) {
     let n = decided_mps2.len();
@@ -21,7 +20,6 @@ pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_
     }
 }
 
-/// What scripts that brake at a constant rate ask for.
 #[inline(always)]
 pub(super) fn brake([from_s, to_s]: [f64; 2], onset_s: &[f64], rate_mps2: &[f64], decided_mps2: &mut [f64]) {
     let n = decided_mps2.len();
@@ -32,8 +30,7 @@ pub(super) fn brake([from_s, to_s]: [f64; 2], onset_s: &[f64], rate_mps2: &[f64]
     }
 }
 
-/// What the Intelligent Driver Model wants, from its numbers, own position and speed, and the rear bumper and the speed of
-/// the vehicle ahead, which is `[position, length, speed]`.
+/// Computes commands of the Intelligent Driver Model; `ahead` is `[position, length, speed]` of the leader.
 #[inline(always)]
 pub(super) fn follow(models: [&[f64]; 5], [x, v]: [&[f64]; 2], ahead: [&[f64]; 3], decided_mps2: &mut [f64]) {
     let n = decided_mps2.len();
@@ -47,7 +44,6 @@ pub(super) fn follow(models: [&[f64]; 5], [x, v]: [&[f64]; 2], ahead: [&[f64]; 3
     }
 }
 
-/// Adds noise, except where a vehicle stands and is held by its brakes.
 #[inline(always)]
 pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &[f64]) {
     let n = decided_mps2.len();
@@ -57,7 +53,6 @@ pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &
     }
 }
 
-/// Where vehicles are after a step if nobody touches them, from position, speed and acceleration.
 #[inline(always)]
 pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], next_v: &mut [f64]) {
     let n = next_x.len();
@@ -67,7 +62,6 @@ pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], nex
     }
 }
 
-/// Takes in how hard vehicles brake.
 #[inline(always)]
 pub(super) fn update_max_brake(hardest_mps2: &mut [f64], a: &[f64]) {
     for (hardest_mps2, &a) in hardest_mps2.iter_mut().zip(a) {
@@ -75,7 +69,6 @@ pub(super) fn update_max_brake(hardest_mps2: &mut [f64], a: &[f64]) {
     }
 }
 
-/// A vehicle and the one ahead of it, at one instant.
 #[derive(Clone, Copy)]
 pub(super) struct PairSlices<'a> {
     pub(super) front_m: &'a [f64],
@@ -86,14 +79,13 @@ pub(super) struct PairSlices<'a> {
 }
 
 impl<'a> PairSlices<'a> {
-    /// The first `n` of each.
     #[inline(always)]
     fn first(&self, n: usize) -> [&'a [f64]; 5] {
         [&self.front_m[..n], &self.front_length_m[..n], &self.rear_m[..n], &self.front_mps[..n], &self.rear_mps[..n]]
     }
 }
 
-/// The runs in which two vehicles may touch, or are closest, inside a step.
+/// Finds the runs in which two vehicles may collide, or are closest, inside a step.
 #[inline(always)]
 pub(super) fn screen(dt_s: f64, now: PairSlices<'_>, [next_front_mps, next_rear_mps]: [&[f64]; 2]) -> RunSet {
     let n = now.front_m.len();
@@ -109,7 +101,6 @@ pub(super) fn screen(dt_s: f64, now: PairSlices<'_>, [next_front_mps, next_rear_
     RunSet(found)
 }
 
-/// Takes in gap and time to collision.
 #[inline(always)]
 pub(super) fn update_min_gap_and_ttc(now: PairSlices<'_>, min_gap_m: &mut [f64], min_ttc_s: &mut [f64]) {
     let n = min_gap_m.len();
@@ -118,7 +109,7 @@ pub(super) fn update_min_gap_and_ttc(now: PairSlices<'_>, min_gap_m: &mut [f64],
     for run in 0..n {
         let gap_m = front_m[run] - length_m[run] - rear_m[run];
         let ttc_s = ttc_s(gap_m, rear_mps[run] - front_mps[run]);
-        // By hand, since `f64::min` spends time on NaN, of which there is none here.
+        // Plain comparison: `f64::min` also handles NaN, which cannot occur here.
         min_gap_m[run] = if gap_m < min_gap_m[run] { gap_m } else { min_gap_m[run] };
         min_ttc_s[run] = if ttc_s < min_ttc_s[run] { ttc_s } else { min_ttc_s[run] };
     }

@@ -1,8 +1,8 @@
-//! The engine to wait for: many runs in lockstep, on all cores.
+//! The lockstep engine: simulates many runs at once, on all cores.
 //!
-//! Runs of one shape (as many vehicles, the same steps, the same kinds of drivers) are packed into blocks. A block keeps each
-//! quantity of each vehicle as one array over its runs, so that a step is a handful of tight loops. Runs never influence
-//! each other, so results depend neither on the packing nor on the number of threads.
+//! Runs with the same shape (number of vehicles, steps, kinds of drivers) form blocks. A block stores each quantity of
+//! each vehicle as one array over its runs, so that a step consists of a few tight loops. Runs are independent, so
+//! results depend neither on the blocks nor on the number of threads.
 
 mod block;
 mod column;
@@ -23,19 +23,18 @@ use self::block::LockstepBlock;
 use self::per_run::RunSet;
 use super::{ControllerKind, RecordingLevel, Run, SimulationResult, simulate};
 
-/// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
+/// Maximum number of runs in a block: enough to fill vector registers and hide latencies, few enough for the L1 cache.
 const MAX_RUNS: usize = RunSet::CAPACITY;
 
-/// The same when traces are kept: each thread holds those of a whole block.
+/// Maximum number of runs in a block with traces, all of which a thread holds in memory.
 const MAX_TRACED_RUNS: usize = 8;
 
-/// Samples of a vehicle in all traces that a thread holds, unless a single run has more: 48 MB.
+/// Maximum number of vehicle samples in all traces of a thread (48 MB), unless a single run has more.
 const MAX_TRACED_SAMPLES: usize = 2_000_000;
 
-/// Runs all of `runs` and hands each result to `reduce`, with the index of its run, as soon as it is there.
+/// Simulates all `runs` and passes each result, with the index of its run, to `reduce` as soon as it is available.
 ///
-/// Returns what `reduce` returned, in the order of `runs`. Only the results under way are in memory at any time, so
-/// `reduce` can turn traces into something smaller.
+/// Returns the values of `reduce` in the order of `runs`. Only results that `reduce` returned stay in memory.
 ///
 /// ```
 /// use crumple_world::control::ControllerSpec;
@@ -44,7 +43,7 @@ const MAX_TRACED_SAMPLES: usize = 2_000_000;
 ///
 /// let space = built_in_space("paper").unwrap();
 /// let scenarios: Vec<_> = (0..100).map(|index| space.draw(0, index).unwrap()).collect();
-/// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap());
+/// let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap());
 /// let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
 /// let safe = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.is_safe());
 /// assert_eq!(safe.into_iter().filter(|&safe| safe).count(), 0);
@@ -77,7 +76,7 @@ pub fn simulate_batch<R: Send>(
             if members.iter().all(|&run| runs[run].scenario().keeps_lanes()) {
                 LockstepBlock::new(Arch::new(), runs, members, keep).run(&mut keep_result);
             } else {
-                // Who is ahead is one column for all runs of a block: where that changes, runs are made one by one.
+                // Columns have fixed leaders, so that runs with lane changes are simulated one by one.
                 members.iter().for_each(|&index| keep_result(index, simulate(&runs[index], keep)));
             }
             done
@@ -87,7 +86,7 @@ pub fn simulate_batch<R: Send>(
     results.into_iter().map(|(_, result)| result).collect()
 }
 
-/// Orders runs so that equal ones can share a block.
+/// Orders runs so that runs with equal shapes are adjacent.
 fn compare_shapes(a: &Run, b: &Run) -> Ordering {
     block_shape(a).cmp(&block_shape(b)).then_with(|| {
         let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
@@ -95,7 +94,7 @@ fn compare_shapes(a: &Run, b: &Run) -> Ordering {
     })
 }
 
-/// What runs of one block must have in common, apart from the kinds of drivers.
+/// Returns the properties that runs of one block share, except the kinds of drivers.
 fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
@@ -118,7 +117,7 @@ mod tests {
     use crate::scenario::{Driver, PaperDistribution};
     use crate::sim::RunOptions;
 
-    /// The width of the registers changes no bit.
+    /// The register width does not change any bit of the results.
     #[test]
     fn every_path_gives_the_same_results() {
         let draws = (0..20).map(|index| PaperDistribution { seed: 6 }.draw(index).unwrap());

@@ -1,18 +1,15 @@
-//! The noise on the accelerations of one vehicle position, in all runs of a block.
+//! Acceleration noise of one vehicle position, in all runs of a block.
 
 use super::per_run::PerRun;
 use crate::sim::actuator::Disturbance;
 
-/// Steps for which noise is drawn at a time: a generator's state is then fetched once for many numbers.
 const PREFETCHED_STEPS: usize = 16;
 
-/// Noise, drawn some steps ahead. A stream has one consumer, so nobody can tell when its numbers were drawn.
+/// Noise that is sampled some steps ahead. Each stream has one consumer, so that the time of sampling does not matter.
 pub(super) struct Noise {
-    /// Empty if nobody is disturbed.
     sources: Vec<Option<Disturbance>>,
-    /// One row a step, with an entry a run; 0 for vehicles without noise. A single row of zeros if nobody is disturbed.
+    /// One row per step with one entry per run; 0 without noise. A single row of zeros if no vehicle has noise.
     buffer_mps2: Vec<f64>,
-    /// Length of a row.
     row_len: usize,
     used_rows: usize,
 }
@@ -27,7 +24,7 @@ impl Noise {
         }
     }
 
-    /// The noise of the next step, a row; 0 for a vehicle without any.
+    /// Returns the noise of the next step, one entry per run; 0 without noise.
     pub(super) fn next_mps2(&mut self) -> &[f64] {
         if !self.sources.is_empty() {
             if self.used_rows == PREFETCHED_STEPS {
@@ -52,7 +49,6 @@ impl Noise {
         self.used_rows = 0;
     }
 
-    /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) {
         if !self.sources.is_empty() {
             self.sources.swap_remove(run);

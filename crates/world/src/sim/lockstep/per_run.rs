@@ -1,12 +1,11 @@
-//! One number a run, laid out for vector registers; and sets of runs.
+//! Arrays with one number per run, and sets of runs.
 
 use std::ops::{Index, IndexMut};
 
-/// Doubles in the widest vector register there is.
+/// Number of doubles in the widest vector register.
 const MAX_F64_LANES: usize = 8;
 
-/// One number for each run of a block, filled up to whole registers with leftovers, which loops may compute with as they
-/// please.
+/// One number per run of a block, padded to whole registers. Loops may write to the padding.
 #[derive(Debug, Clone)]
 pub(super) struct PerRun {
     values: Vec<f64>,
@@ -33,17 +32,14 @@ impl PerRun {
         &mut self.values[..self.runs]
     }
 
-    /// With what it is filled up with.
     pub(super) fn padded(&self) -> &[f64] {
         &self.values
     }
 
-    /// With what it is filled up with.
     pub(super) fn padded_mut(&mut self) -> &mut [f64] {
         &mut self.values
     }
 
-    /// Forgets run `run`; the last one takes its place.
     pub(super) fn swap_remove(&mut self, run: usize) -> f64 {
         let removed = self.values[run];
         self.runs -= 1;
@@ -69,15 +65,13 @@ impl IndexMut<usize> for PerRun {
     }
 }
 
-/// A set of runs of one block, a bit a run.
+/// A set of runs of one block, one bit per run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct RunSet(pub(super) u64);
 
 impl RunSet {
-    /// Most runs a set can hold.
     pub(super) const CAPACITY: usize = u64::BITS as usize;
 
-    /// The first `count` runs.
     pub(super) fn first(count: usize) -> Self {
         Self(u64::MAX.unbounded_shr((Self::CAPACITY - count.min(Self::CAPACITY)) as u32))
     }
@@ -102,7 +96,6 @@ impl RunSet {
         Self(self.0 & !other.0)
     }
 
-    /// Forgets run `run`; run `last` takes its place.
     pub(super) fn swap_remove(&mut self, run: usize, last: usize) {
         let moved = self.0 >> last & 1;
         self.0 &= !(1 << last);
@@ -111,7 +104,6 @@ impl RunSet {
         }
     }
 
-    /// The runs, in ascending order.
     pub(super) fn iter(self) -> impl Iterator<Item = usize> {
         let mut rest = self.0;
         std::iter::from_fn(move || {
@@ -128,7 +120,6 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Both behave as the plain containers they stand for.
         #[test]
         fn removing_by_swapping_is_that_of_a_list(
             mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::CAPACITY),

@@ -1,9 +1,8 @@
-//! What is true of a vehicle position and its neighbours, in all runs of a block.
+//! True state of a vehicle position and its neighbours, in all runs of a block.
 
 use super::per_run::PerRun;
 use crate::observation::{Neighbour, Observation};
 
-/// What others can see of one vehicle position, an entry a run.
 #[derive(Clone, Copy)]
 pub(super) struct StateSlices<'a> {
     pub(super) position_m: &'a [f64],
@@ -13,7 +12,6 @@ pub(super) struct StateSlices<'a> {
 }
 
 impl<'a> StateSlices<'a> {
-    /// The first `runs` of position, length, speed and acceleration.
     #[inline(always)]
     pub(super) fn first(runs: usize, [x, l, v, a]: [&'a PerRun; 4]) -> Self {
         Self {
@@ -30,7 +28,6 @@ impl<'a> StateSlices<'a> {
     }
 }
 
-/// A vehicle position and its neighbours.
 pub(super) struct NeighbourhoodView<'a> {
     pub(super) own: StateSlices<'a>,
     pub(super) front: Option<StateSlices<'a>>,
@@ -38,7 +35,7 @@ pub(super) struct NeighbourhoodView<'a> {
 }
 
 impl NeighbourhoodView<'_> {
-    /// The eight numbers in one run. Inlined, so that a driver pays only for those it looks at.
+    /// Returns the observation in one run. Inlined, so that a driver computes only the numbers that it reads.
     #[inline(always)]
     pub(super) fn observation(&self, run: usize) -> Observation {
         let own = &self.own;

@@ -1,4 +1,4 @@
-//! What a shield promises far from the origin and in small steps, and what it may take for granted.
+//! Tests of a shield far from the origin and with small steps, and of its assumptions.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use super::*;
@@ -10,8 +10,7 @@ use crate::scenario::{
 use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
-/// Two vehicles of one class, the second under test, in steps of `step_s`. The one ahead brakes fully from `onset_s` on, until
-/// both would stand.
+/// Two vehicles, the second under test. The leader brakes fully from `onset_s` on, until both would stand.
 #[derive(Debug, Clone)]
 struct FarAway {
     position_m: f64,
@@ -26,9 +25,8 @@ struct FarAway {
 }
 
 impl FarAway {
-    /// As it was found: contact at 15.04 s, at 1 mm/s, from inside the kernel, where the one ahead brakes from 6.78 s on and 1 m is to
-    /// spare. What braking adds to the position in a step is not a whole number of spacings, so that rounding goes the same way in each of
-    /// 40 000 steps.
+    /// Recreates a reported collision inside the kernel, at 1 mm/s. The change of position per step is not a multiple
+    /// of the float spacing, so that rounding has the same sign in each of 40 000 steps.
     fn from_report(friction: f64, position_m: f64, classes: [VehicleClass; 2]) -> Self {
         Self {
             position_m,
@@ -103,7 +101,7 @@ fn rounding_far_from_the_origin_costs_no_contact() {
     }
 }
 
-/// Behind somebody who may accelerate for hours, far from any origin.
+/// The leader may accelerate for hours, far from the origin.
 #[test]
 fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
     let far = FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]);
@@ -122,7 +120,6 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
     assert!(2.0 * half_m > most_m && most_m == MAX_MARGIN_M && position_m > 1e8, "{why}");
 }
 
-/// Positions, speeds and steps that the margin counts on are those of the run.
 #[test]
 fn travel_bounds_what_happens() {
     let controller =
@@ -149,7 +146,6 @@ fn travel_bounds_what_happens() {
     }
 }
 
-/// With noise ahead, and where the one under test is farther from the origin than anybody will be.
 #[test]
 fn travel_counts_noise_and_both_ends_of_the_road() {
     let far = FarAway { onset_s: 2.0, ..FarAway::from_report(1.0, -1e4, [VehicleClass::Light; 2]) };
@@ -161,7 +157,6 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
     let spare_m = ahead.length_m() + (100.0 + 60.0 * 2e-4) * 2e-4;
     assert!((travel.position_m - (spare_m - own.position_m)).abs() < 1e-9, "{}", travel.position_m);
     assert_eq!(travel.ahead_accel_mps2, ahead.max_accel_mps2() + 0.3);
-    // Where it is the one ahead that counts.
     let near = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|vehicle| vehicle.position_m += 2e4)).unwrap();
     let run = Run::new(&near, RunOptions::new(far.driver).with_estimator(EstimatorKind::Truth)).unwrap();
     let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
@@ -170,7 +165,6 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
     assert!((travel.position_m - farthest_m).abs() < 1e-9, "{} {farthest_m}", travel.position_m);
 }
 
-/// What rounding may take of the speed ahead grows with what noise may add to it.
 #[test]
 fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
     let noisy =
@@ -206,14 +200,13 @@ prop_compose! {
 proptest! {
     #![proptest_config(ProptestConfig { max_shrink_iters: 50, ..crumple_cases::with_cases(128) })]
 
-    /// Wherever, in whatever steps, on whatever road, whoever drives.
+    /// No collision occurs at any position, step size, road or controller.
     #[test]
     fn from_inside_the_kernel_nobody_touches_wherever_and_in_whatever_steps(far in far_away()) {
         check_no_collision(&far)?;
     }
 }
 
-/// Seeing late and acting late are one thing, one's own as well as that of the vehicle behind.
 #[test]
 fn delays_add_up() {
     let frame = |reaction_delay_s: f64, actuator_delay_s: f64| {
@@ -231,8 +224,7 @@ fn delays_add_up() {
     assert_eq!((frames[0].delay_steps, frames[0].behind.map(|behind| behind.reaction_s)), (40, Some(0.4)));
 }
 
-/// What is taken for granted is what the scenario says, by hand: brakes on this road with six deviations of noise, ranges of accelerations that may mislead a
-/// filter, the actuator's lag.
+/// Assumptions of a shield follow from the scenario; computed by hand.
 #[test]
 fn what_is_taken_for_granted_is_what_the_scenario_says() {
     let scenario = |changed: &dyn Fn(&mut ScenarioSpec)| {
@@ -278,7 +270,7 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
     assert!(asked(&blind, EstimatorKind::Truth).0.is_ok());
 }
 
-/// A shield of who never brakes by itself takes over once and keeps to it: from a step of the run on, to its end.
+/// A shield of a controller that never brakes intervenes from a step of the run on until its end.
 #[test]
 fn what_it_did_is_told_in_the_seconds_of_the_run() {
     let far = FarAway { onset_s: 1.0, step_s: 0.01, ..FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]) };

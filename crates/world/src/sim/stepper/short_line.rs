@@ -1,7 +1,7 @@
-//! Fast path of [`Stepper::drive`] for two to four vehicles, while no vehicle changes lanes or can collide.
+//! Fast path of [`Stepper::drive`] for two to four vehicles without lane changes and possible collisions.
 //!
-//! A learner drives a thousand runs for ten steps each in turn. The motions then stay in registers from the first step to the last,
-//! which takes a third to a fifth of the time. Smallest gaps belong to summaries and are not noted.
+//! RL drives a thousand runs for ten steps each in turn. Here the motions stay in registers for all of these steps,
+//! which takes a third to a fifth of the time. Minimum gaps belong to summaries and are not updated.
 
 use std::ops::ControlFlow;
 
@@ -13,17 +13,17 @@ use crate::control::Controller;
 use crate::estimate::TrueState;
 use crate::observation::{Neighbour, Observation};
 
-/// Why no more steps were made together.
+/// Reason why the fast path ended.
 pub(super) enum FallbackReason {
-    /// None is to follow.
+    /// All steps are done.
     Finished,
-    /// The next one needs care, and nobody has decided.
+    /// The next step needs the general path, and commands are not computed yet.
     CommandsPending,
-    /// The next one needs care, and everybody has decided.
+    /// The next step needs the general path, and commands are computed.
     CommandsReady,
 }
 
-/// The bodies of a line in which everybody is and stays.
+/// Bodies of a lane without lane changes.
 struct ShortLine<const N: usize> {
     motion: [Motion; N],
     length_m: [f64; N],
@@ -36,7 +36,6 @@ impl<const N: usize> ShortLine<N> {
         Some(self.motion.get(front)?.position_m - self.length_m.get(front)? - self.motion.get(rear)?.position_m)
     }
 
-    /// As of a [`Platoon`](super::Platoon) in whose lane everybody is.
     #[inline]
     fn true_state(&self, index: usize) -> TrueState {
         let own = self.motion[index];
@@ -55,7 +54,7 @@ impl<const N: usize> ShortLine<N> {
         }
     }
 
-    /// Moves everybody by `dt_s`, unless they may touch.
+    /// Moves all vehicles by `dt_s`, unless they may collide.
     #[inline]
     fn advance_contact_free(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
         let mut now = self.motion;
@@ -78,7 +77,7 @@ impl<const N: usize> ShortLine<N> {
 }
 
 impl Stepper {
-    /// As [`drive`](Self::drive) up to the `last` step where the line is of `N` vehicles, as long as nothing needs care.
+    /// Drives `N` vehicles as [`drive`](Self::drive) does, up to step `last`, while the fast path suffices.
     pub(super) fn drive_short_line<const N: usize>(
         &mut self,
         index: usize,
@@ -100,7 +99,7 @@ impl Stepper {
             let mut decided_mps2 = [0.0; N];
             for (vehicle, (one, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate() {
                 let VehicleLoop { driver, estimator, observation: seen, command_mps2, .. } = one;
-                // Filters take every measurement; who is driven by a script need not look at the truth.
+                // An estimator must be fed at every step; a profile needs no observation.
                 if let (None, Some(estimator)) = (&seen, estimator) {
                     *seen = Some(estimator.observe(&line.true_state(vehicle)));
                 }
@@ -163,13 +162,13 @@ mod tests {
     use crate::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
     use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions};
 
-    /// What a driver from outside wants: enough of what is seen that any difference shows, and a contact now and then.
+    /// Command of an external driver: depends on most of the observation and causes some collisions.
     fn test_command_mps2(seen: &Observation) -> f64 {
         let ahead = seen.ahead.map_or(0.0, |ahead| 0.4 * (ahead.speed_mps - seen.speed_mps) + 0.02 * ahead.gap_m);
         ahead - 0.3 + seen.behind.map_or(0.0, |behind| 0.1 * behind.acceleration_mps2)
     }
 
-    /// Every step as its moment has it, and the end; driven `together` steps at a time, or each step by itself.
+    /// Returns every step and the result, driven `together` steps at a time, or by single calls of `step`.
     fn drive_and_record(
         run: &Run,
         together: usize,
@@ -205,8 +204,8 @@ mod tests {
         (moments, format!("{:?}", stepper.finish()))
     }
 
-    /// However many steps are made together, every one of them is to the bit what it is alone: through contacts and after them, with
-    /// and without filters, in lines of any length, where lanes change, and in the spaces that the world has.
+    /// Steps of the fast path are bit-identical to single steps: through and after collisions, with and without
+    /// filters, for any number of vehicles, with lane changes, and in all built-in spaces.
     #[test]
     fn steps_together_are_steps_alone() {
         let draws = BUILT_IN_SPACES.into_iter().flat_map(|(name, ..)| {

@@ -1,13 +1,12 @@
-//! What a campaign has found out so far, kept so that `kill -9` loses nothing.
+//! Journal of a campaign's evaluations, so that `kill -9` loses none of them.
 //!
-//! The journal is a flat file that begins with the identity of the work, for another build, or another seed, would find other
-//! values; then one record an evaluation, in the order of evaluation, appended batch by batch. Which point
-//! an evaluation was at need not be kept: asking the search again gives the same points, as long as it is told the
-//! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
-//! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
-//! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the
-//! folder's manifest ([`Work::grew`](crumple_store::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
-//! campaign is complete: its contents are then in the evaluation log.
+//! The journal begins with the identity of the run, because another build or seed computes other values. One record per
+//! evaluation follows. Records hold no points: the search proposes the same points for the same values.
+//!
+//! A truncated record is ignored; a record with a wrong checksum prevents resuming. Records are synced at least once a
+//! second; missing bytes or zeros at the end count as truncated. The manifest knows the synced prefix
+//! ([`RunFolder::record_prefix`](crumple_store::run_folder::RunFolder::record_prefix)), so that further truncation is
+//! detected. A complete campaign removes the journal, because the evaluation log has its contents.
 
 mod record;
 
@@ -23,37 +22,32 @@ use crumple_world::measure::RunVerdict;
 use record::{JournalEntry, RECORD_BYTES, is_all_zero, read_record, record_checksum};
 pub(super) use record::{decode, encode};
 
-/// The identity of the work, in hexadecimal, and the end of its line.
+/// Length of the first line: the identity of the run in hexadecimal, and a line feed.
 const HEADER_BYTES: usize = 2 * 32 + 1;
 
 pub(super) struct Journal {
     file: File,
     path: PathBuf,
     identity: String,
-    /// Records of an earlier run, not yet used.
+    /// Records of an earlier process that are not yet read.
     previous_records: Option<BufReader<File>>,
-    /// Records used or written so far.
+    /// Number of records read or written so far.
     record_count: u64,
-    /// Of all bytes used or written so far.
     digest: Sha256,
-    /// When records last reached the disk.
     last_sync: Instant,
 }
 
-/// Between two times that records are made to reach the disk.
 const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 
-/// What is said of a journal whose first bytes are of something else.
 const OTHER_CAMPAIGN_MESSAGE: &str = "not of this campaign: it cannot go on; remove its folder, or use another --out";
 
 impl Journal {
-    /// That of a work: an empty one, or the one of an earlier run.
+    /// Opens the journal of a run: a new one, or that of an earlier process.
     pub(super) fn open_in_folder(work: &RunFolder, name: &str, resume: bool) -> Result<Self, RunFolderError> {
         let (path, identity) = (work.path(name), work.identity());
         if resume { Self::resume(&path, &identity) } else { Self::create(&path, &identity) }
     }
 
-    /// An empty journal of work with that identity.
     pub(super) fn create(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
@@ -75,7 +69,7 @@ impl Journal {
         }
     }
 
-    /// Looks whether work with that identity could go on with a journal, and changes nothing.
+    /// Checks that a run with this identity can resume from a journal. Changes nothing.
     pub(super) fn verify(path: &Path, identity: &str) -> Result<(), RunFolderError> {
         let unusable = DiskError::at(path);
         let mut records = BufReader::new(File::open(path).map_err(unusable)?);
@@ -94,7 +88,7 @@ impl Journal {
         Ok(())
     }
 
-    /// The journal of an earlier run, or an empty one if there is none.
+    /// Opens the journal of an earlier process, or creates one if there is none.
     pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let length = match fs::metadata(path) {
@@ -113,7 +107,6 @@ impl Journal {
         Ok(Self::new(file, path, identity, Some(earlier)))
     }
 
-    /// The next verdict of an earlier run.
     pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, RunFolderError> {
         let Some(earlier) = &mut self.previous_records else { return Ok(None) };
         let unusable = DiskError::at(&self.path);
@@ -137,12 +130,12 @@ impl Journal {
         }
     }
 
-    /// Of all records used or written so far.
+    /// Returns the length of all records read or written so far, with the header.
     fn length_bytes(&self) -> u64 {
         HEADER_BYTES as u64 + RECORD_BYTES as u64 * self.record_count
     }
 
-    /// Appends verdicts; they survive the end of the process, however sudden. What has reached the disk, if anything has.
+    /// Appends verdicts, which survive the end of the process. Returns the prefix on disk after a sync.
     pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> Result<Option<Prefix>, DiskError> {
         let mut bytes = Vec::with_capacity(verdicts.len() * RECORD_BYTES);
         for (verdict, index) in verdicts.iter().zip(self.record_count..) {
@@ -162,8 +155,7 @@ impl Journal {
     }
 }
 
-/// At most so many verdicts of a journal that another process may be writing, after the first `known` of them; none if there is no
-/// journal. What is not yet there as a whole is left for later.
+/// Reads at most `most` complete records after the first `known`, perhaps during writing; `None` without a journal.
 pub(super) fn read_verdicts_after(
     path: &Path,
     identity: &str,
@@ -194,8 +186,7 @@ pub(super) fn read_verdicts_after(
     Ok(Some(verdicts))
 }
 
-/// Whether a journal begins as that of work with an identity does; none if it is another's. One whose header was cut short, or never
-/// reached the disk, holds nothing.
+/// Returns true for the header of this run, false if it is truncated or missing, `None` for another run.
 fn has_header(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
     let mut found = [0; HEADER_BYTES];
     match journal.read_exact(&mut found) {
@@ -257,7 +248,7 @@ mod tests {
         }
     }
 
-    /// Any bit of the header or any record, and two whole records that change places.
+    /// Tests a change of any bit of the header or a record, and an exchange of two records.
     #[test]
     fn damage_is_found_where_it_is() {
         let folder = tempfile::tempdir().unwrap();

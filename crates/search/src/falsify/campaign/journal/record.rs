@@ -1,4 +1,4 @@
-//! A record of the journal: what an evaluation was worth, in so many bytes, with a checksum.
+//! Records of the journal: the verdict of an evaluation in a fixed number of bytes, with a checksum.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -8,31 +8,27 @@ use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 
-/// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
-/// class as bytes.
+/// Robustness, time and impact speed (doubles), two vehicles (32 bits), braking level or a code, and class (bytes).
 pub(super) const BODY_BYTES: usize = 3 * 8 + 2 * 4 + 2;
-/// The first bytes of the SHA-256 of the work's identity and the record's number and body: a record in another's place is
-/// damage, too.
+/// First bytes of the SHA-256 of the run's identity and the record's number and body, which detect a moved record.
 pub(super) const CHECKSUM_BYTES: usize = 6;
 pub(super) const RECORD_BYTES: usize = BODY_BYTES + CHECKSUM_BYTES;
-/// In place of the braking where no vehicles touched.
+/// Code in place of the braking level without a collision.
 const NO_CONTACT: u8 = u8::MAX;
-/// In place of the braking where a controller failed; the vehicle that is hit is then its own.
+/// Code in place of the braking level if a controller failed; the vehicle that is hit is then its own.
 const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
-/// What is read where a record may be.
 pub(super) enum JournalEntry {
     Record([u8; BODY_BYTES], [u8; CHECKSUM_BYTES]),
-    /// The end, or a record that was cut short.
+    /// The end of the file, or a truncated record.
     Truncated,
-    /// Nothing but zeros to the end: what a loss of power leaves.
+    /// Only zeros to the end, as a loss of power leaves them.
     Zeros,
-    /// Something else.
+    /// Any other content.
     Damaged,
 }
 
 impl JournalEntry {
-    /// What was found, unless it is damage.
     pub(super) fn reject_damage(self, path: &Path, index: u64) -> Result<Self, RunFolderError> {
         match self {
             Self::Damaged => Err(RunFolderError::damaged(
@@ -48,7 +44,6 @@ impl JournalEntry {
     }
 }
 
-/// The next record, or what is in its place.
 pub(super) fn read_record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<JournalEntry> {
     let (mut body, mut checksum) = ([0; BODY_BYTES], [0; CHECKSUM_BYTES]);
     match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
@@ -64,7 +59,6 @@ pub(super) fn read_record(journal: &mut impl Read, identity: &str, index: u64) -
     }
 }
 
-/// Whether there is nothing but zeros to the end.
 pub(super) fn is_all_zero(rest: &mut impl Read) -> io::Result<bool> {
     let mut part = [0; 1 << 12];
     loop {
@@ -76,7 +70,6 @@ pub(super) fn is_all_zero(rest: &mut impl Read) -> io::Result<bool> {
     }
 }
 
-/// The checksum of a record of work with that identity.
 pub(super) fn record_checksum(identity: &str, index: u64, body: &[u8; BODY_BYTES]) -> [u8; CHECKSUM_BYTES] {
     let digest = Sha256::default().with(identity).with(index.to_le_bytes()).with(body).finish();
     let mut first = [0; CHECKSUM_BYTES];
@@ -84,7 +77,6 @@ pub(super) fn record_checksum(identity: &str, index: u64, body: &[u8; BODY_BYTES
     first
 }
 
-/// The bytes of a verdict.
 pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BYTES] {
     let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failure) {
         (Some(contact), _) => {
@@ -103,7 +95,6 @@ pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BY
     record
 }
 
-/// The verdict that bytes say.
 pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerdict {
     let double = |index: usize| {
         let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());

@@ -1,4 +1,4 @@
-//! FMUs: each is driven by the program `crumple-fmu`, a process like any other, wired to what the FMU has.
+//! FMUs. The program `crumple-fmu` runs each as a controller process, connected to the variables of the FMU.
 
 #[cfg(feature = "process")]
 mod setup;
@@ -11,37 +11,37 @@ use crate::control::{InputMapping, InvalidMapping, OutputMapping};
 #[cfg(feature = "process")]
 pub use setup::find_fmu_host;
 
-/// What a controller file may say of an FMU, by default nothing.
+/// Configuration of an FMU in a controller file; empty by default.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FmuConfig {
-    /// What is seen; each input of the FMU by its name, if nothing is said.
+    /// Inputs; default: each input of the FMU by its name.
     pub inputs: Option<Vec<InputMapping>>,
-    /// What its answer means.
+    /// Meaning of the answer.
     pub output: Option<OutputMapping>,
-    /// What its parameters begin with; Booleans are 0 or 1.
+    /// Start values of parameters; Booleans are 0 or 1.
     pub parameters: BTreeMap<String, f64>,
-    /// Time between decisions, and of its steps, in seconds; at each step of the scenario, if nothing is said.
+    /// Time between decisions, and step of the FMU, in seconds; default: the step of the scenario.
     pub decision_interval_s: Option<f64>,
 }
 
-/// Why an FMU cannot drive.
+/// Reason why an FMU cannot drive.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FmuProblem {
-    /// The file.
+    /// An unusable file.
     #[cfg(feature = "process")]
     #[error(transparent)]
     Fmu(#[from] crumple_fmu::FmuError),
-    /// The program that runs it is not there.
+    /// The program that runs FMUs is missing.
     #[error(
         "needs the program `crumple-fmu`, which is installed with crumple and was found neither beside it nor on the path; \
          the variable CRUMPLE_FMU may say where it is"
     )]
     MissingHost,
-    /// A process has to run it.
+    /// A build without controller processes.
     #[error("FMUs need a build with the feature `process`")]
     ProcessFeatureDisabled,
-    /// What does not fit it.
+    /// A mapping that does not fit the FMU.
     #[error(transparent)]
     Mapping(#[from] InvalidMapping),
 }

@@ -1,4 +1,4 @@
-//! What an FMU is wired to, and the command that runs it.
+//! Connections of an FMU to quantities, and the command that runs it.
 
 use std::path::{Path, PathBuf};
 
@@ -8,20 +8,18 @@ use super::units::{convert_input, convert_output, convert_parameter};
 use super::{FmuConfig, FmuProblem};
 use crate::control::{InputMapping, InvalidMapping, Mapping, ObservedQuantity, OutputMapping, ProcessSetup};
 
-/// The program that loads FMUs, installed beside crumple.
 const HOST_PROGRAM: &str = "crumple-fmu";
-/// Says where it is if it is elsewhere.
+/// Environment variable with another location of the program.
 const HOST_ENV_VAR: &str = "CRUMPLE_FMU";
-/// What the output of an FMU that has more than one must be called, unless a controller file says which it is.
+/// Name of the answer, if an FMU has several outputs and no controller file chooses one.
 const DEFAULT_OUTPUT: &str = "acceleration_mps2";
 
 impl ProcessSetup {
-    /// Returns the setup of an FMU, by its path from `folder`, wired as it is said. Inputs, answer and parameters are converted
-    /// between SI units and the units that the FMU declares. Reads the FMU, and runs nothing of it.
+    /// Creates the setup of an FMU from its path relative to `folder`, connected by `wiring`. Converts inputs, answer
+    /// and parameters between SI units and the units of the FMU. Reads the FMU without running it.
     ///
     /// # Errors
-    /// [`FmuProblem`] for a file that is no FMU or cannot drive here, for variables that it does not have, and for units that cannot be
-    /// converted.
+    /// [`FmuProblem`] for an unusable file, for missing variables, and for units that cannot be converted.
     pub(crate) fn from_fmu(folder: &Path, path: &str, wiring: FmuConfig) -> Result<Self, FmuProblem> {
         let fmu = Fmu::open(&folder.join(path))?;
         let description = fmu.description();
@@ -49,7 +47,7 @@ impl ProcessSetup {
         if let Some(interval_s) = wiring.decision_interval_s {
             say("interval-s", interval_s.to_string());
         }
-        // Not to be taken for an option.
+        // `./` keeps the path from being parsed as an option.
         command.push(format!("./{path}"));
         Ok(Self {
             command,
@@ -66,7 +64,6 @@ impl ProcessSetup {
     }
 }
 
-/// Each input by its name.
 fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, InvalidMapping> {
     let inputs: Result<Vec<InputMapping>, String> = description
         .with_causality(Causality::Input)
@@ -87,7 +84,7 @@ fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, I
     }
 }
 
-/// Returns the inputs in the units of their variables, and the names of these.
+/// Returns the inputs in the units of their variables, and the names of the variables.
 fn connect_inputs(
     description: &ModelDescription,
     inputs: Vec<InputMapping>,
@@ -111,7 +108,6 @@ fn connect_inputs(
     Ok((converted, names))
 }
 
-/// Returns the output that is the answer.
 fn answer_variable<'d>(
     description: &'d ModelDescription,
     output: &OutputMapping,
@@ -152,7 +148,7 @@ fn find_variable<'a>(
     })
 }
 
-/// Where the program is that runs FMUs: what the variable `CRUMPLE_FMU` says, or else beside this one, or on the path.
+/// Finds the program that runs FMUs: by the variable `CRUMPLE_FMU`, beside this program, or on the path.
 #[must_use]
 pub fn find_fmu_host() -> Option<PathBuf> {
     let absolute = |path: PathBuf| std::path::absolute(path).ok().filter(|path| path.is_file());
@@ -161,7 +157,7 @@ pub fn find_fmu_host() -> Option<PathBuf> {
     }
     let name = format!("{HOST_PROGRAM}{}", std::env::consts::EXE_SUFFIX);
     let own = std::env::current_exe().ok();
-    // Cargo puts tests and examples into folders of their own beside the programs.
+    // Cargo places tests and examples in subfolders beside the programs.
     let is_of_cargo = |folder: &Path| folder.ends_with("deps") || folder.ends_with("examples");
     let beside = own.iter().flat_map(|own| {
         let folder = own.parent();

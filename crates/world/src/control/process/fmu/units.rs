@@ -1,7 +1,6 @@
-//! Conversion between SI units, in which crumple calculates, and the units that an FMU declares for its variables.
+//! Conversion between SI units and the units that an FMU declares for its variables.
 //!
-//! Each number of a controller file is in SI units. The conversion is composed with the scale and offset of an input or output, so
-//! that the process receives and answers in the FMU's units.
+//! Controller files use SI units. Scale and offset of inputs and outputs include the conversion to the FMU's units.
 
 use crumple_fmu::{Conversion, UnitDimension, Variable};
 
@@ -10,7 +9,7 @@ use crate::control::{InputMapping, ObservedQuantity, OutputMapping};
 /// Returns an input whose values are in the unit of its variable.
 ///
 /// # Errors
-/// The problem, with the unit's name, for a unit without a definition, of another dimension, or to which `scale` already converts.
+/// The problem, with the unit's name: no definition, another dimension, or a second conversion by `scale`.
 pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<InputMapping, String> {
     let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(input) };
     if let Some(quantity) = input.quantity {
@@ -21,7 +20,7 @@ pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<
     }
     check_scale(variable, dimension, ("scale", input.scale))?;
     let [low, high] = [input.low, input.high].map(|limit| (limit - offset) / factor);
-    // A negative factor turns the limits around.
+    // A negative factor swaps the limits.
     let (low, high) = if factor < 0.0 { (high, low) } else { (low, high) };
     let scaled = InputMapping { offset: input.offset + input.scale * offset, scale: input.scale * factor, ..input };
     Ok(InputMapping { low, high, ..scaled })
@@ -30,7 +29,7 @@ pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<
 /// Returns an output that takes answers in the unit of its variable.
 ///
 /// # Errors
-/// The problem, with the unit's name, as for [`converted_input`].
+/// The problem, with the unit's name, as for [`convert_input`].
 pub(super) fn convert_output(output: OutputMapping, variable: &Variable) -> Result<OutputMapping, String> {
     let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(output) };
     let scale = ("scale_mps2", output.scale_mps2);
@@ -59,7 +58,6 @@ pub(super) fn convert_parameter(value: f64, variable: &Variable) -> Result<f64, 
     Ok(conversion_of(variable)?.map_or(value, |conversion| conversion.from_si(value)))
 }
 
-/// Returns the conversion of a variable's unit; none for a variable that declares no unit.
 fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
     match &variable.unit {
         None => Ok(None),
@@ -72,7 +70,7 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
     }
 }
 
-/// Checks that a unit measures what it is used for. A plain number may stand for anything that a scale other than 1 turns into it.
+/// Checks the dimension of a unit. A dimensionless variable fits any quantity if its scale is not 1.
 fn check_dimension(
     variable: &Variable,
     unit: UnitDimension,
@@ -91,7 +89,6 @@ fn check_dimension(
     Err(format!("{} ({unit} in SI units), and {what} is in {wanted}; {hint}", variable_with_unit(variable)))
 }
 
-/// Checks that a scale does not convert to a unit a second time.
 fn check_scale(variable: &Variable, unit: UnitDimension, (field, scale): (&str, f64)) -> Result<(), String> {
     if unit == UnitDimension::NONE || scale.abs() == 1.0 {
         return Ok(());
@@ -102,7 +99,7 @@ fn check_scale(variable: &Variable, unit: UnitDimension, (field, scale): (&str, 
     ))
 }
 
-/// Returns the beginning of each problem: the variable and its unit.
+/// Returns the beginning of each message: the variable and its unit.
 fn variable_with_unit(variable: &Variable) -> String {
     let unit = variable.unit.as_ref().map_or("", |unit| unit.name.as_str());
     format!("the FMU's `{}` has the unit `{unit}`", variable.name)
