@@ -13,42 +13,32 @@ struct Row {
 
 /// The source of the numbers in a row.
 enum Source {
-    /// Its command, which takes about a second; numbers follow these texts.
-    Printed(&'static [&'static str]),
     /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
     Report(&'static [(&'static str, &'static str)]),
     /// Its command, which takes longer.
     Slow(fn(&str) -> Vec<f64>),
-    /// A clock or the memory of a machine, so that no two runs agree.
+    /// A clock of a machine, so that no two runs agree.
     Machine,
 }
 
 /// The source of each row, which begins with the text beside it.
-const SOURCES: [(&str, Source); 13] = [
-    ("contacts of the baseline", Source::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")])),
+const SOURCES: [(&str, Source); 4] = [
     (
-        "contacts of `policy`",
+        "collisions in 1000",
         Source::Report(&[
+            ("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: "),
             ("| no contact in 1000 draws of `paper` (seed 0) |", "tested: "),
             ("| no contact in the paper's scenarios |", "tested: "),
         ]),
     ),
-    ("`train --preset fast", Source::Machine),
-    ("Chasing Cars", Source::Slow(chasing_cars)),
-    ("first contact", Source::Printed(&["COLLISION at "])),
-    ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
-    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
-    ("four problems", Source::Slow(known_probabilities)),
-    ("largest memory", Source::Machine),
     (
-        "contacts with a leader",
+        "collisions with an arbitrary leader",
         Source::Slow(|printed| {
             after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
         }),
     ),
-    ("one vehicle-step, baseline, lockstep engine, one core, true state", Source::Machine),
-    ("one vehicle-step, baseline, lockstep engine, one core, Kalman filter", Source::Machine),
-    ("two cores against one", Source::Machine),
+    ("splitting on four problems", Source::Slow(known_probabilities)),
+    ("one vehicle-step", Source::Machine),
 ];
 
 fn root() -> &'static Path {
@@ -57,7 +47,7 @@ fn root() -> &'static Path {
 
 fn rows() -> Vec<Row> {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
-    let (_, table) = text.split_once("\n## Figures\n").unwrap();
+    let (_, table) = text.split_once("\n## Measured results\n").unwrap();
     let (table, _) = table.split_once("\n## ").unwrap();
     let row = |line: &str| {
         let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
@@ -110,13 +100,6 @@ fn known_probabilities(printed: &str) -> Vec<f64> {
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
 
-/// Returns the mean number of evaluations of each problem by `auto`.
-fn chasing_cars(printed: &str) -> Vec<f64> {
-    let means =
-        printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
-    means.filter_map(|line| numbers(line).last().copied()).collect()
-}
-
 fn run(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
@@ -141,7 +124,6 @@ fn figures_are_those_of_their_commands() {
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
         let printed = match source(&row) {
-            Source::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
             Source::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
@@ -149,7 +131,7 @@ fn figures_are_those_of_their_commands() {
                 };
                 places.iter().filter_map(number).collect()
             }
-            Source::Printed(_) | Source::Slow(_) | Source::Machine => continue,
+            Source::Slow(_) | Source::Machine => continue,
         };
         assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
     }
