@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::Path;
+#[cfg(unix)]
 use std::process::Command;
 
 /// A row of the table of figures.
@@ -100,6 +101,7 @@ fn known_probabilities(printed: &str) -> Vec<f64> {
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
 
+#[cfg(unix)]
 fn run(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
@@ -123,7 +125,7 @@ fn figures_are_those_of_their_commands() {
     let rows = rows();
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
-        let printed = match source(&row) {
+        let printed: Vec<f64> = match source(&row) {
             Source::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
