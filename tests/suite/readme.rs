@@ -1,77 +1,66 @@
-//! Values of README.md against their sources.
+//! Figures of README.md against their sources.
 
 use std::fs;
 use std::path::Path;
+#[cfg(unix)]
 use std::process::Command;
 
-struct FigureRow {
+/// A row of the table of figures.
+struct Row {
     figure: String,
     value: String,
     command: String,
 }
 
-enum FigureSource {
-    /// Output of a command that takes about a second; numbers follow these texts.
-    Printed(&'static [&'static str]),
-    /// Rows of the committed report, which another test compares with `crumple assess`, and the text before each
-    /// number.
+/// The source of the numbers in a row.
+enum Source {
+    /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
     Report(&'static [(&'static str, &'static str)]),
-    /// Output of a slow command.
+    /// Its command, which takes longer.
     Slow(fn(&str) -> Vec<f64>),
-    /// Measured time or memory of a machine, which is not reproducible.
+    /// A clock of a machine, so that no two runs agree.
     Machine,
 }
 
-/// Source of each row, identified by the first words of the row.
-const SOURCES: [(&str, FigureSource); 13] = [
+/// The source of each row, which begins with the text beside it.
+const SOURCES: [(&str, Source); 4] = [
     (
-        "contacts of the baseline",
-        FigureSource::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")]),
-    ),
-    (
-        "contacts of `policy`",
-        FigureSource::Report(&[
+        "collisions in 1000",
+        Source::Report(&[
+            ("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: "),
             ("| no contact in 1000 draws of `paper` (seed 0) |", "tested: "),
             ("| no contact in the paper's scenarios |", "tested: "),
         ]),
     ),
-    ("`train --preset fast", FigureSource::Machine),
-    ("Chasing Cars", FigureSource::Slow(mean_evaluations)),
-    ("first contact", FigureSource::Printed(&["COLLISION at "])),
-    ("smallest gap", FigureSource::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
-    ("share of the boxes", FigureSource::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
-    ("four problems", FigureSource::Slow(known_probability_figures)),
-    ("largest memory", FigureSource::Machine),
     (
-        "contacts with a leader",
-        FigureSource::Slow(|printed| {
-            numbers_after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
+        "collisions with an arbitrary leader",
+        Source::Slow(|printed| {
+            after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
         }),
     ),
-    ("one vehicle-step, baseline, lockstep engine, one core, true state", FigureSource::Machine),
-    ("one vehicle-step, baseline, lockstep engine, one core, Kalman filter", FigureSource::Machine),
-    ("two cores against one", FigureSource::Machine),
+    ("splitting on four problems", Source::Slow(known_probabilities)),
+    ("one vehicle-step", Source::Machine),
 ];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn figure_rows() -> Vec<FigureRow> {
+fn rows() -> Vec<Row> {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
-    let (_, table) = text.split_once("\n## Figures\n").unwrap();
+    let (_, table) = text.split_once("\n## Measured results\n").unwrap();
     let (table, _) = table.split_once("\n## ").unwrap();
     let row = |line: &str| {
         let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
             panic!("{line}")
         };
-        FigureRow { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
+        Row { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
     };
     table.lines().filter(|line| line.starts_with("| ")).skip(1).map(row).collect()
 }
 
-/// Returns the numbers of a text, in which a space may separate groups of three digits.
-fn parse_numbers(text: &str) -> Vec<f64> {
+/// Returns the numbers of a text, in which a space may stand between groups of three digits.
+fn numbers(text: &str) -> Vec<f64> {
     let is_digits = |word: &str| word.chars().all(|c| c.is_ascii_digit());
     let mut found = Vec::new();
     let mut group = String::new();
@@ -91,34 +80,29 @@ fn parse_numbers(text: &str) -> Vec<f64> {
     found
 }
 
-fn numbers_after(text: &str, marks: &[&str]) -> Vec<f64> {
+/// Returns the number behind each occurrence of one of these texts, from left to right.
+fn after(text: &str, marks: &[&str]) -> Vec<f64> {
     let mut places: Vec<usize> =
         marks.iter().flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len())).collect();
     places.sort_unstable();
     places
         .iter()
-        .filter_map(|&place| parse_numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
+        .filter_map(|&place| numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
         .collect()
 }
 
-/// Returns the largest error in per cent, the number of intervals that contain the truth, all intervals, and the most
-/// runs.
-fn known_probability_figures(printed: &str) -> Vec<f64> {
+/// Returns the largest distance from the truth in per cent, intervals that hold it, all intervals, and most runs.
+fn known_probabilities(printed: &str) -> Vec<f64> {
     let lines = || printed.lines().filter(|line| line.contains(" by Splitting: "));
-    let ratios = lines().flat_map(|line| parse_numbers(line.split_once("ratios ").unwrap().1));
+    let ratios = lines().flat_map(|line| numbers(line.split_once("ratios ").unwrap().1));
     let error_percent = ratios.map(|ratio| (100.0 * (ratio - 1.0).abs()).round()).fold(0.0, f64::max);
-    let field = |index: usize| lines().map(move |line| parse_numbers(line.split(", ").nth(index).unwrap()));
+    let field = |index: usize| lines().map(move |line| numbers(line.split(", ").nth(index).unwrap()));
     let [held, all] = [0, 1].map(|index| field(2).map(|numbers| numbers[index]).sum());
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
 
-fn mean_evaluations(printed: &str) -> Vec<f64> {
-    let means =
-        printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
-    means.filter_map(|line| parse_numbers(line).last().copied()).collect()
-}
-
-fn run_shell(command: &str) -> String {
+#[cfg(unix)]
+fn run(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
@@ -128,7 +112,7 @@ fn run_shell(command: &str) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-fn figure_source(row: &FigureRow) -> &'static FigureSource {
+fn source(row: &Row) -> &'static Source {
     let mut found = SOURCES.iter().filter(|(figure, _)| row.figure.starts_with(figure));
     let Some((_, source)) = found.next() else { panic!("no source of: {}", row.figure) };
     assert!(found.next().is_none(), "two sources of: {}", row.figure);
@@ -138,21 +122,20 @@ fn figure_source(row: &FigureRow) -> &'static FigureSource {
 #[test]
 fn figures_are_those_of_their_commands() {
     let report = fs::read_to_string(root().join("reports/assessment.md")).unwrap();
-    let rows = figure_rows();
+    let rows = rows();
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
-        let printed = match figure_source(&row) {
-            FigureSource::Printed(marks) if cfg!(unix) => numbers_after(&run_shell(&row.command), marks),
-            FigureSource::Report(places) => {
+        let printed: Vec<f64> = match source(&row) {
+            Source::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
-                    numbers_after(row, &[mark]).first().copied()
+                    after(row, &[mark]).first().copied()
                 };
                 places.iter().filter_map(number).collect()
             }
-            FigureSource::Printed(_) | FigureSource::Slow(_) | FigureSource::Machine => continue,
+            Source::Slow(_) | Source::Machine => continue,
         };
-        assert_eq!(parse_numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
+        assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
     }
 }
 
@@ -161,19 +144,14 @@ fn figures_are_those_of_their_commands() {
 #[test]
 #[ignore = "15 minutes"]
 fn figures_that_take_long_are_those_of_their_commands() {
-    for row in figure_rows() {
-        if let FigureSource::Slow(printed) = figure_source(&row) {
-            assert_eq!(
-                parse_numbers(&row.value),
-                printed(&run_shell(&row.command)),
-                "{} (`{}`)",
-                row.figure,
-                row.command
-            );
+    for row in rows() {
+        if let Source::Slow(printed) = source(&row) {
+            assert_eq!(numbers(&row.value), printed(&run(&row.command)), "{} (`{}`)", row.figure, row.command);
         }
     }
 }
 
+/// The page of commands quotes rows of the built-in report.
 #[test]
 fn claims_that_the_documentation_quotes_are_those_of_the_report() {
     let [page, report] =
@@ -187,8 +165,8 @@ fn claims_that_the_documentation_quotes_are_those_of_the_report() {
     for row in quoted {
         let (claim, cells) = row.trim_start_matches("| ").split_once(" | ").unwrap();
         if let Some(source) = report.lines().find(|line| line.starts_with(&format!("| {claim}"))) {
-            let there = parse_numbers(source);
-            let missing = parse_numbers(cells).into_iter().find(|number| !there.contains(number));
+            let there = numbers(source);
+            let missing = numbers(cells).into_iter().find(|number| !there.contains(number));
             assert_eq!(missing, None, "{row}\n{source}");
             compared += 1;
         }
@@ -199,8 +177,8 @@ fn claims_that_the_documentation_quotes_are_those_of_the_report() {
 #[test]
 fn numbers_of_a_text_are_found() {
     assert_eq!(
-        parse_numbers("5.51 s, CC1 2.9; 92 777 of paper-1, 100 %. 8.35 of 8.39 m, 0 and 90"),
+        numbers("5.51 s, CC1 2.9; 92 777 of paper-1, 100 %. 8.35 of 8.39 m, 0 and 90"),
         [5.51, 2.9, 92777.0, 100.0, 8.35, 8.39, 0.0, 90.0]
     );
-    assert_eq!(numbers_after("a 3 m, b 4\na 5.0", &["a ", "b "]), [3.0, 4.0, 5.0]);
+    assert_eq!(after("a 3 m, b 4\na 5.0", &["a ", "b "]), [3.0, 4.0, 5.0]);
 }

@@ -132,8 +132,15 @@ pub(crate) struct PackedNetwork {
 #[derive(Debug, Clone, PartialEq)]
 enum PackedStep {
     /// Product with a matrix; `rectified` replaces negative elements by 0.
-    Matrix { panels: PackedPanels, outputs: usize, rectified: bool },
-    Vector { weights: Vec<f32>, bias: f32 },
+    Matrix {
+        panels: PackedPanels,
+        outputs: usize,
+        rectified: bool,
+    },
+    Vector {
+        weights: Vec<f32>,
+        bias: f32,
+    },
     Elementwise(Elementwise, usize),
 }
 

@@ -59,11 +59,19 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
 /// A segment of a simple shape. Speeds are shares of the initial speed.
 #[derive(Debug, Clone, Copy)]
 enum ShapeSegment {
-    Hold { until_s: f64 },
+    Hold {
+        until_s: f64,
+    },
     /// Changes the speed with a share of the hardest braking or the largest acceleration.
-    Change { to: f64, share: f64 },
+    Change {
+        to: f64,
+        share: f64,
+    },
     /// Changes the speed linearly until a time.
-    Reach { until_s: f64, to: f64 },
+    Reach {
+        until_s: f64,
+        to: f64,
+    },
 }
 
 impl SpeedShape {

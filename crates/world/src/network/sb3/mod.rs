@@ -217,7 +217,10 @@ fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, Net
         "ELU" => Elementwise::Elu { alpha: 1.0 },
         "Identity" => return Ok(None),
         _ => {
-            return unsupported_with_hint(format_args!("its activation function `{}` is not followed", sanitized(name)));
+            return unsupported_with_hint(format_args!(
+                "its activation function `{}` is not followed",
+                sanitized(name)
+            ));
         }
     }))
 }
