@@ -16,7 +16,7 @@ struct Row {
 enum Source {
     /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
     Report(&'static [(&'static str, &'static str)]),
-    /// Its command, which takes longer.
+    /// Command, which takes longer.
     Slow(fn(&str) -> Vec<f64>),
     /// A clock of a machine, so that no two runs agree.
     Machine,
