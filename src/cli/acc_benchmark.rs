@@ -14,12 +14,13 @@ use super::{CliError, output, reach};
 /// Prove that a network keeps its distance: ARCH-COMP AINNCS, adaptive cruise control
 #[derive(Args)]
 #[command(after_long_help = "\
-Two cars, x' = v, v' = γ, γ' = -2 γ + 2 a - 0.0001 v². The lead car's a is -2; the own car's is what the network answers every 0.1 s \
-to (30, 1.4, v_ego, D_rel, v_rel). From x_lead in [90, 110], v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30, 30.2], γ = 0, \
-D_rel >= 10 + 1.4 v_ego is to hold for 5 s (docs/acc-benchmark.md). Exit code 1 if the proved margin is negative.
+The benchmark has two cars with x' = v, v' = γ, γ' = -2 γ + 2 a - 0.0001 v². The leader has a = -2. The network \
+computes the a of the ego vehicle every 0.1 s from (30, 1.4, v_ego, D_rel, v_rel). Initially x_lead is in [90, 110], \
+v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30, 30.2] and γ = 0. The specification is D_rel >= 10 + 1.4 v_ego \
+for 5 s (docs/acc-benchmark.md). Exit code 1 if the proved margin is negative.
 
-The benchmark's networks are not shipped: their repository says under which terms they are given. Of the same weights the official .onnx \
-subtracts 1 from every input and the .mat does not: they are two networks.
+crumple does not contain the benchmark's networks; their repository states the licence. The official .onnx file \
+subtracts 1 from every input, and the .mat file with the same weights does not: they are two networks.
 
 Example:
   crumple benchmark acc --network corpora/controllers/acc-5x20.onnx --certificate acc.json")]
@@ -78,7 +79,7 @@ impl AccBenchmark {
         let gate = if proved.margin_m >= 0.0 {
             Ok(())
         } else {
-            Err(CliError::Gate("it is not shown that the distance is kept".to_owned()))
+            Err(CliError::Gate("the proof does not show that the network keeps the distance".to_owned()))
         };
         CliError::gate_first(gate, printed)
     }
@@ -95,11 +96,10 @@ impl AccBenchmark {
         let down = |value: f64| (100.0 * value).floor() / 100.0;
         let up = |value: f64| (100.0 * value).ceil() / 100.0;
         format!(
-            "adaptive cruise control (ARCH-COMP AINNCS), a network {shape}, D_rel cut in {cells}\n\
-             \x20 D_rel - 10 - 1.4 v_ego    at least {:.2} m proved, {:.2} m the least of {} starts\n\
-             \x20 width of x_ego at 5 s     at most {:.2} m proved, {:.2} m of the same\n\
-             \x20 time                      {:.3} s to prove, {checked_s:.3} s to check\n\
-             accepted: {accepted}\n",
+            "adaptive cruise control (ARCH-COMP AINNCS), a network {shape}, D_rel divided into {cells} parts\n\x20 \
+             D_rel - 10 - 1.4 v_ego    at least {:.2} m proved, {:.2} m the smallest in {} simulations\n\x20 width of \
+             x_ego at 5 s     at most {:.2} m proved, {:.2} m in the simulations\n\x20 time                      {:.3} \
+             s to prove, {checked_s:.3} s to check\naccepted: {accepted}\n",
             down(proved.margin_m),
             sampled.margin_m,
             sampled.samples,

@@ -61,7 +61,7 @@ pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -
 /// Finds a built-in scenario space or loads one from a file, for clap. Returns it with the given name.
 pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), String> {
     if name_or_path.trim().is_empty() {
-        return Err("no space is named".to_owned());
+        return Err("the name of the scenario space is empty".to_owned());
     }
     let space = find_space(name_or_path).map_err(|error| error.to_string())?;
     Ok((name_or_path.to_owned(), space))
@@ -80,8 +80,7 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
     if NetworkFile::is_network(Path::new(name)) {
         return Err(
-            "is a network from outside: policies that can be trained on are crumple's own, which `crumple train` makes"
-                .to_owned(),
+            "is an imported network, which crumple cannot train; use a policy that `crumple train` wrote".to_owned()
         );
     }
     parse_controller(name)

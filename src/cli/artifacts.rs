@@ -56,7 +56,7 @@ impl ArtifactArgs {
     /// Notes that there is nothing to write, if a file was requested.
     pub(super) fn note_nothing_to_write(&self, why: &str, quiet: bool) {
         if self.out.is_some() || self.plot.is_some() {
-            output::note(&format!("note: {why} to write or draw"), quiet);
+            output::note(&format!("note: {why} to write or plot"), quiet);
         }
     }
 

@@ -23,41 +23,45 @@ use crumple_store::shard::{MissingShards, ShardId};
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, every built-in controller, the policy behind a shield and the retrained one: on the paper's scenarios and 1000 draws of its \
-distribution, against a search for failures, against the mildest lead braking that makes each collide (see worst-case), with \
-the best escape found from each scenario (see avoid), and with every certificate checked. A file says more:
+Without a file, `assess` evaluates every built-in controller, the policy behind a shield and the retrained policy. \
+It simulates the paper's scenarios and 1000 random scenarios of the paper's distribution, searches for failures, and \
+finds the mildest lead braking that makes each controller collide (see worst-case). For each scenario it finds the \
+best escape (see avoid), and it checks all certificates. A file configures more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
-  subject = \"policy\"                       # the argument is about this one
+  subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  paper = true                             # false leaves out the paper's scenarios, profiles, maps, training and space
-  distributions = [\"paper\"]               # spaces by whose law failures are counted
-  draws = 1000                             # of each of them
-  everyday_draws = 200                     # drives in `traffic`, where braking needs a cause, and as many in `high-risk`
+  paper = true                             # false omits the paper's scenarios, profiles, maps, training and space
+  distributions = [\"paper\"]               # spaces in which failures are counted
+  draws = 1000                             # random scenarios of each of these spaces
+  everyday_draws = 200                     # random scenarios of `traffic` and of `high-risk`
   seed = 0
-  scenarios = [\"episodes\"]                 # scenario files, and folders of them, relative to this file
-  recordings = [\"platoon.csv\"]             # whose braking episodes are scenarios too (see import)
+  scenarios = [\"episodes\"]                 # scenario files and folders of scenario files, relative to this file
+  recordings = [\"platoon.csv\"]             # recordings whose braking episodes become scenarios (see import)
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
-  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]   # tests after regulations (see suite list); at most 20
+  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]   # at most 20 (see suite list)
   rates = { runs = 4000, confidence = 0.999 }
-  certificates = [\"escape.json\"]           # to be checked again
-  [[gates]]                                # what must hold, or the exit code is 1
+  certificates = [\"escape.json\"]           # certificates to check
+  [[gates]]                                # a condition; the exit code is 1 if it does not hold
   require = \"rate-not-above\"
   controller = \"policy\"
   than = \"baseline\"
 
-A folder of scenarios may hold 10 000 files and 64 MiB, any other file 3 MiB of TOML, certificates 64 MiB, recordings what import takes.
+A folder of scenarios may contain 10 000 files and 64 MiB. The limit is 64 MiB for a certificate, that of `import` \
+for a recording, and 3 MiB of TOML for any other file.
 
-Other gates: no-contact-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and `recordings`), no-collision-in-space (random \
-scenarios of a space, one of `distributions` or `traffic` or `high-risk`) and no-avoidable-failure (with a space) for a controller, \
-needless-braking-at-most and left-behind-at-most (with percent), string-stable, suite-passed (with a suite), rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
+Other gates for a controller: no-contact-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and \
+`recordings`), no-collision-in-space (random scenarios of a space, one of `distributions` or `traffic` or \
+`high-risk`) and no-avoidable-failure (with a space), needless-braking-at-most and left-behind-at-most (with \
+percent), string-stable, suite-passed (with a suite), rate-at-most (with percent; both rates with a space, if there \
+are several distributions), proofs-accepted, nothing-worse (than in --against).
 
-Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
-gathered again, and an assessment that was interrupted goes on where it stopped. Each file holds hashes of the program, of what it \
-depends on and of itself: one that was cut, edited or swapped is gathered again. That is integrity, not secrecy: somebody who \
-writes numbers and hashes anew is believed, so do not go on from a folder that others may write to; --fresh believes nothing that is \
-there. Certificates are checked in every run, kept or not.")]
+The folder `evidence` of the report caches evidence by the hash of all its inputs. Only evidence whose inputs \
+changed is computed again, and an interrupted assessment resumes. Each file contains hashes of the program, of its \
+inputs and of itself; crumple computes evidence again if its file was truncated, edited or replaced. The hashes do \
+not protect against a person who changes numbers and hashes together: do not reuse a folder that others can write \
+to, or use --fresh, which ignores existing evidence. Every run checks all certificates, cached or not.")]
 pub(super) struct Assess {
     /// Configuration of the assessment; built-in defaults without it
     #[arg(value_name = "FILE.toml")]
@@ -107,13 +111,17 @@ impl Assess {
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join(EVIDENCE_FOLDER);
-        let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
-        interrupt::set_exit_message(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
+        let again = if self.fresh {
+            "the same command without --fresh resumes the assessment"
+        } else {
+            "the same command resumes the assessment"
+        };
+        interrupt::set_exit_message(format!("the evidence computed so far is in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
         check_no_symlinks(&self.out)?;
         if let Some(kind) = run_folder::read_kind(&self.out).filter(|kind| kind != REPORT_KIND) {
             return Err(CliError::Input(format!(
-                "--out: {} holds a {kind}, whose work.json a report would replace",
+                "--out: {} contains a {kind}, whose work.json the report would replace; use another folder",
                 self.out.display()
             )));
         }
@@ -124,7 +132,7 @@ impl Assess {
         let store = EvidenceCache::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
             let note = format!(
-                "note: `{}` states no identity, so nothing of this assessment is kept for the next",
+                "note: `{}` states no identity, so the next assessment cannot reuse this evidence",
                 unknown.name
             );
             output::note(&note, quiet);
@@ -136,9 +144,9 @@ impl Assess {
         folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
         let (pieces, reused) = store.reuse_counts();
         let again =
-            if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
+            if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were reused") };
         for path in store.damaged_files() {
-            output::note(&format!("{} was damaged, and gathered again", path.display()), quiet);
+            output::note(&format!("note: {} was damaged, and its evidence was computed again", path.display()), quiet);
         }
         let page = self.out.join("assessment.html");
         output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
@@ -163,12 +171,15 @@ impl Assess {
 impl Assess {
     fn gather(&self, plan: &AssessmentPlan, shard: ShardId, quiet: bool) -> Result<(), CliError> {
         let out = self.out.display();
-        interrupt::set_exit_message(format!("what is gathered is kept in {out}: the same command goes on"), quiet);
-        let bar = progress::counter("gathering evidence", quiet);
+        interrupt::set_exit_message(
+            format!("the evidence computed so far is in {out}: the same command resumes the work"),
+            quiet,
+        );
+        let bar = progress::counter("computing evidence", quiet);
         let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         let pieces = gathered?;
-        let said = "`crumple merge` puts it together with the others";
+        let said = "`crumple merge` combines the shards";
         let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
         let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n");
         output::print_result(self.format, &gathered, words)
@@ -193,13 +204,13 @@ pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: OutputFormat) -
         true => Ok(()),
         false => {
             let missing = missing.join(", ");
-            Err(CliError::Gate(format!("evidence is missing{shards}, and `assess` would gather it: {missing}")))
+            Err(CliError::Gate(format!("evidence is missing{shards}; `assess` would compute it: {missing}")))
         }
     };
     let folder = folder.display().to_string();
     let how = match is_of_this_build {
         true => "`crumple assess` with the same file and --out",
-        false => "`crumple assess` of the build that gathered it, which is not this one,",
+        false => "`crumple assess` of the build that computed the evidence, which is not this build,",
     };
     let words = format!("{pieces} pieces of evidence in {folder}: {how} writes the report\n");
     let merged = MergedEvidenceReport { pieces, folder, is_of_this_build, missing, shards };
@@ -236,7 +247,8 @@ fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
 }
 
 fn symlink_error(folder: &Path) -> CliError {
-    let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
+    let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: remove the \
+                   link, or use another --out";
     CliError::Input(format!("{}: {problem}", folder.display()))
 }
 

@@ -21,26 +21,29 @@ use crumple_world::scenario::{Scenario, file};
 /// Decide whether a collision was avoidable: find an escape, or prove that none exists
 #[derive(Args)]
 #[command(after_long_help = "\
-The vehicles under test may accelerate and brake as they like within their limits, knowing the future; all other vehicles keep \
-their drivers. `avoidable` comes with accelerations, held over steps of --grid, and their replay has no collision at the scenario's \
-step and at a tenth of it. Their smallest gap is the largest one found; a finer grid may find a larger one. That no driver keeps \
-more than the bound has a certificate of its own. `unavoidable` comes with a proof \
-about every possible driver, accepted by the checker behind `crumple check`. Everything else is `undecided`, with the reason.
+The vehicles under test may accelerate and brake freely within their limits and know the future; all other vehicles \
+keep their drivers. `avoidable` comes with accelerations, held over steps of --grid, whose replay has no collision \
+at the scenario's step and at a tenth of it. The smallest gap is the largest that the search found; a finer grid may \
+find a larger one. A separate certificate states that no driver keeps more than the bound. `unavoidable` comes with \
+a proof about every possible driver, which the checker of `crumple check` accepted. Every other result is \
+`undecided`, with the reason.
 
-Convex programs model a scripted leader and a latched emergency brake behind. If another vehicle has another driver (idm, acc-aeb, a \
-policy), crumple simulates some thousands of profiles with that driver in the loop and shows the best one.
+Convex programs model a scripted leader and a latched emergency brake behind. If another vehicle has another driver \
+(idm, acc-aeb, a policy), crumple simulates some thousands of profiles with that driver in the loop and shows the \
+best one.
 
-A file of ranges makes a box of the scenario; `avoidable` then means that one profile is an escape from all of it:
+A file of ranges turns the scenario into a box; `avoidable` then means that one profile is an escape from every \
+scenario of the box:
   version = 1
   [[ranges]]
   field = \"vehicles[0].driver.brake.rate_mps2\"
   low = 2.8
   high = 3.2
-Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, vehicles[0].driver.brake.rate_mps2 and \
-vehicles[0].driver.brake.onset_s.
+Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, \
+vehicles[0].driver.brake.rate_mps2 and vehicles[0].driver.brake.onset_s.
 
-At most 20 vehicles may be under test, and 50 000 of them times steps: where nothing can be decided that takes some two minutes. A file of \
-ranges may have 3 MiB.
+At most 20 vehicles may be under test, with at most 50 000 vehicles times steps; the largest undecided problem takes \
+about two minutes. A file of ranges may have 3 MiB.
 
 Examples:
   crumple avoid paper-1
@@ -108,7 +111,7 @@ impl Avoid {
             Some(escape) => {
                 self.finding.stage(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
             }
-            None => self.finding.note_nothing_to_write("there is no escape", quiet),
+            None => self.finding.note_nothing_to_write("no escape was found, so there is nothing", quiet),
         }
         files.commit()?;
         self.finding.print_report(&self.report(family.centre(), &avoidance), describe)
@@ -141,7 +144,11 @@ impl Avoid {
         }
         if let Some(path) = &self.bound_certificate {
             let certificate = avoidance.bound_certificate.as_deref().cloned();
-            stage_certificate(path, certificate.ok_or_else(|| "no bound was shown of an escape".to_owned()), files)?;
+            stage_certificate(
+                path,
+                certificate.ok_or_else(|| "no upper bound on the gap of an escape was proved".to_owned()),
+                files,
+            )?;
         }
         Ok(())
     }
@@ -205,7 +212,7 @@ fn stage_certificate(
         }
         // Shown with `--quiet` too: a requested file is missing.
         Err(reason) => output::note(
-            &format!("warning: {} was not written: there is no certificate: {reason}", path.display()),
+            &format!("warning: crumple did not write {}, because there is no certificate: {reason}", path.display()),
             false,
         ),
     }
@@ -220,8 +227,8 @@ fn describe(report: &AvoidReport<'_>) -> String {
         let optimality = match report.optimality {
             _ if !is_largest => "",
             Some(name) if name == Optimality::BestFound.name() => ", best found",
-            Some(name) if name == Optimality::InitialGap.name() => ", optimal: that of the start",
-            _ => ", optimal: that of the bound",
+            Some(name) if name == Optimality::InitialGap.name() => ", optimal: equals the initial gap",
+            _ => ", optimal: equals the bound",
         };
         let _ = writeln!(text, "  smallest gap of the escape {:.2} m{optimality}", (100.0 * gap_m).floor() / 100.0);
     }
@@ -230,7 +237,7 @@ fn describe(report: &AvoidReport<'_>) -> String {
             text,
             "  no driver keeps more than {:.2} m, {}",
             (100.0 * bound_m).ceil() / 100.0,
-            if report.min_gap_bound_is_certified { "proved" } else { "by a computed bound without a certificate" }
+            if report.min_gap_bound_is_certified { "proved" } else { "computed, without a certificate" }
         );
     }
     match (report.trigger_time_s, report.emergency_brake_fires) {

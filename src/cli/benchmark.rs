@@ -27,11 +27,14 @@ enum BenchmarkSubcommand {
 
 /// Benchmark a search method: ARCH-COMP falsification, Chasing Cars, instance 2
 #[derive(Args)]
-#[command(after_long_help = "\
-Chasing Cars, instance 2 of the ARCH-COMP falsification category: five cars, throttle and brake in 20 pieces of 5 s each, \
-six specifications (published formulas differ; those that are meant are printed below the table). A run counts as a success if its counterexample \
-violates the specification by more than a centimetre at the published step of 0.01 s and at a fifth of it, where the cars look at their \
-guards five times as often, and if an independent replay says so too: a second implementation of the model and a naive monitor.")]
+#[command(
+    after_long_help = "Chasing Cars, instance 2 of the ARCH-COMP falsification category: five cars, throttle and brake \
+                       in 20 pieces of 5 s each, six specifications (published formulas differ; crumple prints those \
+                       that it uses below the table). A run counts as a success if its counterexample violates the \
+                       specification by more than a centimetre at the published step of 0.01 s and at a fifth of it, \
+                       where the cars evaluate their guards five times as often, and if an independent replay confirms \
+                       it: a second implementation of the model and a naive monitor."
+)]
 struct ChasingCars {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]

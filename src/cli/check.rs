@@ -25,15 +25,15 @@ use crumple_world::sim::NamedController;
 /// Accept or reject certificates with the small checker alone
 #[derive(Args)]
 #[command(after_long_help = "\
-The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file and \
-recomputes everything in outward-rounded interval arithmetic. What the certificate says it is about (scenario, box, space, \
-controllers) is then derived again from the texts it holds, and compared. Exit code 1 if a certificate is rejected, is not \
-about what it says, takes more work to check than --work-limit allows, is not about the scenario named with --scenario, or \
-counted what --rerun does not find again; else 2 if a file is no certificate or cannot be judged. Whatever is wrong with one, the \
-verdicts of the others are printed.
+The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file \
+and recomputes everything in outward-rounded interval arithmetic. Then crumple derives the subject of the \
+certificate (scenario, box, space, controllers) again from the texts in the file, and compares it with the \
+statement. Exit code 1 if the checker rejects a certificate, if its subject differs from its statement or from the \
+scenario of --scenario, if the check exceeds --work-limit, or if --rerun finds other counts; else 2 if a file is no \
+certificate or cannot be checked. An error in one certificate does not prevent the results of the others.
 
-The counts of a rate or a comparison are the maker's word. --rerun draws and simulates them again, all of them or a share \
-of the blocks, chosen here and now: a maker cannot know which.
+The checker cannot confirm the counts of a rate or a comparison. --rerun simulates them again, either all or a share \
+of the blocks. The selection is random by default, so that the author of a certificate cannot predict it.
 
 Examples:
   crumple avoid paper-1 --certificate paper-1.json
@@ -81,7 +81,7 @@ impl Check {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let scenario = self.scenario.as_deref().map(args::load_scenario).transpose()?;
         if self.rerun.is_some() {
-            interrupt::set_exit_message("nothing was confirmed or refuted".to_owned(), quiet);
+            interrupt::set_exit_message("no certificate was accepted or rejected".to_owned(), quiet);
         }
         // Check the other certificates even if one cannot be read.
         let (mut certificates, mut others) = (Vec::new(), Vec::new());
@@ -151,7 +151,7 @@ impl Check {
         // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
-        let bar = progress::run_bar("counting again", rerun.run_count(sample), quiet);
+        let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
         let counted = rerun.confirm(sample, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         match counted {
@@ -173,13 +173,13 @@ impl Check {
             }
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => CliError::Input(format!(
-                    "{place}: is no controller by itself, so the network of the certificate came through a controller file: \
-                     name that after --policy"
+                    "{place}: is a network that needs a controller file; give the controller file of the certificate \
+                     with --policy"
                 )),
                 other => CliError::input(other),
             })?;
             let file = checker_file(&read).map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
-            return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is no network")));
+            return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
         }
         let found = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
@@ -213,7 +213,7 @@ fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     };
     let rejected = of(&|one| one.is_rejected());
     let elsewhere = of(&|one| one.is_refused() && !one.is_rejected());
-    let parts = [("rejected", rejected), ("not about the scenario asked for", elsewhere)];
+    let parts = [("rejected", rejected), ("not about the scenario of --scenario", elsewhere)];
     let parts: Vec<_> =
         parts.iter().filter(|(_, paths)| !paths.is_empty()).map(|(what, paths)| format!("{what}: {paths}")).collect();
     (!parts.is_empty()).then(|| parts.join("; "))
@@ -226,7 +226,7 @@ fn is_network_source(path: &Path) -> bool {
 
 fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
     if let Some(what) = file_kind::detect(path) {
-        return Err(CliError::Input(format!("{}: is no certificate, but {what}", path.display())));
+        return Err(CliError::Input(format!("{}: is not a certificate, but {what}", path.display())));
     }
     let file = File::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {

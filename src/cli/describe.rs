@@ -17,12 +17,14 @@ use crumple_world::sim::{NamedController, UnknownController};
 /// Inspect an ONNX/SB3 network and print a starter controller file, or inspect an FMU
 #[derive(Args)]
 #[command(after_long_help = "\
-The command starts no program and loads no library, whatever the file is. Of an FMU it lists the variables of modelDescription.xml.
+The command starts no program and loads no library, whatever the file is. For an FMU it lists the variables of \
+modelDescription.xml.
 
-Of a model of Stable-Baselines3 it tells the algorithm, the spaces of observations and actions, and whether it was trained behind \
-VecNormalize; of any network its layers. What is printed is a controller file that runs, with that as comments: which quantity each \
-input is, in which order and unit, no file says, so correct these before you believe a result. It names the network as you do here, from \
-the folder in which the controller file lies.
+For a model of Stable-Baselines3 it prints the algorithm, the spaces of observations and actions, and whether the \
+model was trained with VecNormalize; for any network it prints the layers. The output is a controller file that \
+runs, with this information as comments. No file states which quantity each input is, in which order and unit: \
+correct these guesses before you rely on a result. The controller file contains the path of the network as given \
+here, relative to the folder of the controller file.
 
 Examples:
   crumple describe ppo.zip
@@ -127,9 +129,9 @@ impl Describe {
         let place = self.file.display();
         let names_no_network = !NetworkFile::is_network(&self.file);
         match file_kind::detect(&self.file) {
-            Some(what) => CliError::Input(format!("{place}: is no network from outside, but {what}")),
+            Some(what) => CliError::Input(format!("{place}: is not an imported network, but {what}")),
             None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
-                "{place}: is no network from outside, but a controller as it is: name it after --controller of other commands"
+                "{place}: is not an imported network, but a controller: use it with --controller of other commands"
             )),
             None => CliError::input(error),
         }
@@ -189,22 +191,22 @@ impl NetworkDescription {
             lines.push(format!("observation_space: {}", format_bounds(&model.observations)));
             lines.push(format!("action_space: {}", format_bounds(&model.actions)));
             let trace = match model.vec_normalize {
-                VecNormalizeUse::None => "it was trained without, or it changed no observation",
-                VecNormalizeUse::Behind => "it was trained behind one",
-                _ => "its file does not tell",
+                VecNormalizeUse::None => "not used in training, or it changed no observation",
+                VecNormalizeUse::Behind => "used in training",
+                _ => "unknown; the file does not state it",
             };
-            let statistics = model.statistics.as_ref().map(|path| format!("; `{path}` seems to have the statistics"));
+            let statistics =
+                model.statistics.as_ref().map(|path| format!("; `{path}` seems to contain the statistics"));
             lines.push(format!("VecNormalize: {trace}{}", statistics.unwrap_or_default()));
         }
         if self.drives_as_it_is {
             lines.push(
-                "It drives without a controller file, if it sees and answers what crumple's own policies do."
+                "The network needs no controller file if it has the inputs and outputs of crumple's own policies."
                     .to_owned(),
             );
         }
         lines.push(
-            "Which quantity each input is, in which order and unit, is a guess: correct it (docs/controllers.md)."
-                .to_owned(),
+            "The quantity, order and unit of the inputs are guesses: correct them (docs/controllers.md).".to_owned(),
         );
         lines.iter().map(|line| format!("# {}\n", line.escape_debug())).collect()
     }
@@ -219,10 +221,11 @@ impl NetworkDescription {
         let mut text = format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
-            text += "normalised = true # the inputs hold the statistics\n";
+            text += "normalised = true # the inputs contain the statistics\n";
         } else if saved.is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind) {
             // No default: crumple refuses the file until the user decides.
-            text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
+            text += "# Write normalised = true when the inputs contain means and deviations, or false if VecNormalize \
+                     changed no observation.\n";
         }
         for index in 0..self.inputs {
             let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
@@ -242,7 +245,7 @@ impl NetworkDescription {
         }
         text += "\n[output]\n";
         if self.answers > 1 {
-            text += "answer = 0 # which of them drives, a guess\n";
+            text += "answer = 0 # index of the output that is the acceleration, a guess\n";
         }
         text + &self.output_section(&own.output)
     }
@@ -259,17 +262,17 @@ impl NetworkDescription {
             // These bounds look like accelerations.
             Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
                 format!(
-                    "# The limits of the network's answers are taken for m/s², a guess. Otherwise add scale_mps2 and offset_mps2.\n\
-                     low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n"
+                    "# The limits of the network's outputs are assumed to be in m/s², a guess. Otherwise add \
+                     scale_mps2 and offset_mps2.\nlow_mps2 = {low:?}\nhigh_mps2 = {high:?}\n"
                 )
             }
             Some([Some(low), Some(high)]) if low < high => {
                 let scale_mps2 = (most_mps2 - least_mps2) / (high - low);
                 let offset_mps2 = least_mps2 - scale_mps2 * low;
                 format!(
-                    "# The network itself limits its answers to {low:?} to {high:?}: scale_mps2 and offset_mps2 turn\n\
-                     # them into m/s². No `squash`: that is for a tanh that training applied outside of the network.\n\
-                     scale_mps2 = {scale_mps2:?} # a guess: all that a light vehicle can do\noffset_mps2 = {offset_mps2:?}\n{limits}"
+                    "# The network itself limits its outputs to {low:?} to {high:?}: scale_mps2 and offset_mps2 \
+                     turn\n# them into m/s². Do not add `squash`: it is for a tanh outside the network.\nscale_mps2 = \
+                     {scale_mps2:?} # a guess: the limits of a light vehicle\noffset_mps2 = {offset_mps2:?}\n{limits}"
                 )
             }
             _ if self.drives_as_it_is => {
@@ -277,8 +280,9 @@ impl NetworkDescription {
                 format!("scale_mps2 = {scale_mps2:?}\noffset_mps2 = {offset_mps2:?}\n{limits}")
             }
             _ => format!(
-                "# The network does not limit its answers, so they are taken for m/s². If training applied tanh to them, write\n\
-                 # squash = \"tanh\" and the scale_mps2 and offset_mps2 that turn -1 to 1 into m/s².\n{limits}"
+                "# The network does not limit its outputs, so they are assumed to be in m/s². If training applied tanh \
+                 to them, write\n# squash = \"tanh\" and the scale_mps2 and offset_mps2 that turn -1 to 1 into \
+                 m/s².\n{limits}"
             ),
         }
     }

@@ -73,11 +73,12 @@ impl DoctorReport {
         );
         match &self.program_sha256 {
             Some(identity) => drop(writeln!(text, "  this program is {identity}")),
-            None => drop(writeln!(text, "  this program cannot be read: nothing that is kept can be gone on with")),
+            None => {
+                drop(writeln!(text, "  crumple cannot read its program file, so it cannot resume interrupted work"))
+            }
         }
         if !fused_multiply_add {
-            text +=
-                "  multiplying and adding in one operation is missing here: networks are slow, with the same results\n";
+            text += "  this processor has no fused multiply-add: networks are slower, with the same results\n";
         }
         for feature in &self.features {
             let Feature { name, used_for, enabled } = feature;
@@ -85,7 +86,7 @@ impl DoctorReport {
                 if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.install_command()) };
             let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
         }
-        text += "  all that crumple does works by itself; with it work\n";
+        text += "  crumple needs nothing else; optional programs:\n";
         for Dependency { name, found, used_for, install } in &self.needs {
             let there = found.as_ref().map_or_else(|| format!("not found: {install}"), Clone::clone);
             let _ = writeln!(text, "    {name:<14}{used_for}\n{:18}{there}", "");
@@ -107,7 +108,7 @@ fn dependencies() -> Vec<Dependency> {
             name: "crumple-fmu",
             found: shown(crumple_world::control::find_fmu_host()),
             used_for: "FMUs as controllers",
-            install: "cargo install crumple brings it; CRUMPLE_FMU may say where it is",
+            install: "`cargo install crumple` installs it; CRUMPLE_FMU can contain its path",
         },
         Dependency {
             name: "python",
@@ -137,7 +138,7 @@ fn dependencies() -> Vec<Dependency> {
             name: "sbatch",
             found: shown(find_program("sbatch")),
             used_for: "campaigns on many machines by Slurm",
-            install: "a cluster has it",
+            install: "part of the cluster's software",
         },
         Dependency {
             name: "cargo-fuzz",

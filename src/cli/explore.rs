@@ -15,9 +15,10 @@ use crumple_world::sim::NamedController;
 /// Explore scenarios interactively in a browser and follow running campaigns
 #[derive(Args)]
 #[command(after_long_help = "\
-Prints an address for the browser of this machine and serves it until Ctrl-C: on 127.0.0.1 alone, and only to who knows the token in that \
-address. Nothing is loaded from elsewhere. A request may have 1 MiB, and ask for 400 000 vehicles times steps over its controllers; of a campaign \
-the first 200 000 evaluations are shown. Scenarios are saved with names of their own, and replace nothing.
+Prints an address for the browser of this machine and serves it until Ctrl-C, only on 127.0.0.1 and only to requests \
+with the token in that address. The page loads nothing from other servers. A request may have 1 MiB and 400 000 \
+vehicles times steps over its controllers; the page shows the first 200 000 evaluations of a campaign. Saved \
+scenarios get new names and replace no file.
 
 Examples:
   crumple explore
@@ -74,7 +75,7 @@ impl Explore {
         let page = format!("{address}{page}");
         let words = format!("{page}\n");
         output::print_result(self.format, &Address { address, page, port }, || words)?;
-        output::note("open this address in a browser on this machine; Ctrl-C ends it", quiet);
+        output::note("open this address in a browser on this machine; Ctrl-C stops the server", quiet);
         Ok(server.run()?)
     }
 }

@@ -19,16 +19,18 @@ use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel,
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]
 #[command(after_long_help = "\
-For each scenario two files, NAME.xosc and NAME.xodr, the road, which the first names.
+Writes two files for each scenario: NAME.xosc, and the road NAME.xodr to which it refers.
 
-A counterexample of a campaign is simulated with the controller and the estimator that it is recorded with, unless --controller names another. \
-`--as trajectories` (the default) simulates and writes what every vehicle did: timed polylines, followed by position in absolute time, \
-within 2 mm of the run. A run that ends in a contact ends there. `--as actions` writes what the scripted vehicles do, as actions with \
-triggers; every other vehicle has a controller, `under-test` or the name of its driver, that is yours to fill.
+A counterexample of a campaign is simulated with the controller and the estimator that its record states, unless \
+--controller names another. `--as trajectories` (the default) simulates the scenario and writes the motion of every \
+vehicle: timed polylines, followed by position in absolute time, within 2 mm of the simulation. A simulation that \
+ends with a collision ends there. `--as actions` writes the actions of the scripted vehicles with triggers; every \
+other vehicle has a controller, `under-test` or the name of its driver, that you supply in the other simulator.
 
-A vehicle's position there is that of its rear axle, a fifth of its length ahead of the rear bumper.
+OpenSCENARIO positions refer to the rear axle, which crumple places a fifth of the vehicle's length ahead of the \
+rear bumper.
 
-A file may have 1 million vertices (100 MB), a scenario what `crumple simulate` takes.
+A file may have 1 million vertices (100 MB). For scenarios the limits of `crumple simulate` apply.
 
 Examples:
   crumple export paper-1 --to openscenario --controller policy --out exported
@@ -100,7 +102,8 @@ impl Export {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let ExportFormat::OpenScenario = self.to;
         if self.what == ExportContent::Actions && self.controller.is_some() {
-            let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
+            let problem = "--controller: applies only to `--as trajectories`; with `--as actions`, supply the \
+                           controller in the other simulator";
             return Err(CliError::Input(problem.to_owned()));
         }
         let folder = OutputFolder::with_listing(&self.out, "exported.sha256")?;
@@ -109,7 +112,8 @@ impl Export {
             let scenario = args::load_scenario(given)?;
             let name = file_stem(&scenario.spec().name);
             if names.contains(&name) {
-                let problem = "would be written over another of these: export them into folders of their own";
+                let problem = "would overwrite the file of another scenario of this command: use a separate --out for \
+                               each";
                 return Err(CliError::Input(format!("{given}: {name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
@@ -163,13 +167,16 @@ impl Export {
         }
         let mut records = VerdictRecordReader::default();
         let Some(recorded) = records.find(Path::new(given))? else {
-            let problem = "no record says which controller it is about: name one with --controller";
+            let problem = "no record states the controller of this scenario: choose one with --controller";
             return Err(CliError::Input(format!("{given}: {problem}")));
         };
         let [verdict] = recorded.by_controller()[..] else {
             let names: Vec<_> =
                 recorded.by_controller().iter().map(|verdict| format!("`{}`", verdict.controller)).collect();
-            let problem = format!("it is recorded with {}: choose one with --controller", names.join(" and "));
+            let problem = format!(
+                "the scenario is recorded with several controllers ({}): choose one with --controller",
+                names.join(" and ")
+            );
             return Err(CliError::Input(format!("{given}: {problem}")));
         };
         let mut found = recorded.controller_folders(verdict).map(|folder| verdict.find_controller(&folder));
@@ -177,11 +184,11 @@ impl Export {
         let controller = match first {
             Some(Ok(controller)) => Ok(controller),
             Some(Err(error)) => found.find_map(Result::ok).ok_or(error.to_string()),
-            None => Err("there is no such controller".to_owned()),
+            None => Err("this controller does not exist".to_owned()),
         };
         let controller = controller.map_err(|error| {
-            let problem = format!("it is recorded with the controller `{}`: {error}", verdict.controller);
-            CliError::Input(format!("{given}: {problem}; --controller names another one"))
+            let problem = format!("the record names the controller `{}`: {error}", verdict.controller);
+            CliError::Input(format!("{given}: {problem}; choose another one with --controller"))
         })?;
         driven(controller, Some(verdict.estimator))
     }
@@ -206,7 +213,7 @@ impl Export {
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {
-            output::note(&format!("note: {name} ends where the controller failed: {why}"), quiet);
+            output::note(&format!("note: {name} ends at the failure of the controller: {why}"), quiet);
         }
         let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;
         let controller = driven.map(|driven| driven.controller.name.as_str());

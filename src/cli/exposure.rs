@@ -35,13 +35,15 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     let percent = 100.0 * confidence;
     writeln!(
         out,
-        "on the road, where {episodes} episodes in {waves} waves were seen in {hours:.3} h and {kilometres:.1} km of following:"
+        "on the road: {episodes} episodes in {waves} waves were observed in {hours:.3} h and {kilometres:.1} km of \
+         following:"
     )?;
     if *left_out > 0 {
         let all = episodes + left_out;
         writeln!(
             out,
-            "  of {all} brakings {episodes} could be used: rates per hour and per 1000 km count all {all}, as if the others failed as often"
+            "  {episodes} of {all} brakings could be used; rates per hour and per 1000 km count all {all} and assume \
+             that the others fail as often"
         )?;
     }
     let shown = |IntervalEstimate { estimate, lower, upper }: IntervalEstimate| {
@@ -55,13 +57,14 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     };
     writeln!(
         out,
-        "  at {percent} %, were the fitted space the truth: intervals of the count and of the probability, each at {} %",
+        "  at {percent} %, assuming that the fitted space is exact: intervals of the count and of the probability, \
+         each at {} %",
         100.0 - 0.5 * (100.0 - percent)
     )?;
     figures(fitted, out)?;
     let Some(with_data) = with_data else {
-        let why = without_data.as_deref().unwrap_or("nothing was resampled");
-        return writeln!(out, "  without the data's uncertainty: {}", TerminalText(why));
+        let why = without_data.as_deref().unwrap_or("no resampling was done");
+        return writeln!(out, "  without the uncertainty of the data: {}", TerminalText(why));
     };
     let WithDataUncertainty { resamples, failed_fits: unfit, runs_each, .. } = with_data;
     let how = match runs_each {
@@ -70,19 +73,23 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     };
     writeln!(
         out,
-        "  at {percent} %, with the data's uncertainty: {resamples} resamples of the episodes, the space fitted to each; {how}"
+        "  at {percent} %, with the uncertainty of the data: {resamples} resamples of the episodes, with the space \
+         fitted to each; {how}"
     )?;
     figures(&with_data.rates, out)?;
     if *unfit > 0 {
-        writeln!(out, "    to {unfit} resamples no space could be fitted: others were drawn in their place")?;
+        writeln!(
+            out,
+            "    for {unfit} resamples no space could be fitted; crumple replaced them with other resamples"
+        )?;
     }
     let part = |variance: Option<f64>| {
-        variance.map_or("not known (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
+        variance.map_or("unknown (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
     };
     writeln!(
         out,
-        "    relative standard deviation of failures per hour: {} from the number of episodes, {} from what they were, {} from \
-         the runs",
+        "    relative standard deviation of failures per hour: {} from the number of episodes, {} from their \
+         parameters, {} from the runs",
         part(Some(with_data.counting_variance)),
         part(with_data.data_variance),
         part(with_data.sampling_variance)

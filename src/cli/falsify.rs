@@ -22,25 +22,29 @@ use crumple_world::sim::NamedController;
 /// Search for scenarios in which a controller fails
 #[derive(Args)]
 #[command(after_long_help = "\
-The method and two reference searches (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
-scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as compressed CSV \
-(`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
-interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes. `work.json` says of every file what it is: one that \
-was cut, edited, moved or left over is named, and nothing goes on. That is no protection against somebody who writes both anew.
+The method and two reference searches (uniform points, a Halton sequence) get the same budget each. Failures are \
+replayed at the scenario's step and at a tenth of it, shrunk, de-duplicated and ranked. The folder contains every \
+evaluation as compressed CSV (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a \
+summary. --resume continues an interrupted campaign, even after `kill -9`, and gives the same bytes. `work.json` \
+lists all files with their hashes: --resume refuses a folder with truncated, edited, moved or additional files and \
+names them. This does not protect against a person who changes the files and `work.json` together.
 
-Rules for --spec are `no braking without cause` (how much harder than a reference driver the vehicle may brake), `imposed braking at \
-most 4 m/s2` (the vehicle behind) and `no amplification` (its largest change of speed is none beyond that of the vehicle ahead, where all drive \
-at one speed at the start). A failure beside --against or --metamorphic has two runs: its robustness is max(r, -r of the other), so that it \
-is negative where the one fails and the other does not; the other scenario of --metamorphic is in `counterexamples/partners/`.
+Named specifications for --spec are `no braking without cause` (how much harder than a reference driver the vehicle \
+may brake), `imposed braking at most 4 m/s2` (of the follower) and `no amplification` (the vehicle's largest change \
+of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against or \
+--metamorphic a failure has two runs. Its robustness is max(r, -r of the other run): negative if only the first run \
+fails. `counterexamples/partners/` contains the other scenario of --metamorphic.
 
-Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
-v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. docs/stl.md has all signals and operators, and which operator binds tighter. \
-An evaluation of --budget takes some 360 bytes of disk, with --log summary 40 while it lasts and none afterwards, and no memory that lasts: a \
-million needs 360 MB, and in the space `paper` some six minutes of two cores.
+Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
+and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
+file 3 MiB. docs/stl.md lists all signals, operators and their precedence. An evaluation of --budget takes about 360 \
+bytes of disk, or with --log summary 40 bytes until the campaign ends; memory does not grow with the budget. A \
+million evaluations need 360 MB, and in the space `paper` about six minutes on two cores.
 
-Shard I of N (--shard, 1 <= I <= N <= 10 000, N at most --budget) makes the I-th of N parts of the budget of every method. The reference searches are \
-the same points as those of one machine; the method begins anew in every shard, by a seed of its own, so that N shards are N searches of budget/N. \
-`crumple merge` makes one campaign of them. A shard keeps four files: what it remembers, and no log.
+Shard I of N (--shard, 1 <= I <= N <= 10 000, N at most --budget) is the I-th of N parts of the budget of every \
+method. The reference searches evaluate the same points as on one machine. The method starts again in every shard \
+with a separate seed, so that N shards are N searches of budget/N. `crumple merge` combines them into one campaign. \
+A shard has four files and no log.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
@@ -121,25 +125,26 @@ impl SearchExpectation {
         let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
         match (self, summary.falsified) {
             (Self::Failure, false) => {
-                Err(CliError::Gate(format!("expected a failure, and there is none in {evaluations} evaluations")))
+                Err(CliError::Gate(format!("expected a failure, but found none in {evaluations} evaluations")))
             }
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
-                let found =
-                    if kinds == 1 { "is 1 distinct failure" } else { &format!("are {kinds} distinct failures") };
-                Err(CliError::Gate(format!("expected nothing, and there {found} in {evaluations} evaluations")))
+                let found = if kinds == 1 { "1 distinct failure" } else { &format!("{kinds} distinct failures") };
+                Err(CliError::Gate(format!("expected no failure, but found {found} in {evaluations} evaluations")))
             }
             // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
                 let alone: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
                 if alone > 0 && alone == evaluations {
                     return Err(CliError::Gate(format!(
-                        "expected nothing, and none of {evaluations} evaluations has another scenario that it could be compared with"
+                        "expected no failure, but none of {evaluations} evaluations has a second scenario to compare \
+                         with"
                     )));
                 }
                 match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
                     Some(silent) => Err(CliError::Gate(format!(
-                        "expected nothing, and beside some evaluations the other gave no answer, so that they were not judged: {}",
+                        "expected no failure, but some evaluations have no verdict, because the other controller gave \
+                         no answer: {}",
                         silent.because
                     ))),
                     None => Ok(()),
@@ -153,7 +158,7 @@ impl SearchExpectation {
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if let (Some(shard), Some(EvaluationLog::Full)) = (self.shard, self.log) {
-            let problem = "a shard keeps no log, so that it is four files: leave --log away, or --shard";
+            let problem = "a shard has no log: omit --log or --shard";
             return Err(CliError::Input(format!("--log: shard {shard}: {problem}")));
         }
         let out = self.out.clone().unwrap_or_else(|| match self.shard {
@@ -177,10 +182,10 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
-        let kept = format!("every evaluation is kept in {}", out.display());
+        let kept = format!("the evaluations so far are in {}", out.display());
         let again = match campaign.controller.kind.identity() {
-            Some(_) => format!("{kept}: the same command with --resume goes on"),
-            None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
+            Some(_) => format!("{kept}: the same command with --resume continues"),
+            None => format!("{kept}; the controller states no identity, so the campaign cannot resume"),
         };
         interrupt::set_exit_message(again, quiet);
         output::note_nothing_to_resume(self.resume, &out, quiet);
@@ -220,7 +225,7 @@ impl Falsify {
 fn print_shard_summary(shard: ShardId, done: ShardSummary, out: &Path, format: OutputFormat) -> Result<(), CliError> {
     let words = || {
         format!(
-            "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
+            "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` combines the shards\n",
             done.evaluations,
             format_failure_count(done.failures),
             done.kinds,
@@ -252,11 +257,11 @@ pub(super) fn merge(
     } else {
         let which = merged.missing_shards();
         let written = if is_part_wanted {
-            "what is written is a part"
+            "the written campaign is incomplete"
         } else {
-            "nothing is written (--partial writes the part that is there)"
+            "nothing is written (--partial writes the existing part)"
         };
-        Err(CliError::Gate(format!("{missing} evaluations of each method are missing{which}, and {written}")))
+        Err(CliError::Gate(format!("{missing} evaluations of each method are missing{which}; {written}")))
     };
     CliError::gate_first(gate, printed)
 }
@@ -312,7 +317,7 @@ fn format_failure_count(count: u64) -> String {
 
 fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
     if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
-        return Err(CliError::Input(format!("{name}: a space file ends in .toml")));
+        return Err(CliError::Input(format!("{name}: the name of a space file must end in .toml")));
     }
     find_space(name).map_err(|error| match error {
         FindSpaceError::File(error) => error.into(),

@@ -16,13 +16,11 @@ pub(super) fn detect(path: &Path) -> Option<&'static str> {
     let begins_with = |key: &str| begin.windows(key.len()).any(|found| found == key.as_bytes());
     if begins_with("\"crumple_policy\"") {
         Some(
-            "a policy, which is a controller as it is: `crumple simulate paper-1 --controller FILE` drives with it, `crumple retrain --policy FILE` \
-             trains it on, and `crumple verify reach --controller FILE` makes a certificate about it",
+            "a policy: use it with `crumple simulate paper-1 --controller FILE`, retrain it with `crumple retrain \
+             --policy FILE`, or certify it with `crumple verify reach --controller FILE`",
         )
     } else if begins_with("\"crumple_training\"") {
-        Some(
-            "a checkpoint, from which `crumple train` or `crumple retrain` goes on with --resume and the --out that it lies in",
-        )
+        Some("a checkpoint: resume it with `crumple train` or `crumple retrain`, --resume and --out with its folder")
     } else {
         None
     }

@@ -26,15 +26,17 @@ use crumple_world::scenario::space::file;
 /// Fit a scenario space to the braking episodes of recordings
 #[derive(Args)]
 #[command(after_long_help = "\
-Takes recordings as `crumple import` does, and describes each braking episode by numbers: the leader's speed, the deceleration of its \
-hardest second, the share of its speed that it keeps, and of each follower the speed relative to the leader's and the time gap. Each \
-number gets the likeliest of five families (uniform, normal, log-normal, gamma, Weibull), cut to what a scenario may have; leaders that come to a \
-standstill have a probability of their own, and so have lorries where lengths were recorded; how all of these depend on \
-each other is a Gaussian copula. The space is a file like any other, for `falsify`, `verify rate` and assessments. It keeps in how much \
-driving the episodes were, so that failures are stated per hour and per 1000 km, and the episodes' numbers, so that they can be resampled \
-(docs/fitting.md).
+Reads the same recordings as `crumple import` and describes each braking episode by these parameters: the leader's \
+initial speed, its mean deceleration over its hardest second, the share of its speed that it keeps, and for each \
+follower the speed relative to the leader and the time gap. Each parameter gets the most likely of five families \
+(uniform, normal, log-normal, gamma, Weibull), truncated to the values that a scenario may have. Leaders that stop \
+have a separate probability, as have lorries if the recordings state lengths. A Gaussian copula models the \
+dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. It also states the \
+driving time and distance of the recordings, so that failures can be given per hour and per 1000 km, and the \
+parameters of the episodes, so that they can be resampled (docs/fitting.md).
 
-Needed are 4 episodes for each number: 20 with two vehicles, 8 more for each vehicle more, 4 more for each that is a car here and a lorry there. At most 1000 recordings and 10 000 episodes.
+The fit requires 4 episodes for each parameter: 20 with two vehicles, 8 more for each further vehicle, and 4 more \
+for each vehicle that is a car in some episodes and a lorry in others. At most 1000 recordings and 10 000 episodes.
 
 Examples:
   crumple fit platoon.csv events.csv --out following.toml --plot following.svg
@@ -96,7 +98,7 @@ impl Fit {
         for path in &self.recordings {
             // A duplicate would count episodes and hours twice and understate the uncertainty.
             if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
-                return Err(CliError::Input(format!("{}: is given twice", path.display())));
+                return Err(CliError::Input(format!("{}: this recording is given twice", path.display())));
             }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
@@ -155,7 +157,7 @@ fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> 
     let left_out = left_out.sentences(taken.vehicles);
     left_out.iter().try_for_each(|words| writeln!(out, "  {words}"))?;
     if let Some(by) = outside_by {
-        writeln!(out, "  Outside the ranges is most often {by}")?;
+        writeln!(out, "  Most often outside the ranges: {by}")?;
     }
     sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.sentence(index)))?;
     for number in &fitted.features {
@@ -168,15 +170,16 @@ fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> 
         });
         writeln!(out, "\n{name}: {}", each.collect::<Vec<_>>().join(", "))?;
     }
-    writeln!(out, "\nhow they depend on each other: correlations of the normal numbers behind them")?;
+    writeln!(out, "\ndependence of the parameters: correlations of the Gaussian copula")?;
     for (name, row) in fitted.copula_parameters.iter().zip(&fitted.correlation) {
         let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
         writeln!(out, "  {name:<18} {}", entries.join(" "))?;
     }
     writeln!(
         out,
-        "\np-values: the share of {} samples of the fitted distribution, fitted again, that are as far from their fit. The family was chosen \
-         by the same values, so that they are rather too large. A Gaussian copula has no dependence in its far corners.",
+        "\np-values: the share of {} samples of the fitted distribution, fitted again, that are at least as far from \
+         their fit. They tend to be too large, because the same values chose the family. A Gaussian copula has no tail \
+         dependence.",
         fitted.features.first().map_or(0, |number| number.goodness.samples)
     )
 }
@@ -189,7 +192,8 @@ fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
         let ([low, high], all) = (point.interval_95, sorted.len());
         writeln!(
             out,
-            "  {} {unit} in {} of {all}: probability {:.4} ({low:.4} to {high:.4}); the rest is of the others",
+            "  {} {unit} in {} of {all}: probability {:.4} ({low:.4} to {high:.4}); the fit describes the other \
+             episodes",
             point.at, point.count, point.probability
         )?;
     }

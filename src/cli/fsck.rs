@@ -17,16 +17,19 @@ use crumple_store::run_folder::{FolderExamination, examine, is_run_folder};
 /// Check result folders for missing or modified files
 #[derive(Args)]
 #[command(after_long_help = "\
-A folder of `crumple falsify`, `verify rate`, `train` or `retrain` holds `work.json`, which says of every file how long it is and its SHA-256. \
-Nothing is changed here, and all that is damaged is named; --resume would stop at the first.
+A result folder of `crumple falsify`, `verify rate`, `train` or `retrain` contains `work.json`, which states the \
+length and the SHA-256 of every file. `fsck` changes no file and names all damaged files; --resume stops at the \
+first.
 
-Damaged work cannot be resumed: begin anew in another --out. The same seed ends with the same results.
+Damaged work cannot be resumed; start again with a new --out. The same seed gives the same results.
 
-Files beside those of the work are named, and left alone; so are `training.json` and the learning curves of a folder of trainings, which every \
-`train` writes anew. A report of `crumple assess` has a `work.json`, too; the evidence kept in its folder `evidence` is checked when it is used.
-Damage is exit code 1.
+`fsck` names files that do not belong to the results and leaves them unchanged, as it does `training.json` and the \
+learning curves of a folder of trainings, which every `train` writes again. A report of `crumple assess` has a \
+`work.json`, too; `assess` checks the evidence in the folder `evidence` when it reuses it.
+The exit code is 1 if a file is damaged.
 
-It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
+`fsck` detects files that were truncated, edited, moved or lost. It does not detect changes by a person who also \
+rewrote `work.json`.
 
 Examples:
   crumple fsck runs/baseline runs/seed-3")]
@@ -127,7 +130,7 @@ impl Fsck {
         let gate = match (damaged.is_empty(), unlooked.is_empty()) {
             (true, _) => unreadable.map_or(Ok(()), Err),
             (false, true) => Err(CliError::Gate(format!("damaged: {damaged}"))),
-            (false, false) => Err(CliError::Gate(format!("damaged: {damaged}; could not be looked at: {unlooked}"))),
+            (false, false) => Err(CliError::Gate(format!("damaged: {damaged}; unreadable: {unlooked}"))),
         };
         CliError::gate_first(gate, printed)
     }
@@ -135,7 +138,7 @@ impl Fsck {
     /// Checks a folder, and appends a description to `text`.
     fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
         if !is_run_folder(folder) {
-            let problem = "no folder of work: it holds no work.json";
+            let problem = "not a result folder: it contains no work.json";
             return Err(CliError::Input(format!("{}: {problem}", folder.display())));
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
@@ -164,18 +167,19 @@ fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
 
 fn format_report(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
-    let part =
-        format!("put together without {missing_evaluations} evaluations of each method, whose shards were missing");
+    let part = format!(
+        "incomplete: merged without {missing_evaluations} evaluations of each method, because shards were missing"
+    );
     let state = match (found.is_complete, found.is_of_this_build) {
         (true, _) if missing_evaluations > 0 => &part,
         (true, _) => "complete",
-        (false, true) if !found.is_intact() => "half done",
-        (false, true) => "half done, --resume goes on with it",
-        (false, false) => "half done by another build of crumple, which alone goes on with it",
+        (false, true) if !found.is_intact() => "unfinished",
+        (false, true) => "unfinished, --resume continues it",
+        (false, false) => "unfinished, only the build of crumple that started it can resume it",
     };
     let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
     let mut text = format!(
-        "{}: a {}, {state}; {whole} of {} files are whole\n",
+        "{}: a {}, {state}; {whole} of {} files are intact\n",
         TerminalText(&folder.display().to_string()),
         TerminalText(&found.kind),
         found.files.len()
@@ -186,13 +190,16 @@ fn format_report(folder: &Path, found: &FolderExamination, missing_evaluations: 
         }
     }
     if is_damaged {
-        text += "  damaged work cannot be resumed: begin anew in another --out\n";
+        text += "  damaged work cannot be resumed: start again with a new --out\n";
     }
     for name in &found.unlisted_files {
-        text += &format!("  {}: not of this work, and where only its files may be: move it away\n", TerminalText(name));
+        text += &format!(
+            "  {}: not part of these results, in a folder that may contain only their files: move it\n",
+            TerminalText(name)
+        );
     }
     for name in &found.unrelated_files {
-        text += &format!("  {}: not of this work\n", TerminalText(name));
+        text += &format!("  {}: not part of these results\n", TerminalText(name));
     }
     text
 }

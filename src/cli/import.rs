@@ -24,15 +24,16 @@ use crumple_world::recording::{
 /// Turn braking episodes of recorded platoons into scenario files
 #[derive(Args)]
 #[command(after_long_help = "\
-Reads two formats, told apart by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of a platoon), and \
-car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). Of any other, --map says what is \
-in its columns. A braking episode is one in which a vehicle's speed drops by more than --min-brake times one second within one \
-second; that vehicle leads the scenario. Those behind it start at the recorded gaps and speeds and are under test; only the last of \
-three or more vehicles is driven by the baseline. Without any episode the exit code is 1, and the hardest braking is said.
+Reads two formats, which it distinguishes by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of \
+a platoon), and car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). \
+For other formats, --map describes the columns. A braking episode is one in which a vehicle's speed drops by more \
+than --min-brake times one second within one second; that vehicle leads the scenario. Those behind it start at the \
+recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline. \
+Without any episode the exit code is 1, and the hardest braking found is printed.
 
-A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; more is refused, with \
-the line. A map may have 64 KiB. A scenario file that is there already is left alone if it is the same, and nothing is written if one is \
-not, unless with --force.
+A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; \
+crumple refuses larger recordings and states the line. A map may have 64 KiB. An existing scenario file stays as it \
+is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
   crumple import platoon.csv --out episodes
@@ -137,7 +138,7 @@ impl Import {
     /// Prints and plots the interpretation of a recording.
     fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let [path] = self.recordings.as_slice() else {
-            return Err(CliError::Input("--preview: shows one recording at a time".to_owned()));
+            return Err(CliError::Input("--preview: give only one recording".to_owned()));
         };
         let recording = load(path, map)?;
         for dropped in &recording.dropped {
@@ -180,7 +181,7 @@ impl Import {
         text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {usual:.2}\n");
         text += &match seen.gap_m {
             Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
-            None => "  nobody follows anybody\n".to_owned(),
+            None => "  no vehicle follows another\n".to_owned(),
         };
         text += &format!("  {}\n", TerminalText(&seen.hardest.to_string()));
         output::print(&text)
@@ -193,7 +194,11 @@ impl Import {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));
             let words: Vec<_> = words.collect();
-            let none = format!("no episode of {} m/s² that makes a scenario; {}", min_brake.mps2(), words.join("; "));
+            let none = format!(
+                "no braking episode of at least {} m/s² gives a scenario; {}",
+                min_brake.mps2(),
+                words.join("; ")
+            );
             let printed = match self.format {
                 OutputFormat::Json => output::print_json(&ImportReport::new(&imported, &self.out)),
                 OutputFormat::Text => Ok(()),
@@ -206,7 +211,7 @@ impl Import {
         let others = self.count_other_scenarios(&imported)?;
         if others > 0 {
             let out = self.out.display();
-            output::note(&format!("note: {out} also holds {others} scenario files that are not of this import"), quiet);
+            output::note(&format!("note: {out} also contains {others} scenario files of other origin"), quiet);
         }
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);

@@ -12,13 +12,16 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
 
-const SHIELD_ENTRY: (&str, &str) =
-    ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
+const SHIELD_ENTRY: (&str, &str) = (
+    "shield:policy",
+    "policy with a shield: full braking if the policy's command would leave the safety kernel; shield: works with any \
+     controller",
+);
 
 const FILE_ENTRY: (&str, &str) = (
     "FILE",
-    "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
-     answers: docs/controllers.md; `crumple describe F.zip` begins one",
+    "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that \
+     states its inputs and outputs: docs/controllers.md; `crumple describe F.zip` prints a starter file",
 );
 
 /// List the built-in scenarios, controllers, scenario spaces and search methods

@@ -22,26 +22,31 @@ use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 /// Combine shards produced on several machines (see --shard)
 #[derive(Args)]
 #[command(after_long_help = "\
-Folders are those of `verify rate` (with --rare or without), `falsify`, `suite run`, `assess` and `train --seeds`, each with --shard I/N, of one kind, in \
-any order, at most 100 000. A shard may be given twice; shards of several N may be mixed as long as nothing is done twice. Refused with exit \
-code 2: shards of other work, shards that overlap, shards whose files are not as they were written, and two that state different results for \
-the same shard. Merging again into the same --out changes nothing.
+Combines folders of `verify rate` (with or without --rare), `falsify`, `suite run`, `assess` and `train --seeds`, \
+each with --shard I/N. They must be of one kind, in any order, at most 100 000. A shard may be given twice, and \
+shards of several N may be mixed if no work is done twice. Exit code 2 for shards of different work, shards that \
+overlap, shards whose files have changed, and two that state different results for the same shard. Merging again \
+into the same --out changes nothing.
 
-If all are there:
-  verify rate   the folder of --out is that of the same work on one machine, to the byte, certificate included, and so is what is printed, \
-failures per hour included
-  falsify       the folder is that of one campaign: distinct failures of all shards, one front, coverage of the union. With --method uniform \
-or halton it is that of `falsify --log summary` on one machine, to the byte; other methods are as many searches as there are shards
-  suite run     what is printed, and the scenarios in --out, are those of one machine, to the byte
-  assess        the evidence is put into --out: `crumple assess` with the same file and --out writes the report without gathering it again
+If no shard is missing:
+  verify rate   the folder and the printed text are those of the same work on one machine, to the byte, \
+with certificate and failures per hour
+  falsify       the folder is that of one campaign: distinct failures of all shards, one Pareto front, \
+coverage of the union. With --method uniform or halton it is that of `falsify --log summary` on one machine, to the byte; \
+with other methods there are as many searches as shards
+  suite run     the printed text, and the scenarios in --out, are those of one machine, to the byte
+  assess        the evidence is written to --out: `crumple assess` with the same file and --out \
+writes the report without computing it again
   train         the folders `seed-N`, training.json and the learning curve are those of one machine, to the byte
 
-If some are missing, or half done, it is said which, and the exit code is 1: make them with the same command and --resume, and merge again. Of a count, \
-an estimate and a suite nothing is written then, of a search with --partial only; that is its own campaign and wants another --out than the whole. \
-Evidence and trainings that are there are written, and --partial is refused but for searches. With --format json what is missing is on standard output, too.
+If shards are missing or unfinished, crumple lists them, and the exit code is 1: run the same command with --resume \
+for each, and merge again. For a count, an estimate and a suite crumple then writes nothing. For a search it writes \
+the result only with --partial, as a separate campaign that needs another --out than the complete one. Evidence and \
+trainings are written as far as they exist. --partial is refused except for searches. With --format json standard \
+output also lists the missing shards.
 
-Of a count what is missing cannot be left out: runs that are missing may be missing because of how they ended. The bound that is printed then \
-takes all of them as failures, which makes it hold whatever they come to.
+A count cannot omit missing runs: they may be missing because of their result. The printed bound therefore counts \
+all missing runs as failures, so that it holds whatever their result is.
 
 Examples:
   crumple verify rate --controller policy --runs 1000000 --shard 1/2 --out shards/1
@@ -104,8 +109,8 @@ impl ShardFolder {
             return Ok(Ok(Self::Trainings));
         }
         Ok(match read_state(folder)? {
-            RunState::Missing => Err("not begun".to_owned()),
-            RunState::InProgress(kind) => Err(format!("a {kind}, half done")),
+            RunState::Missing => Err("not started".to_owned()),
+            RunState::InProgress(kind) => Err(format!("a {kind}, unfinished")),
             RunState::Complete(found) => Ok(Self::Finished(found)),
         })
     }
@@ -142,7 +147,7 @@ impl AnyMerged {
             SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::new(folder, found)?)),
             ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::new(folder, found)?)),
             kind => {
-                let problem = format!("{}: a {kind}, and no shard that can be merged", folder.display());
+                let problem = format!("{}: a {kind}, which is not a shard that can be merged", folder.display());
                 return Err(CliError::Input(problem));
             }
         })
@@ -170,7 +175,7 @@ impl AnyMerged {
             (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
             (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
             _ => {
-                let problem = format!("{}: a {kind}, and what came before it is a {own}", folder.display());
+                let problem = format!("{}: a {kind}, but the folders before it are of kind {own}", folder.display());
                 return Err(CliError::Input(problem));
             }
         };
@@ -188,7 +193,10 @@ fn resolve_path(path: &Path) -> PathBuf {
 impl Merge {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if self.folders.len() > MAX_FOLDERS {
-            return Err(CliError::Input(format!("{} folders: at most {MAX_FOLDERS} are read", self.folders.len())));
+            return Err(CliError::Input(format!(
+                "found {} folders, at most {MAX_FOLDERS} can be merged",
+                self.folders.len()
+            )));
         }
         self.check_out_folder()?;
         let (mut merged, mut open): (Option<AnyMerged>, _) = (None, Vec::new());
@@ -203,13 +211,11 @@ impl Merge {
             output::note(folder, quiet);
         }
         let Some(merged) = merged else {
-            return Err(CliError::Gate("none of these folders holds a finished shard".to_owned()));
+            return Err(CliError::Gate("none of these folders contains a finished shard".to_owned()));
         };
         if self.partial && !matches!(merged, AnyMerged::Campaign(_)) {
             let kind = merged.kind();
-            return Err(CliError::Input(format!(
-                "--partial: only of a search a part is of use, and these are: {kind}"
-            )));
+            return Err(CliError::Input(format!("--partial: only for searches; these folders are of kind: {kind}")));
         }
         let format = self.text_or_json_format(merged.kind());
         match merged {
@@ -229,9 +235,7 @@ impl Merge {
             None => Ok(()),
             Some(shard) => {
                 let (out, shard) = (self.out.display(), shard.display());
-                Err(CliError::Input(format!(
-                    "--out: {out} is, or is in, {shard}, which is one of the shards: use another"
-                )))
+                Err(CliError::Input(format!("--out: {out} is in the shard {shard}; use a folder outside the shards")))
             }
         }
     }
@@ -240,9 +244,9 @@ impl Merge {
         match self.format {
             MergeFormat::Text => Ok(OutputFormat::Text),
             MergeFormat::Json => Ok(OutputFormat::Json),
-            MergeFormat::Junit | MergeFormat::Html => {
-                Err(CliError::Input(format!("--format: JUnit and HTML are of suites, and these are: {kind}")))
-            }
+            MergeFormat::Junit | MergeFormat::Html => Err(CliError::Input(format!(
+                "--format: JUnit and HTML are only for suites; these folders are of kind: {kind}"
+            ))),
         }
     }
 
@@ -308,13 +312,13 @@ fn format_incomplete(so_far: &PartialCount) -> String {
                 line(format!("missing: runs {start} to {}", end.saturating_sub(1)));
             }
             if let Some(more @ 1..) = missing_runs.len().checked_sub(MAX_PRINTED_RANGES) {
-                line(format!("and {more} ranges more (--format json has them all)"));
+                line(format!("and {more} further ranges (--format json lists all)"));
             }
         }
     }
     match so_far.rate_at_most {
         Some(bound) => line(format!(
-            "{} failures so far; were all missing runs failures too, the bound would be a rate of {}",
+            "{} failures so far; if all missing runs were failures, the bound would be a rate of {}",
             so_far.failures,
             digits::format_rounded_up(bound, 4)
         )),

@@ -110,7 +110,7 @@ pub(super) fn note(text: &str, quiet: bool) {
 pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     let is_empty = fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     if resume && (is_empty || !folder.exists()) {
-        note(&format!("{}: nothing to go on with is there, so it begins anew", folder.display()), quiet);
+        note(&format!("{}: found nothing to resume, so the work starts from the beginning", folder.display()), quiet);
     }
 }
 
@@ -125,13 +125,16 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
     let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
-            CliError::Input(format!("{}: a symbolic link that leads nowhere: {error}", path.display()))
+            CliError::Input(format!("{}: the target of this symbolic link cannot be resolved: {error}", path.display()))
         })?,
         false => path.to_owned(),
     };
     let found = fs::metadata(&place).map_err(DiskError::at(path))?;
     if !found.is_file() && !found.is_dir() {
-        return Err(CliError::Input(format!("{}: is no file, and results are files", path.display())));
+        return Err(CliError::Input(format!(
+            "{}: is not a regular file; choose the name of a new or regular file",
+            path.display()
+        )));
     }
     Ok(place)
 }

@@ -126,9 +126,10 @@ impl OutputFolder {
     }
 }
 
-const SYMLINK_PROBLEM: &str = "is a symbolic link, and results are files of their own: remove it, or write elsewhere";
+const SYMLINK_PROBLEM: &str = "is a symbolic link, and crumple writes only regular files: remove it, or use another \
+                               name";
 const CHANGED_FILE_PROBLEM: &str = "has changed, or crumple did not write it here: move it, or use another --out";
-const EXISTING_FILE_PROBLEM: &str = "is there and says something else: use --force to overwrite it, or another name";
+const EXISTING_FILE_PROBLEM: &str = "exists with other contents: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.
 pub(super) fn stage_unless_edited(
@@ -153,7 +154,7 @@ pub(super) fn stage(
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
         Err(error) => return Err(DiskError::at(path)(error).into()),
         Ok(found) if found.is_symlink() => return refused(SYMLINK_PROBLEM),
-        Ok(found) if !found.is_file() => return refused("is no file, and results are files"),
+        Ok(found) if !found.is_file() => return refused("is not a regular file: remove it, or use another name"),
         Ok(_) => {}
     }
     match file_digest(path)? {
@@ -178,7 +179,8 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Ok(found) if !found.is_file() => {
-            let problem = "is no plain file, and crumple lists there what it wrote: remove it, or use another --out";
+            let problem = "is not a regular file, but crumple needs this name for its list of written files: remove \
+                           it, or use another --out";
             return Err(CliError::Input(format!("{}: {problem}", path.display())));
         }
         _ => {}
@@ -189,7 +191,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
         let is_within = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
         let found = line.split_once("  ").filter(|(digest, name)| digest.len() == 64 && is_within(name));
         found.map(|(digest, name)| (name.to_owned(), digest.to_owned())).ok_or_else(|| {
-            let problem = "is no SHA-256 and the name of a file beside it, as crumple writes them: use another --out";
+            let problem = "expected a SHA-256 and the name of a file in this folder: use another --out";
             CliError::Input(format!("{}:{}: {problem}", path.display(), index + 1))
         })
     };

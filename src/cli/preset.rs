@@ -46,7 +46,7 @@ impl TrainingPreset {
             return Ok(None);
         }
         if let Some(what) = file_kind::detect(path) {
-            return Err(CliError::Input(format!("{}: is no preset, but {what}", path.display())));
+            return Err(CliError::Input(format!("{}: is not a preset, but {what}", path.display())));
         }
         let text = file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(CliError::input)?;
@@ -60,7 +60,7 @@ impl TrainingPreset {
 
 fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
     if name.trim().is_empty() {
-        return CliError::Input("--preset: none is named".to_owned());
+        return CliError::Input("--preset: the name of the preset is empty".to_owned());
     }
     let names: Vec<&str> = own.into_iter().chain(PRESETS.iter().map(|(name, _)| *name)).collect();
     let hint = if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) {

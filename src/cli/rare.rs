@@ -68,8 +68,8 @@ fn run_estimate(
 
 fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
     match plan.controller.kind.identity() {
-        Some(_) => format!("what is done is kept in {}: the same command with --resume goes on", folder.display()),
-        None => "the controller states no identity, so that nothing can go on: begin anew in another --out".to_owned(),
+        Some(_) => format!("the results so far are in {}: the same command with --resume continues", folder.display()),
+        None => "the controller states no identity, so the work cannot resume: start again with a new --out".to_owned(),
     }
 }
 
@@ -92,7 +92,7 @@ pub(super) fn run_shard(
         bar.finish_and_clear();
         repeated?;
     }
-    let said = "`crumple merge` puts it together with the others";
+    let said = "`crumple merge` combines the shards";
     let words = || format!("{}: shard {shard}; {said}\n", folder.display());
     output::print_result(format, &ShardReport { folder, shard }, words)
 }
@@ -113,7 +113,7 @@ struct MissingRepetitions {
 pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: OutputFormat) -> Result<(), CliError> {
     let Some((_, report)) = merged.write_in(folder)? else {
         let (missing_repetitions, shards) = (merged.missing_part_count(), merged.missing_shards());
-        let gate = format!("{missing_repetitions} repetitions are missing{shards}, and nothing is written");
+        let gate = format!("{missing_repetitions} repetitions are missing{shards}; nothing is written");
         let printed = match format {
             OutputFormat::Json => output::print_json(&MissingRepetitions { missing_repetitions, shards }),
             OutputFormat::Text => Ok(()),
@@ -136,7 +136,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
     let RareReport { controller, space, estimator, seed, failure, method, estimate, effort, .. } = report;
     writeln!(out, "{controller} in `{space}`: {}, estimator {}, seed {seed}", TerminalText(failure), estimator.name())?;
     if report.nondeterministic {
-        writeln!(out, "  the controller says that it is not deterministic: the same estimate may come out otherwise")?;
+        writeln!(out, "  the controller declares that it is not deterministic: another run may give another estimate")?;
     }
     let RareEstimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
         estimate;
@@ -144,13 +144,14 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         (None, ..) if levels.len() == MAX_LEVELS => {
             writeln!(
                 out,
-                "  no failure after {MAX_LEVELS} levels, nor by any of {} pilots, each twice as large as the one before: no estimate, and no word of how \
-                 rare failures are: levels may lead past them; more --samples may find them",
+                "  no failure after {MAX_LEVELS} levels, nor by any of {} pilots, each twice as large as the one \
+                 before: no estimate, and no statement about the failure rate, since the levels may miss failures; \
+                 more --samples may find them",
                 PILOT_FACTORS.len()
             )?;
         }
         (None, ..) => {
-            writeln!(out, "  no failure, and nowhere further to climb: no estimate, and no proof that there is none")?;
+            writeln!(out, "  no failure, and no further level: no estimate, and no proof that no failure exists")?;
         }
         (Some(probability), Some(variation), Some([low, high])) => {
             writeln!(
@@ -163,7 +164,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 report.method == RareMethod::Importance && *interval_95 == estimate.independent_interval(0.95);
             let from = match of_draws {
                 true => format!(
-                    "{} failures of the {} draws it began with",
+                    "{} failures in the {} initial random scenarios",
                     estimate.independent_failures, estimate.independent_runs
                 ),
                 false => format!("the spread of {} repetitions", repetitions.len()),
@@ -188,7 +189,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
     {
         let (failures, runs) = (estimate.independent_failures, estimate.independent_runs);
         let (low, high) = (digits::format_rounded(low, 3), digits::format_rounded_up(high, 4));
-        writeln!(out, "  {failures} of the {runs} draws it began with fail: between {low} and {high} at 95 %")?;
+        writeln!(out, "  {failures} of the {runs} initial random scenarios fail: between {low} and {high} at 95 %")?;
     }
     let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
     if died > 0 && died < repetitions.len() {
@@ -202,19 +203,20 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         RareMethod::Splitting => "multilevel splitting",
         RareMethod::Importance => "importance sampling",
     };
-    writeln!(out, "  an estimate by {method}, no bound and no certificate; {evaluations} runs")?;
+    writeln!(out, "  estimate by {method}, neither a bound nor a certificate; {evaluations} runs")?;
     if let Some(largest) = estimate.largest_weight.filter(|largest| *largest > LARGE_WEIGHT_SHARE) {
         let percent = 100.0 * largest;
         writeln!(
             out,
-            "  one run alone is {percent:.0} % of it: the interval is too narrow, and more --samples are needed"
+            "  a single run contributes {percent:.0} % of the estimate: the interval is too narrow; use more --samples"
         )?;
     }
     if report.method == RareMethod::Importance && *estimator == EstimatorKind::Kalman && interval_95.is_some() {
         writeln!(
             out,
-            "  through the filter: where the noise of the sensors decides, such an interval is too narrow, whatever one run weighs; 286 of 400 held \
-             a known probability, 91 of 100 by --rare=splitting"
+            "  with the Kalman filter: if sensor noise causes the failures, this interval is too narrow, whatever the \
+             weight of a run; in tests 286 of 400 intervals contained a known probability, and 91 of 100 of \
+             --rare=splitting"
         )?;
     }
     if let Some(rate) = &report.exposure {
@@ -248,7 +250,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     if levels.len() == 1 && probability.is_some() && report.method == RareMethod::Splitting {
-        writeln!(out, "  not rare: a single level, {} runs counted as they are", effort.samples * effort.repetitions)?;
+        writeln!(out, "  not rare: a single level, direct count of {} runs", effort.samples * effort.repetitions)?;
     }
     Ok(())
 }

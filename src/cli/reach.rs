@@ -19,20 +19,23 @@ use crumple_world::sim::NamedController;
 /// Prove from which part of a box of initial states a policy or a network avoids every collision
 #[derive(Args)]
 #[command(after_long_help = "\
-The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
-A box that stays undecided is cut in two, again and again, up to a million boxes, whatever --depth is; the rest stays undecided. The policy sees the truth, or numbers within the stated errors of it. \
-A policy whose action departs from a law is followed step by step. The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
+crumple bounds the network, the vehicles and the follower's emergency brake for all members of a box at once, \
+rounding included. It bisects undecided boxes up to --depth times and up to a million boxes; the rest stays \
+undecided. The policy observes the true state, or values within the stated errors. A residual policy is evaluated \
+step by step. The policy file is written next to the certificate; `crumple-verify` needs only these two files.
 
-A network from outside (F.onnx, F.zip, or a controller file F.toml) is written there as crumple has read it. The certificate \
-assumes that this is what the source file means; `crumple check --policy F.onnx` reads the source again. What it sees has to be sums and \
-differences of what is observed now, each with offset, scale and limits: no time gaps, no history, no last answer.
+An imported network (F.onnx, F.zip, or a controller file F.toml) is written there as crumple read it. The \
+certificate assumes that the source file means the same; `crumple check --policy F.onnx` reads the source again. The \
+inputs must be sums and differences of present observations, each with offset, scale and limits: no time gaps, no \
+history, no previous output.
 
-A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one vehicle under test \
-and at most one behind it), and under `[ranges]` what differs from it, each a number or `{ low = A, high = B }`: gap_ahead_m, gap_behind_m, \
-leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may say how far each \
-of the eight numbers that a policy sees may be from the truth (docs/controllers.md); `leader_brakes_at_most_mps2 = B` lets the leader brake \
-as it likes, at 0 to B over each step, in place of a script; `follower_drives = \"idm\"` (or `acc-aeb`, or either with settings, \
-`{ idm = { time_headway_s = 1.2 } }`) puts another follower in the place of one with a latched emergency brake. Exit code 1 if no part of the box is verified.
+A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one \
+vehicle under test and at most one behind it), and under `[ranges]` the changed values, each a number or `{ low = A, \
+high = B }`: gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, \
+follower_brake_mps2, onset_s. `observation_error` may state the error of each of the eight inputs of a policy \
+(docs/controllers.md); `leader_brakes_at_most_mps2 = B` replaces the leader's script by any braking of 0 to B in \
+each step; `follower_drives = \"idm\"` (or `acc-aeb`, or either with settings, `{ idm = { time_headway_s = 1.2 } }`) \
+replaces the follower with a latched emergency brake. Exit code 1 if no part of the box is verified.
 
 Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
@@ -95,7 +98,7 @@ impl ReachCommand {
         let partition = plan.partition(self.depth, &observer).map_err(failed)?;
         bar.finish_and_clear();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::UNLIMITED)
-            .map_err(|rejection| CliError::Gate(format!("not shown: {rejection}")))?;
+            .map_err(|rejection| CliError::Gate(format!("the checker rejected the proof: {rejection}")))?;
         if let Some(path) = &self.certificate {
             write_certificate(path, &partition.certificate, plan.policy_bytes())?;
         }
@@ -107,17 +110,17 @@ impl ReachCommand {
                 shares.iter().enumerate().map(|(index, now)| format_depth(now, index == last) + "\n").collect();
             let UndecidedCounts { ahead, behind, too_wide } = doubts;
             let falsified = match is_positive(shares, |now| now.falsified) {
-                true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
+                true => "falsified: boxes in which a simulated initial state ends with a collision\n",
                 false => "",
             };
             let verdict = if is_verified { "accepted" } else { "nothing verified" };
             format!(
-                "{lines}{falsified}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too \
-                 wide\n{verdict}: {accepted}\n"
+                "{lines}{falsified}undecided boxes: {ahead} with a possible collision ahead, {behind} behind, \
+                 {too_wide} with bounds that are too wide\n{verdict}: {accepted}\n"
             )
         };
         let printed = output::print_result(self.format, &self.report(&partition, &accepted), words);
-        let deeper = if is_positive(shares, |now| now.undecided) { "; a larger --depth may" } else { "" };
+        let deeper = if is_positive(shares, |now| now.undecided) { "; try a larger --depth" } else { "" };
         let problem = format!("{place}: no part of the box was verified{deeper}");
         CliError::gate_first(if is_verified { Ok(()) } else { Err(CliError::Gate(problem)) }, printed)
     }
@@ -179,7 +182,7 @@ pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network:
     files.stage(&output::resolve_output_path(path)?, text.as_bytes())?;
     if let Some((name, _)) = certificate.policy_reference() {
         let beside = path.parent().unwrap_or(Path::new("")).join(name);
-        let other = "is another network than that of the certificate: move it, or write the certificate elsewhere";
+        let other = "is not the network of the certificate: move it, or write the certificate elsewhere";
         stage(&mut files, &beside, network, |_| false, other)?;
     }
     Ok(files.commit()?)

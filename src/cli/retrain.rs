@@ -22,15 +22,17 @@ use crumple_world::sim::{ControllerKind, NamedController};
 /// Retrain a policy: search for failures, train on the avoidable ones, accept only results without regressions
 #[derive(Args)]
 #[command(after_long_help = "\
-Each round searches for contacts of the policy, keeps those that somebody could have avoided, trains on with them mixed into \
-the paper's distribution and draws of the space, and judges the best checkpoint. It is accepted only if nothing that was \
-safe in the paper's scenarios and distribution fails, the contacts in a corpus kept aside do not rise, and in none of the \
---regression spaces it is worse beyond chance: by contacts, and where `idm` drives without fault also by hard braking without \
-cause and vehicles left behind (McNemar's exact one-sided test on the same draws, p below 0.01). It ends after --rounds, or when a search finds nothing avoidable, and then judges the result on draws that had no part in it.
+Each round searches for collisions of the policy and keeps the avoidable ones. It then trains the policy on these, \
+mixed with random scenarios of the paper's distribution and of the space, and evaluates the best checkpoint. It \
+accepts the checkpoint only if no safe scenario of the paper and its distribution fails, collisions on the \
+validation set do not increase, and the policy is significantly worse in none of the --regression spaces: by \
+collisions and, where `idm` drives without fault, also by hard unnecessary braking and vehicles left behind \
+(McNemar's exact one-sided test on the same random scenarios, p below 0.01). The retraining ends after --rounds, or \
+when a search finds no avoidable failure, and then evaluates the result on the test set.
 
-The folder holds the policy, the corpora it was retrained, accepted and judged on, a report (report.md, report.json) with \
-their hashes, and each round. A retraining that was interrupted, by `kill -9` too, goes on with --resume and ends with the \
-same bytes, on any number of threads. It exits with 1 if no round was accepted.
+The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
+hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
+with any number of threads. The exit code is 1 if no round was accepted.
 
 Examples:
   crumple retrain --out runs/retrained
@@ -99,9 +101,7 @@ impl Retrain {
         let is_shielded = matches!(self.policy.kind, ControllerKind::Shielded(_));
         let first = self.policy.policy().filter(|_| !is_shielded);
         let first = first.ok_or_else(|| {
-            CliError::Input(format!(
-                "--policy: `{name}` is no policy that can be trained on: those are crumple's own, which `crumple train` makes"
-            ))
+            CliError::Input(format!("--policy: `{name}` cannot be retrained; use a policy that `crumple train` wrote"))
         })?;
         let regression = load_regression_spaces(&self.regression)?;
         let regression_draws = if regression.is_empty() { 0 } else { self.regression_draws };
@@ -128,7 +128,7 @@ impl Retrain {
         };
         let out = self.out.display();
         interrupt::set_exit_message(
-            format!("what is done is kept in {out}: the same command with --resume goes on"),
+            format!("the results so far are in {out}: the same command with --resume continues"),
             quiet,
         );
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
@@ -176,7 +176,7 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
-    Err(CliError::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
+    Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
 }
 
 fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
@@ -188,17 +188,17 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
         return if alone {
             Ok(Vec::new())
         } else {
-            Err(CliError::Input("--regression: `none` stands alone".to_owned()))
+            Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned()))
         };
     }
     if names.len() > MAX_REGRESSION_SPACES {
-        return Err(CliError::Input(format!("--regression: {MAX_REGRESSION_SPACES} spaces are the most")));
+        return Err(CliError::Input(format!("--regression: at most {MAX_REGRESSION_SPACES} spaces")));
     }
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
         let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("--regression: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
-            return Err(CliError::Input(format!("--regression: two spaces are called `{}`", space.name())));
+            return Err(CliError::Input(format!("--regression: two spaces have the name `{}`", space.name())));
         }
         spaces.push(space);
     }
@@ -218,24 +218,24 @@ fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
 fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
     bar.set_message(match state {
         RetrainingProgress::Gathering { file: what, done, wanted } => {
-            format!("{what}: {done} of {wanted} avoidable draws")
+            format!("{what}: {done} of {wanted} avoidable random scenarios")
         }
         RetrainingProgress::Searching { round, progress: state } => match &state.method {
             Some(method) => format!(
                 "round {round}: {method}, {} of {} runs, {} failures",
                 state.evaluations, state.total, state.failures
             ),
-            None => format!("round {round}: {} failures; replaying, shrinking and classing", state.failures),
+            None => format!("round {round}: {} failures; replaying, shrinking and classifying", state.failures),
         },
         RetrainingProgress::SimulatingDraws { round, draws } => {
-            format!("round {round}: driving {draws} draws, classing contacts")
+            format!("round {round}: simulating {draws} random scenarios, classifying collisions")
         }
         RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
             let fewest =
-                fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} contacts"));
+                fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
             format!("round {round}: episode {episode} of {episodes}, {fewest}")
         }
-        RetrainingProgress::Evaluating { round } => format!("round {round}: judging the candidate"),
+        RetrainingProgress::Evaluating { round } => format!("round {round}: evaluating the candidate"),
     });
     bar.tick();
 }

@@ -71,7 +71,7 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     };
     line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
     if report.nondeterministic {
-        line("  the controller says that it is not deterministic: another run may end otherwise".to_owned());
+        line("  the controller declares that it is not deterministic: another run may give another result".to_owned());
     }
     match &report.outcome {
         Outcome::ControllerFailed(failed) => line(format!("  CONTROLLER FAILED: {failed}")),
@@ -100,14 +100,14 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     for UnnecessaryBrakingReport { vehicle, braking } in &report.unnecessary_braking {
         if let Some(BrakeInstant { time_s, brake_mps2, justified_mps2: caused_mps2 }) = braking.hardest {
             line(format!(
-                "  vehicle {vehicle} brakes without cause for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
-                 {caused_mps2:.1} had a cause",
+                "  vehicle {vehicle} brakes unnecessarily for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² \
+                 where {caused_mps2:.1} was necessary",
                 braking.time_s
             ));
         }
     }
     for vehicle in &report.left_behind {
-        line(format!("  vehicle {vehicle} is left behind by the one ahead"));
+        line(format!("  vehicle {vehicle} is left behind by its leader"));
     }
     for SpecificationResult { specification, satisfied, robustness } in &report.specifications {
         let verdict = if *satisfied { "holds" } else { "VIOLATED" };
@@ -158,14 +158,14 @@ fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
         |change: fn(&VehicleSpec) -> Option<LaneChange>| scenario.vehicles().get(*vehicle).and_then(change).is_some();
     let entered = match (is_to(|vehicle| vehicle.enters), entered_s) {
         (true, Some(time_s)) => format!("enters the lane at {time_s:.2} s"),
-        (true, None) => "stays beside the lane: the moment does not come, or there is no room".to_owned(),
+        (true, None) => "does not enter the lane: its trigger does not occur, or the lane has no room".to_owned(),
         (false, _) => String::new(),
     };
     let lane = if entered.is_empty() { "the lane" } else { "it" };
     let left = match (is_to(|vehicle| vehicle.leaves), left_s) {
         (true, Some(time_s)) => format!("leaves {lane} at {time_s:.2} s"),
         (true, None) if entered_s.is_some() || entered.is_empty() => {
-            format!("does not leave {lane}: the moment does not come, or it touches somebody before")
+            format!("does not leave {lane}: its trigger does not occur, or it collides before")
         }
         _ => String::new(),
     };
@@ -203,8 +203,8 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
         1 => "once".to_owned(),
         n => format!("{n} times"),
     };
-    let outside = if own().any(|one| one.outside_kernel) { "; nothing could be promised any more" } else { "" };
-    let rear = if own().any(|one| one.rear_conflict) { "; the vehicle behind could not avoid it" } else { "" };
+    let outside = if own().any(|one| one.outside_kernel) { "; the state was outside the safety kernel" } else { "" };
+    let rear = if own().any(|one| one.rear_conflict) { "; the follower could not avoid a collision" } else { "" };
     Some(format!(
         "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} s{outside}{rear}"
     ))

@@ -16,8 +16,9 @@ use crumple_world::sim::NamedController;
 /// Print a built-in item as a file that a user could write
 #[derive(Args)]
 #[command(after_long_help = "\
-Save what is printed, change it, and pass the file where the name was passed. A vehicle class is printed as the lines of a vehicle in a \
-scenario file. A name may stand for several kinds, such as a scenario and a box. crumple prints the first in the order of --kind, and a note names the others.
+Save the output, change it, and pass the file instead of the name. A vehicle class is printed as the lines of a \
+vehicle in a scenario file. A name may stand for several kinds, such as a scenario and a box. crumple prints the first \
+in the order of --kind, and a note names the others.
 
 Examples:
   crumple show paper-1 > mine.toml && crumple simulate mine.toml
@@ -84,8 +85,9 @@ impl BuiltInKind {
 
 fn vehicle_class_toml(class: VehicleClass) -> String {
     format!(
-        "# A vehicle of class `{name}` has these numbers, and a scenario file may state others.\n[[vehicles]]\nclass = \"{name}\"\nlength_m = {:?}\n\
-         mass_kg = {:?}\nmax_brake_mps2 = {:?}\nmax_accel_mps2 = {:?}\nposition_m = 0.0\nspeed_mps = 0.0\ndriver = \"under-test\"\n",
+        "# Default values of a vehicle of class `{name}`; a scenario file may state others.\n[[vehicles]]\nclass = \
+         \"{name}\"\nlength_m = {:?}\nmass_kg = {:?}\nmax_brake_mps2 = {:?}\nmax_accel_mps2 = {:?}\nposition_m = \
+         0.0\nspeed_mps = 0.0\ndriver = \"under-test\"\n",
         class.length_m(),
         class.mass_kg(),
         class.max_brake_mps2(),
@@ -109,7 +111,7 @@ impl Show {
         }
         let Some(((first, text), others)) = found.split_first() else {
             let problem = match NamedController::find_built_in(&self.name) {
-                Some(_) => format!("`{}` is a built-in controller, which is no file (see `crumple list`)", self.name),
+                Some(_) => format!("`{}` is a built-in controller, which has no file (see `crumple list`)", self.name),
                 None => format!("there is no built-in file `{}`. Names: {}", self.name, known.join("; ")),
             };
             return Err(CliError::Input(problem));

@@ -22,17 +22,19 @@ use crumple_world::sim::{
 /// Run scenarios and print their outcomes
 #[derive(Args)]
 #[command(after_long_help = "\
-Where several scenarios are given, --plot and --trace write one file each, with the scenario's name before the extension.
+For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension.
 
-A formula of --spec is judged as `crumple falsify` judges it, on a run that goes on after contacts whatever --after-contact says; \
-robustness is below 0 where it is violated. `--expect satisfied` wants every specification to hold in every scenario, `--expect \
-violated` wants one to be violated in each; `safe` wants no contact and no controller that fails, `collision` a contact. \
-`useful` wants what `safe` does and no vehicle under test that brakes without cause: by more than 2 m/s² harder, for 0.2 s, than \
-the Intelligent Driver Model would at its true state, than avoiding a contact took, and than the vehicle ahead itself; nor one \
-that ends at less than half the speed of a vehicle ahead that drives on.
+A formula of --spec is evaluated as by `crumple falsify`, on a simulation that continues after collisions whatever \
+--after-contact says; negative robustness means violated. `--expect satisfied` requires that every scenario \
+satisfies every specification, `--expect violated` that each scenario violates at least one. `safe` requires no \
+collision and no controller that fails, `collision` a collision. `useful` requires what `safe` does and no \
+unnecessary braking: for 0.2 s, by more than 2 m/s² harder than the Intelligent Driver Model would at the true \
+state, than necessary to avoid a collision, and than the leader itself. Nor may a vehicle under test end at less \
+than half the speed of a leader that drives on.
 
-A scenario file may have 8 MiB of JSON or 3 of TOML, 1000 vehicles, and 5 million vehicles times steps, of which a trace takes 120 MB; a formula 4000 words and \
-signs, 64 deep (docs/stl.md has signals, operators and their precedence); a policy file 256 MiB, a network 64 MiB.
+A scenario file may have 8 MiB of JSON or 3 of TOML, 1000 vehicles, and 5 million vehicles times steps, of which a \
+trace takes 120 MB; a formula 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); \
+a policy file 256 MiB, a network 64 MiB.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -107,7 +109,7 @@ impl RunExpectation {
     fn description(self) -> &'static str {
         match self {
             Self::Safe => "no collision",
-            Self::Useful => "no collision, no braking without cause and nobody left behind",
+            Self::Useful => "no collision, no unnecessary braking and no vehicle left behind",
             Self::Collision => "a collision",
             Self::Satisfied => "every specification to hold",
             Self::Violated => "a violated specification",
@@ -165,7 +167,7 @@ impl Simulate {
             .collect::<Result<Vec<_>, _>>()?;
         for scenario in scenarios.iter().filter(|scenario| !scenario.has_vehicle_under_test()) {
             let name = &scenario.spec().name;
-            output::note(&format!("note: {name} has no vehicle under test, so --controller drives nobody"), quiet);
+            output::note(&format!("note: {name} has no vehicle under test, so --controller has no effect"), quiet);
         }
         let many = runs.len() > 1;
         // Unnecessary braking is computed from the trace.
@@ -233,7 +235,7 @@ impl Simulate {
             if !others.contains(&self.controller.name.as_str()) {
                 let (own, others) = (&self.controller.name, others.join("` and `"));
                 output::note(
-                    &format!("note: {name} is recorded with `{others}`, and is simulated with `{own}`"),
+                    &format!("note: {name} was recorded with `{others}`, but is simulated with `{own}`"),
                     quiet,
                 );
             }

@@ -48,15 +48,18 @@ enum SuiteSubcommand {
 /// Run a suite: clause, test, verdict, margin
 #[derive(Args)]
 #[command(after_long_help = "\
-A test passes if there is no contact before it ends, or none faster than it allows. A margin says how far a figure can be pushed until the test fails, the others \
-held; both sides of the boundary are simulated. Where a test failed it is said whether each reference driver, who sees the truth, \
-would have prevented it, and, of the first three points, whether anybody could have.
+A test passes if it ends without a collision, or without one faster than the test allows. A margin states how far \
+one quantity can be changed until the test fails, with all others fixed; crumple simulates both sides of the \
+boundary. For a failed test crumple states whether each reference driver, which observes the true state, would have \
+prevented the collision, and for the first three points also whether any driver could have.
 
-The folder of --out also holds `failures.sha256`, which lists what a run wrote (`sha256sum -c` checks it). The next run there replaces \
-these files. Every other file stays: if crumple did not write it, if it has changed since, or if it is a symbolic link. A run that would \
-have to overwrite such a file writes nothing and ends with exit code 2.
+The folder of --out also contains `failures.sha256`, which lists the files of a run (`sha256sum -c` checks it). The \
+next run there replaces these files. Every other file stays: if crumple did not write it, if it has changed since, \
+or if it is a symbolic link. A run that would have to overwrite such a file writes nothing and ends with exit code \
+2.
 
-A suite may have 2000 points and a file of 3 MiB. After the document, on a point-mass model in one lane: this is no certification.
+A suite may have 2000 points and a file of 3 MiB. Suites are modelled on the documents and use a point-mass model in \
+one lane: a result is no certification.
 
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
@@ -230,7 +233,7 @@ impl RunSuite {
         let has_failed =
             result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
-            output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
+            output::note("note: --out FOLDER writes the failed scenarios, for replay", quiet);
         }
         let printed = match self.format {
             SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
@@ -244,7 +247,7 @@ impl RunSuite {
         let out = self.out.clone().unwrap_or_else(default);
         output::note_nothing_to_resume(self.resume, &out, quiet);
         interrupt::set_exit_message(
-            format!("every test is kept in {}: the same command with --resume goes on", out.display()),
+            format!("the finished tests are in {}: the same command with --resume continues", out.display()),
             quiet,
         );
         let bar = progress::run_bar("testing", 0, quiet);
@@ -256,7 +259,7 @@ impl RunSuite {
         bar.finish_and_clear();
         let tests = made?;
         output::print(&format!(
-            "{tests} tests, each with a controller\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
+            "{tests} tests, each with a controller\n{}: shard {shard}; `crumple merge` combines the shards\n",
             out.display()
         ))
     }
@@ -271,7 +274,7 @@ impl RunSuite {
         let missed: Vec<_> = missed.collect();
         match self.expect {
             Some(SuiteExpectation::Passed) if !missed.is_empty() => {
-                Err(CliError::Gate(format!("expected every test to pass, and these do not: {}", missed.join(", "))))
+                Err(CliError::Gate(format!("expected every test to pass, but these fail: {}", missed.join(", "))))
             }
             _ => Ok(()),
         }
@@ -287,7 +290,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
         if let Some(more @ 1..) = missing.len().checked_sub(MAX_SHOWN) {
             shown.push(format!("and {more} more"));
         }
-        let gate = format!("tests are missing{shards}, and nothing is written: {}", shown.join(", "));
+        let gate = format!("tests are missing{shards}; nothing is written: {}", shown.join(", "));
         let printed = match format {
             SuiteFormat::Json => output::print_json(&MissingTests { missing_tests, shards }),
             SuiteFormat::Text | SuiteFormat::Junit | SuiteFormat::Html => Ok(()),
@@ -301,7 +304,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
     for found in drives {
         match found {
             Ok(controller) => controllers.push(controller),
-            Err(unavailable) => output::note(&format!("note: failures are not drawn: {unavailable}"), quiet),
+            Err(unavailable) => output::note(&format!("note: failures are not plotted: {unavailable}"), quiet),
         }
     }
     output::print(&render(&result, &controllers, Some(folder), format)?)

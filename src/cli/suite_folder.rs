@@ -36,7 +36,10 @@ fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<
         names.filter(|name| name.ends_with(".toml") && !own.contains(name.as_str())).collect();
     if let Some(first) = others.first() {
         let more = if others.len() > 1 { format!(" and {} more", others.len() - 1) } else { String::new() };
-        output::note(&format!("note: {}: {first}{more}: not of this run, and left alone", folder.display()), quiet);
+        output::note(
+            &format!("note: {}: {first}{more}: not written by this run, and unchanged", folder.display()),
+            quiet,
+        );
     }
     Ok(())
 }

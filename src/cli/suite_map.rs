@@ -15,10 +15,12 @@ use crumple_world::sim::NamedController;
 /// Draw a crash map: collisions of reference drivers and controllers over two parameters of a situation
 #[derive(Args)]
 #[command(after_long_help = "\
-Every cell is the scenario at its middle. Hatched is contact of a driver that never braked: reference drivers react to what they are \
-models of. Lines are closed forms: beyond the solid one even full braking at once touches; the dashed one is that of r157-simple. On maps of cut-ins, dots are the rows of the AFGBV's table. There may be 100 cells each way.
+Every cell shows the scenario at its centre. Hatching marks collisions of a driver that never braked, since \
+reference drivers react only to the situations that they model. Lines are closed forms: beyond the solid line even \
+immediate full braking does not avoid the collision; the dashed line is that of r157-simple. On maps of cut-ins, \
+dots are the rows of the AFGBV's table. A map may have 100 cells in each direction.
 
-After the document, on a point-mass model in one lane: this is no certification.
+Maps are modelled on the documents and use a point-mass model in one lane: a result is no certification.
 
 Examples:
   crumple suite map car-following --controller acc-aeb --controller policy --out following.svg
@@ -94,7 +96,7 @@ impl MapFile {
 
 fn parse_cells(text: &str) -> Result<[usize; 2], String> {
     let pair = text.split_once('x').and_then(|(across, up)| Some([across.parse().ok()?, up.parse().ok()?]));
-    pair.ok_or_else(|| "must be two counts, such as 24x18".to_owned())
+    pair.ok_or_else(|| "must be two numbers of cells, such as 24x18".to_owned())
 }
 
 impl MapCommand {

@@ -26,26 +26,28 @@ use crumple_store::shard::{MissingShards, ShardId, format_ranges};
 #[derive(Args)]
 #[command(after_long_help = "\
 Presets:
-  fast       masters the paper's task within a minute a seed (default)
-  paper-net  the paper's networks and reward, changed where it cannot learn: gets there, and does not stay
-  paper      the paper's setting, literally: hours, and no promise
-  road       safe in emergencies and of use in traffic: all built-in spaces, TD3, costs for discomfort and for being in the way
+  fast       solves the paper's task within about a minute per seed (default)
+  paper-net  the paper's networks and reward with corrections: reaches the paper's reward, but does not keep it
+  paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
+  road       safe in emergencies and useful in traffic: all built-in spaces, TD3, costs for discomfort and \
+for obstructing traffic
 
-The algorithm is DDPG, and TD3 where a preset says so (Fujimoto, van Hoof and Meger 2018): `[td3]` with `twin_critic = true` for \
-two critics of which the smaller is believed, `actor_every = 2` for an actor that learns every second time, `target_noise = 0.2` \
-and `target_noise_limit = 0.5` for noise on target actions. `road` and the preset of `crumple retrain` are TD3. A preset of one's own \
-is a file like the committed ones (schema: crates/learn/src/rl/training.schema.json), with rewards (`[environment]` and \
-`[environment.costs]`), what is seen (`[environment.observation]`) and spaces (`[[spaces]]`). Policies of other algorithms come \
-from outside (docs/controllers.md).
+The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, `twin_critic = \
+true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and `target_noise = \
+0.2` and `target_noise_limit = 0.5` add noise to target actions. `road` and the preset of `crumple retrain` use TD3. \
+A preset of your own is a file like the built-in ones (schema: crates/learn/src/rl/training.schema.json), with \
+rewards (`[environment]` and `[environment.costs]`), observations (`[environment.observation]`) and spaces \
+(`[[spaces]]`). Policies of other algorithms can be imported (docs/controllers.md).
 
-Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy by evaluation on held-out scenarios, a \
-controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained side by side; each \
-gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
-and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
-goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
-memory for each seed, as estimated from its networks, batches, replay memory and the draws that policies are judged on. A seed that diverges, or of which no checkpoint \
-is better than the untrained network, is named, and the exit code is 1: where nothing was learned no policy is kept, and the other \
-seeds are trained to their ends all the same. What each field of a preset means and what becomes of a training is in docs/training.md.
+Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy on the validation set, a controller for \
+every other command), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained in parallel; each gives the same \
+bytes whatever the number of threads, interrupted and resumed or not. `training.json` and `learning-curve.svg` \
+describe all finished seeds in the folder, which must have the same configuration; --resume with more --episodes \
+continues a finished training. Files are checked before work resumes (see crumple fsck). A training may take 4 GiB \
+of memory for each seed, as estimated from its networks, batches, replay memory and validation set. The exit code is \
+1 if a seed diverges or has no checkpoint better than the untrained network. crumple names such seeds, writes no \
+policy for a seed that learned nothing, and finishes the others. docs/training.md describes the fields of a preset \
+and the training.
 
 Examples:
   crumple train --seed 7
@@ -89,12 +91,12 @@ pub(super) struct Train {
 /// Parses `traffic`, or `wet.toml=0.2`.
 fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     let (space, weight) = match words.rsplit_once('=') {
-        Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
-        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
+        Some((_, "")) => return Err("the weight after `=` is missing".to_owned()),
+        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is not a weight"))?),
         None => (words, 1.0),
     };
     if space.trim().is_empty() {
-        return Err("no space is named".to_owned());
+        return Err("the name of the scenario space is empty".to_owned());
     }
     Ok(TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 })
 }
@@ -118,7 +120,7 @@ impl Train {
         let folder = |seed: &u64| seed_folder(&self.out, *seed);
         if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
             let taken = taken.display();
-            return Err(CliError::Input(format!("{taken} is there already: use --resume, or another --out")));
+            return Err(CliError::Input(format!("{taken} exists: use --resume, or another --out")));
         }
         disk::make_folder(&self.out)?;
         // Fail before training if existing results conflict.
@@ -131,7 +133,7 @@ impl Train {
         }
         let out = self.out.display();
         interrupt::set_exit_message(
-            format!("what is done is kept in {out}: the same command with --resume goes on"),
+            format!("the results so far are in {out}: the same command with --resume continues"),
             quiet,
         );
         if run_folder::is_run_folder(&self.out) {
@@ -269,7 +271,7 @@ pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, 
     let shards = merged.missing_shards();
     let gate = match missing.is_empty() {
         true => check_learned(&done),
-        false => Err(CliError::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", format_ranges(&missing)))),
+        false => Err(CliError::Gate(format!("missing seeds of {of_seeds}: {}{shards}", format_ranges(&missing)))),
     };
     let printed = match format {
         OutputFormat::Json => {
@@ -290,7 +292,7 @@ fn check_learned(results: &[SeedResult]) -> Result<(), CliError> {
     }
     let seeds = seeds.join(", ");
     Err(CliError::Gate(format!(
-        "no checkpoint was better than the untrained network, and no policy is kept: seed {seeds}"
+        "no checkpoint was better than the untrained network, so no policy was written: seed {seeds}"
     )))
 }
 
@@ -355,8 +357,8 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
             result.policy_sha256.as_ref().and_then(|digest| digest.get(..12)).unwrap_or("none: nothing learned")
         );
     }
-    text + "held out, unseen: contacts in draws that select the policy, and in draws that had no part in it; gap: smallest \
-            over all but the unseen\n"
+    text + "held out, unseen: collisions in the validation set and in the test set; gap: smallest gap outside the test \
+            set\n"
 }
 
 impl From<TrainingError> for CliError {

@@ -21,7 +21,7 @@ pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
     (
         AfterContact::Continue,
         "continue",
-        "Let the two stick together with common momentum and go on, so that a pile-up can be counted",
+        "Both vehicles continue together with common momentum, so that a pile-up can be counted",
     ),
 ];
 
@@ -32,38 +32,38 @@ pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
 ];
 
 pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
-    (EscapeKind::LargestGap, "largest-gap", "The one with the largest smallest gap"),
+    (EscapeKind::LargestGap, "largest-gap", "The escape with the largest smallest gap"),
     (
         EscapeKind::Gentlest,
         "gentlest",
-        "The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all \
-         escapes with that firing, not of those with another, which may be gentler",
+        "The escape with the least ∫ a² that keeps half that gap, among those with the same trigger time of the \
+         follower's emergency brake; other trigger times may allow a gentler one",
     ),
     (
         EscapeKind::LeastJerk,
         "least-jerk",
-        "Likewise the one whose acceleration changes least, of all escapes with that firing",
+        "The escape whose acceleration changes least, among those with that trigger time",
     ),
 ];
 
 /// Vehicles whose braking makes an episode of a recording.
 pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
-    (LeaderSelection::Any, "any", "Every vehicle with another behind it"),
-    (LeaderSelection::First, "first", "Those that had no recorded vehicle ahead of them"),
+    (LeaderSelection::Any, "any", "Every vehicle with a follower"),
+    (LeaderSelection::First, "first", "Vehicles without a recorded vehicle ahead"),
 ];
 
 pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
-    (RareMethod::Splitting, "splitting", "Populations climb level by level"),
+    (RareMethod::Splitting, "splitting", "Multilevel splitting: populations climb from level to level"),
     (
         RareMethod::Importance,
         "importance",
-        "Draws from a law fitted to where such populations arrive, with exact weights",
+        "Importance sampling from a distribution fitted to such populations, with exact weights",
     ),
 ];
 
 pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
     (EvaluationLog::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
-    (EvaluationLog::Summary, "summary", "Nothing: the summary and the counterexamples alone"),
+    (EvaluationLog::Summary, "summary", "Only the summary and the counterexamples"),
 ];
 
 /// Returns a clap parser that selects one of `choices` by its name.

@@ -39,12 +39,12 @@ enum VerifySubcommand {
 /// Certify the safety kernel of a shield, one certificate for each pair of vehicle classes
 #[derive(Args)]
 #[command(after_long_help = "\
-A road that scales both brake limits by a friction scales the demanded gaps by its inverse, so the certificates for a dry road \
-speak for every other.
+Friction scales both brake limits and the required gaps inversely, so the certificates for a dry road are valid for \
+every road.
 
-What is proved are the kernel and, in verify/obligations, the shield's test of an action and what it predicts for delay, noise and \
-errors of what is seen, of the functions that drive and in real numbers. Rounding is paid for by a margin. That noise and an estimator \
-keep their bounds, six standard deviations of the noise, is not proved.")]
+The proofs cover the kernel and, in verify/obligations, the shield's test of an action and its prediction for delay, \
+noise and observation errors, for the functions that drive and in real numbers. A margin covers rounding. It is not \
+proved that noise and an estimator keep their bounds of six standard deviations of the noise.")]
 struct ShieldCommand {
     /// Folder for the certificates, created if missing; `shield.sha256` lists them. crumple replaces only files that it
     /// wrote there and that have not changed
@@ -58,19 +58,20 @@ struct ShieldCommand {
 /// Bound a controller's failure rate, or show that it is lower than another's
 #[derive(Args)]
 #[command(after_long_help = "\
-What decides the count (controllers, space, seed, runs, confidence) is written to DIR/registration.json, with its digest on \
-standard error, before the first run. Draws are counted in order; an interrupted count goes on with --resume. A run fails if \
-vehicles touch.
+Before the first run the settings that determine the count (controllers, space, seed, runs, confidence) are written \
+to DIR/registration.json, with their digest on standard error. Random scenarios are counted in order; --resume \
+continues an interrupted count. A run fails if vehicles collide.
 
-With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs that climb \
-from level to level of the smallest gap. The levels come from a pilot; the estimate is the mean over independent repetitions, \
-with an interval from their spread. With --rare=importance a law is fitted to where such populations arrive, and runs are drawn from it with \
-exact weights: the same mean, of far fewer runs where failures lie in a few places. That is an estimate and no bound: it gets no certificate, and DIR/rare-estimate.json \
-says so. The pilot and every repetition are kept in DIR as they end; an interrupted estimate goes on with --resume, to the same bytes.
+With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs \
+climb from level to level of the smallest gap. A pilot determines the levels; the estimate is the mean of \
+independent repetitions, with an interval from their spread. --rare=importance fits a distribution to such \
+populations and samples runs from it with exact weights: the same mean with far fewer runs, if failures lie in a few \
+places. The result is an estimate and no bound: it has no certificate, and DIR/rare-estimate.json says so. The pilot \
+and every repetition are written to DIR as they end; --resume continues an interrupted estimate, to the same bytes.
 
-In a space that says in how much driving its episodes were seen (see `crumple fit`), failures are also stated per hour and per 1000 km, \
-each with two intervals: taking the space for the truth, and with the data's own uncertainty, by --resamples of the episodes \
-(docs/fitting.md).
+If the space states the driving time and distance of its episodes (see `crumple fit`), failures are also given per \
+hour and per 1000 km, each with two intervals: one that takes the space for exact, and one with the uncertainty of \
+the data, from --resamples of the episodes (docs/fitting.md).
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
@@ -178,7 +179,9 @@ impl RateCommand {
             ("--repetitions", self.repetitions.is_some()),
         ];
         if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
-            return Err(CliError::Input(format!("{name}: is of --rare; a count is of runs without contact")));
+            return Err(CliError::Input(format!(
+                "{name}: requires --rare; a count only distinguishes runs with and without a collision"
+            )));
         }
         let (is_comparison, out) = (self.against.is_some(), self.out_folder());
         let plan = RatePlan::new(RateConfig {
@@ -192,8 +195,8 @@ impl RateCommand {
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
-        let kept = format!("what is counted is kept in {}", out.display());
-        let go_on = || interrupt::set_exit_message(format!("{kept}: the same command with --resume goes on"), quiet);
+        let kept = format!("the counts so far are in {}", out.display());
+        let go_on = || interrupt::set_exit_message(format!("{kept}: the same command with --resume continues"), quiet);
         if let Some(shard) = self.shard {
             let mut part = plan.register_shard_in(shard, &out, self.resume)?;
             registered();
@@ -202,7 +205,7 @@ impl RateCommand {
             let done = part.count(&progress::bar_observer(&bar));
             bar.finish_and_clear();
             done?;
-            let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
+            let said = format!("{}: shard {shard}; `crumple merge` combines the shards\n", out.display());
             let report = CountReport { shard: Some(shard), ..CountReport::new(part.tally(), &out) };
             let words = || format!("{}{said}", tally_line(is_comparison, part.tally()));
             return output::print_result(self.format, &report, words);
@@ -287,7 +290,7 @@ impl RateCommand {
             return Err(CliError::Input(format!("{option}: the space `{}` {problem}", self.space.0)));
         }
         if self.against.is_some() {
-            let problem = "is of the rate of one controller; with --against nothing is stated per hour";
+            let problem = "applies to the rate of one controller; omit it with --against";
             return Err(CliError::Input(format!("{option}: {problem}")));
         }
         Ok(())

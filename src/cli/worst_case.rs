@@ -17,19 +17,20 @@ use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptio
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact
 #[derive(Args)]
 #[command(after_long_help = "\
-Whatever the leader's script was, another takes its place: braking only, within --max-brake and --jerk. For the baseline \
-that sees the truth, without noise, the answer is exact on a grid of 0.1 s, by enumerating when its brake fires; through the \
-filter it is that, widened until it collides. For any other controller it is the best found: crumple simulates pulses and ramps and \
-improves the best of them by sequential convex programming along rollouts. The profile is simulated before it is reported, beside what \
-the last program predicted.
+The attack replaces the leader's script: braking only, within --max-brake and --jerk. For the baseline that observes \
+the true state, without noise, the answer is exact on a grid of 0.1 s, by enumeration of the times at which its \
+brake fires; with the filter, that profile is widened until it collides. For any other controller the result is the \
+best profile found: crumple simulates pulses and ramps and improves the best of them by sequential convex \
+programming along rollouts. crumple simulates the profile before it reports it, with the prediction of the last \
+program.
 
---budget ends the search between its rounds, of some 30 simulations each. The exact method always makes one simulation for each \
-step of the scenario and one for each part of the enumeration (at most 1500). The other method always makes its scan of pulses and ramps (40 \
-for a budget below 400, 112 below 2000, 864 from there on) and, if one collides, at most 144 that make them milder. The output says if \
-these are more than the budget.
+--budget ends the search between its rounds of about 30 simulations each. The exact method always makes one \
+simulation for each step of the scenario and one for each part of the enumeration (at most 1500). The other method \
+always scans pulses and ramps (40 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes \
+at most 144 simulations to find milder ones. If the budget is exceeded, the output says so.
 
-A margin is the smallest gap or, after a contact at v m/s, minus v²/10. A scenario may have 500 000 vehicles times steps, \
-and all simulations together 20 000 million: some minutes.
+A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicles times \
+steps, and all simulations together 20 000 million, which takes some minutes.
 
 Examples:
   crumple worst-case paper-1 --controller baseline
@@ -102,8 +103,7 @@ impl WorstCase {
     }
 }
 
-const OVER_BUDGET_REASON: &str =
-    "a round that has begun is ended, and what the method begins and ends with is always made";
+const OVER_BUDGET_REASON: &str = "the method completes its round and always runs its first and last simulations";
 
 #[derive(Serialize)]
 struct WorstCaseReport {
@@ -126,14 +126,14 @@ fn describe_report(report: &AttackReport) -> String {
     let AttackReport { scenario, controller, estimator, aim, .. } = report;
     let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", TerminalText(scenario), TerminalText(controller));
     if report.nondeterministic {
-        text += "  the controller says that it is not deterministic: another attack may end otherwise\n";
+        text += "  the controller declares that it is not deterministic: another attack may give another result\n";
     }
     let (Some(effort), Some(peak)) = (report.effort_m2ps3, report.peak_brake_mps2) else {
         let AttackReport { evaluations, programs, .. } = report;
         return text + &format!("  no collision found in {evaluations} simulations and {programs} convex programs\n");
     };
     if let Some(Outcome::ControllerFailed(failed)) = &report.outcome {
-        let _ = writeln!(text, "  CONTROLLER FAILED, and gave no answer that could be judged: {failed}");
+        let _ = writeln!(text, "  CONTROLLER FAILED and gave no valid command: {failed}");
     }
     if let Some(Outcome::Collision(contact)) = &report.outcome {
         let _ = writeln!(
@@ -153,7 +153,9 @@ fn describe_report(report: &AttackReport) -> String {
     };
     let method = match method {
         AttackMethod::Exact => "exact on this grid",
-        AttackMethod::Widened => "best found, near the least on this grid: exact but for noise and filter",
+        AttackMethod::Widened => {
+            "best found, close to the optimum on this grid; the noise and the filter are not exact"
+        }
         AttackMethod::Sequential => "best found",
     };
     let _ = writeln!(text, "  {method}; {evaluations} simulations, {programs} convex programs");

@@ -179,7 +179,7 @@ def measure(browser, address):
     times = sorted(browser.script("return performance.getEntriesByName('drag').map((entry) => entry.duration)"))
     print(f"dragging: {len(times)} answers, median {times[len(times) // 2]:.1f} ms, 95 % {times[int(0.95 * len(times))]:.1f} ms, longest {times[-1]:.1f} ms")
     said = browser.wait("words for a screen reader", "return document.getElementById('said').textContent")
-    assert "No contact" in said, said
+    assert "No collision" in said, said
     # With the keyboard too.
     browser.keys("#slide-speed-2", "\ue010")
     assert settled(browser)["verdict"] == "collision"

@@ -204,7 +204,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
         .unwrap_err()
         .to_string();
     assert!(
-        refused.starts_with("the controller `failing` states no identity: a campaign with it cannot be resumed"),
+        refused.starts_with("the controller `failing` states no identity, so its campaign cannot be resumed"),
         "{refused}"
     );
 }

@@ -71,7 +71,7 @@ fn explore_refuses_what_it_cannot_offer() {
         assert!(exit_code(&output) == 2 && text.contains(said) && text.lines().count() == 1, "{text}");
     };
     refused(&["no-such-scenario"], "neither a built-in scenario");
-    refused(&["."], "no campaign has begun there");
+    refused(&["."], "the folder holds no campaign");
     refused(&["--out", "nowhere"], "no such folder");
     refused(&["--controller", "idm", "--controller", "idm"], "given twice");
     refused(

@@ -236,12 +236,16 @@ fn controller_files_are_refused_by_file_line_and_field() {
             "constant = 1.4\nquantity = \"speed_mps\"",
             "a.toml:10: inputs[1].constant: an input is a quantity or",
         ),
-        ("constant = 1.4", "scale = 2.0", "a.toml:9: inputs[1]: says neither a quantity nor a constant"),
+        ("constant = 1.4", "scale = 2.0", "a.toml:9: inputs[1]: needs a quantity or a constant"),
         ("\"speed_mps\"", "\"speed\"", "a.toml:13: inputs[2].quantity: unknown variant `speed`"),
         ("low = 0.0\nhigh = 50.0", "scale = 0.0", "a.toml:14: inputs[2].scale: must not be 0"),
         ("high = 50.0", "high = -1.0", "a.toml:14: inputs[2].low: must not be above high"),
-        ("high = 50.0", "absent = 1.0", "a.toml:15: inputs[2].absent: is for what is seen of another vehicle"),
-        ("[output]", "[[inputs]]\nconstant = 1\n[output]", "inputs: there are 6, and the network takes 5 numbers"),
+        (
+            "high = 50.0",
+            "absent = 1.0",
+            "a.toml:15: inputs[2].absent: is allowed only for quantities of another vehicle",
+        ),
+        ("[output]", "[[inputs]]\nconstant = 1\n[output]", "inputs: there are 6, and the network has 5 inputs"),
         ("[output]", "[output]\nanswer = 1", "a.toml:30: output.answer: must be below 1"),
         (
             "interval_s = 0.1",
@@ -264,10 +268,10 @@ fn controller_files_are_refused_by_file_line_and_field() {
 fn networks_that_need_a_controller_file_say_so() {
     let refused = |name: &str| NamedController::find(name, &controller_corpus()).expect_err(name).to_string();
     for (name, said) in [
-        ("acc-5x20.onnx", "it makes 1 of 5 numbers"),
-        ("a2c.zip", "its space of actions is -7.5 to 3, where crumple's own policies answer with -1 to 1"),
-        ("elu-7-5.onnx", "it makes 4 of 3 numbers"),
-        ("mixed-50-25.onnx", "nothing in it keeps its answer from -1 to 1"),
+        ("acc-5x20.onnx", "inputs: 5, outputs: 1;"),
+        ("a2c.zip", "its action space is -7.5 to 3; without a controller file crumple expects -1 to 1"),
+        ("elu-7-5.onnx", "inputs: 3, outputs: 4;"),
+        ("mixed-50-25.onnx", "its output is not limited to -1 to 1"),
         ("normalised-64-64-64.onnx", ""),
     ] {
         if said.is_empty() {
@@ -282,7 +286,7 @@ fn networks_that_need_a_controller_file_say_so() {
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
     let error = NamedController::find("m.zip", folder.path()).expect_err("normalised").to_string();
-    assert!(error.contains("beside it lies `vecnormalize.pkl`"), "{error}");
+    assert!(error.contains("`vecnormalize.pkl` is in the same folder"), "{error}");
     // The content of the pickle counts, in any place: this one states that observations were not normalised.
     fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("vecnormalize.pkl")).unwrap();
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
@@ -312,7 +316,7 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     };
     fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let said = find(&untold).expect_err("not told").to_string();
-    assert!(said.contains("a.toml:1: normalised: is missing: ") && said.contains("as its own data tells"), "{said}");
+    assert!(said.contains("a.toml:1: normalised: is missing: ") && said.contains("its data shows that"), "{said}");
     let said = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
     assert!(said.contains("trained behind VecNormalize") && said.contains("`normalised = true`"), "{said}");
     let identity = find(&told).unwrap();
@@ -322,7 +326,7 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     fs::copy(normalised_path("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
     assert_eq!(find(&untold).unwrap(), identity);
     let said = find(&untold.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
-    assert!(said.contains("`ppo_vecnormalize.pkl` seems to have the statistics"), "{said}");
+    assert!(said.contains("`ppo_vecnormalize.pkl` seems to contain the statistics"), "{said}");
     fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
     assert!(find(&untold.replace("high = 5.0", "high = 10.0")).is_ok());
 }
@@ -378,7 +382,7 @@ fn what_does_not_fit_a_model_is_told() {
         assert!(doubts.contains(doubt), "{doubts}");
     }
     let said = find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
-    assert!(said.contains("output: leaves nothing of the model's actions of -7.5 to 3"), "{said}");
+    assert!(said.contains("output: excludes every action of the model: actions of -7.5 to 3"), "{said}");
     let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
     assert_eq!(exit_code(&noted), 2);
     fs::write(folder.path().join("a.toml"), &unscaled).unwrap();
@@ -430,7 +434,7 @@ fn what_is_described_drives() {
             let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
             let ControllerKind::Network(written) = controller_kind("normalised/ppo.toml") else { panic!("a network") };
             assert_eq!(controller.mapping().inputs, written.mapping().inputs);
-            assert!(text.contains("VecNormalize: it was trained behind one"), "{text}");
+            assert!(text.contains("VecNormalize: used in training"), "{text}");
         }
     }
 }
@@ -459,14 +463,14 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
     ] {
         let (text, found) = drafted(name);
         assert_eq!(found, expected, "{name}");
-        assert!(text.contains(&format!("limits its answers to {bounds}: ")), "{text}");
+        assert!(text.contains(&format!("limits its outputs to {bounds}: ")), "{text}");
     }
     // The outputs are accelerations already: from -7.5 to 3 m/s².
     assert_eq!(drafted("sac.zip").1, [0.0, 1.0]);
     // The outputs have no bounds: the draft explains what to do if training squashed them.
     let (text, found) = drafted("elu-7-5.onnx");
     assert_eq!(found, [0.0, 1.0]);
-    assert!(text.contains("does not limit its answers") && text.contains("squash = \"tanh\""), "{text}");
+    assert!(text.contains("does not limit its outputs") && text.contains("squash = \"tanh\""), "{text}");
 }
 
 /// The format of `torch.save` before PyTorch 1.6 is no zip archive; such a model is not damaged.

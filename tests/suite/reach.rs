@@ -302,7 +302,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
             }
         }
         let other = run(&["check", "c.json", "--policy", &shown(controller_corpus_path("reference.onnx"))]);
-        assert!(exit_code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
+        assert!(exit_code(&other) == 1 && said(&other).contains("has SHA-256"), "{}", said(&other));
         let certificate: Certificate =
             Certificate::from_json(&std::fs::read_to_string(folder.path().join("c.json")).unwrap()).unwrap();
         let path = folder.path().join(certificate.policy_reference().expect("of a network").0);
@@ -311,7 +311,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         bytes[last] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let other = run(&["check", "c.json"]);
-        assert!(exit_code(&other) == 1 && said(&other).contains("has the SHA-256"), "{}", said(&other));
+        assert!(exit_code(&other) == 1 && said(&other).contains("has SHA-256"), "{}", said(&other));
     }
     let acc = std::fs::read_to_string(controller_corpus_path("acc.toml")).unwrap();
     std::fs::copy(controller_corpus_path("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
@@ -329,10 +329,10 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         (stacked.as_str(), "history: is 3, and only a network that sees nothing but the present"),
         (
             "hard.toml",
-            "hard.toml:30: cannot be followed: output.low_mps2: asks for up to -9 m/s², and the vehicle does -7.5 to 3",
+            "hard.toml:30: cannot be followed: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle are -7.5 to 3",
         ),
-        ("idm", "must be a policy of crumple's own or a network"),
-        ("shield:policy", "must be a policy of crumple's own or a network"),
+        ("idm", "must be a policy of crumple or a network"),
+        ("shield:policy", "must be a policy of crumple or a network"),
         ("exec:true", "`true` ended by itself with exit code 0"),
     ] {
         let refused = run(&["verify", "reach", "--controller", controller, "--box", "box.toml"]);

@@ -81,12 +81,9 @@ fn a_tolerance_belongs_to_the_criterion() {
     let near = tested(&replace_passages(STANDING_SUITE, &[("75.0", "70.0")]));
     assert!(near.is_passed() && near.worst_in_tolerance.is_some());
     for (tolerance, said) in [
-        (
-            "-1.0",
-            "stands.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be a number from 0 on, found -1",
-        ),
-        ("nan", "must be a number from 0 on, found NaN"),
-        ("inf", "must be a number from 0 on, found inf"),
+        ("-1.0", "stands.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1"),
+        ("nan", "must be 0 or more, found NaN"),
+        ("inf", "must be 0 or more, found inf"),
         ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
     ] {
         let text = replace_passages(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
@@ -145,8 +142,8 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
         (&["cut-in-gap", "--own-speed", "1e9"], "--own-speed: must be from 30 to 250 km/h"),
         (&["cut-in-gap", "--time-gap", "2"], "--time-gap: has no place on the map cut-in-gap, which holds --own-speed"),
         (&["car-following", "--own-speed", "100"], "--own-speed: has no place on the map car-following"),
-        (&["cut-in-gap", "--cells", "101x3"], "--cells: must have 2 to 100 cells each way, found 101x3"),
-        (&["cut-in-gap", "--cells", "12"], "two counts"),
+        (&["cut-in-gap", "--cells", "101x3"], "--cells: must have 2 to 100 cells in each direction, found 101x3"),
+        (&["cut-in-gap", "--cells", "12"], "two numbers of cells"),
         (&["cut-in-gap", "--out", "m.pdf"], "must end in .svg, .png, .html or .json"),
         (&["overtaking"], "possible values"),
     ] {

@@ -245,15 +245,19 @@ fn find_controller(name: &str) -> NamedController {
 fn bad_suites_are_refused_by_file_line_and_field() {
     for (from, to, said) in [
         ("version = 1", "version = 2", "own.toml:1: version: version 2 is not supported"),
-        ("\"own\"", "\"../own\"", "own.toml:2: name: must be 1 to 60 small letters"),
+        ("\"own\"", "\"../own\"", "own.toml:2: name: must be 1 to 60 lower-case letters"),
         ("None", "a\\u001bb", "own.toml:4: document: must have 1 to 2000 characters"),
         ("\"stopped\"", "\"flying\"", "own.toml:14: clauses[0].tests[0].lead: unknown variant `flying`"),
-        ("lead = \"stopped\"\n", "", "own.toml:12: clauses[0].tests[0]: a test has either `lead` or `refused`"),
-        ("\"stopped\"", "\"slower\"", "clauses[0].tests[0].figures.lead_speed: is missing: where the lead is slower"),
+        ("lead = \"stopped\"\n", "", "own.toml:12: clauses[0].tests[0]: a test must have either `lead` or `refused`"),
+        (
+            "\"stopped\"",
+            "\"slower\"",
+            "clauses[0].tests[0].figures.lead_speed: is missing: a test with lead = slower needs it",
+        ),
         (
             "lead = \"stopped\"",
             "lead = \"stopped\"\nfigures.gap = { values = [9.0], unit = \"m\", origin = \"chosen\" }",
-            "own.toml:15: clauses[0].tests[0].figures.gap: has no place where the lead is stopped",
+            "own.toml:15: clauses[0].tests[0].figures.gap: is not allowed in a test with lead = stopped",
         ),
         ("[36.0, 50.0]", "[50.0, 36.0]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values[1]: must increase"),
         ("[36.0, 50.0]", "[]", "own.toml:16: clauses[0].tests[0].figures.own_speed.values: must have 1 to 100 entries"),
@@ -271,20 +275,20 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         (
             "lead = \"stopped\"",
             "lead = \"stopped\"\nranges = [\"closing_time\"]",
-            "own.toml:15: clauses[0].tests[0].ranges[0]: closing time has no two values",
+            "own.toml:15: clauses[0].tests[0].ranges[0]: closing time needs two different values",
         ),
         (
             "lead = \"stopped\"",
             "lead = \"stopped\"\nimpact_at_most = { value = -1.0, unit = \"km/h\", origin = \"chosen\" }",
-            "own.toml:15: clauses[0].tests[0].impact_at_most.value: must be more than 0 and at most 360 km/h, found -1",
+            "own.toml:15: clauses[0].tests[0].impact_at_most.value: must be above 0 and at most 360 km/h, found -1",
         ),
         (
             "lead = \"stopped\"",
             "lead = \"stopped\"\nimpact_at_most = { value = 9.0, unit = \"s\", origin = \"chosen\" }",
             "own.toml:15: clauses[0].tests[0].impact_at_most.unit: an impact speed cannot be stated in s",
         ),
-        ("\"stopped\"", "\"decelerating\"", "figures.closing_time: has no place where the lead is decelerating"),
-        ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: has no place"),
+        ("\"stopped\"", "\"decelerating\"", "figures.closing_time: is not allowed in a test with lead = decelerating"),
+        ("push = \"own_speed\"", "push = \"gap\"", "own.toml:15: clauses[0].tests[0].margins[0].push: is not allowed"),
         ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
         ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
@@ -363,8 +367,8 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     assert_eq!(by_length.verdict, by_time.verdict);
     assert!((by_length.min_gap_m.unwrap() - by_time.min_gap_m.unwrap()).abs() < 1e-9);
     for (gap, said) in [
-        ("", "figures.gap: is missing: where the lead is decelerating there must be one, or `time_gap`"),
-        (&format!("{gap}{time}"), "figures.time_gap: is there beside `gap`, which says the same"),
+        ("", "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`"),
+        (&format!("{gap}{time}"), "figures.time_gap: repeats `gap`: state only one of them"),
     ] {
         let error = load(gap).unwrap_err().to_string();
         assert!(error.contains(said), "{error}");

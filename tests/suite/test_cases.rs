@@ -87,7 +87,7 @@ fn a_violation_brings_a_scenario_file() {
     let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
     assert_eq!(read, test_case.scenario);
     assert!(violation.reproducer.starts_with("# crumple simulate THIS-FILE.toml --controller baseline\n"));
-    assert!(violation.to_string().contains("tell one story"), "{violation}");
+    assert!(violation.to_string().contains("verdict, summary and trace agree"), "{violation}");
 }
 
 /// The search keeps one scenario file for each kind of collision, which collides when simulated, and gives the fuzzer
@@ -151,5 +151,8 @@ fn a_search_takes_controllers_of_any_decision_interval() {
     }
     std::fs::write(&path, format!("{before}decision_interval_s = 1e-9\n{after}")).expect("written");
     let refused = CollisionSearch::new(&path.display().to_string(), None).expect_err("no step").to_string();
-    assert!(refused.contains("decides every 0.000000001 s, and no scenario has a step for that"), "{refused}");
+    assert!(
+        refused.contains("has a decision interval of 0.000000001 s, which fits the step of no scenario"),
+        "{refused}"
+    );
 }

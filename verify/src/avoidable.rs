@@ -58,7 +58,7 @@ pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedCla
 
 fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(), Rejection> {
     if witness.len() != scene.egos.len() {
-        return Err(Rejection::invalid("witness", "must hold one profile for each ego"));
+        return Err(Rejection::invalid("witness", "must have one profile for each ego vehicle"));
     }
     for (index, (profile, ego)) in witness.iter().zip(&scene.egos).enumerate() {
         scene.check_profile_length(profile, || format!("witness[{index}]"))?;
@@ -66,7 +66,7 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
         if let Some(piece) = profile.iter().position(|held| !is_able(held.1)) {
             return Err(Rejection::invalid(
                 format!("witness[{index}][{piece}]"),
-                "is beyond what the ego is able to do",
+                "exceeds the limits of the ego vehicle",
             ));
         }
     }

@@ -34,9 +34,9 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
         return Err(Rejection::invalid("assumptions", "are not in the order of their definition"));
     }
     match &certificate.statement {
-        Statement::Kernel(_) => check_no_source(provenance, "must be absent: a kernel is about no one scenario"),
+        Statement::Kernel(_) => check_no_source(provenance, "must be absent: a kernel does not belong to a scenario"),
         Statement::AdaptiveCruise(claim) => {
-            check_no_source(provenance, "must be absent: the benchmark is its own scenario")?;
+            check_no_source(provenance, "must be absent: the benchmark defines its scenario")?;
             check_policy_file_name(&claim.policy_file, &claim.policy_sha256, true)
         }
         Statement::Reach(claim) => {
@@ -111,7 +111,7 @@ fn check_space(provenance: &CertificateProvenance, registration: &Registration, 
         return Err(Rejection::invalid(place(key), "is not known"));
     }
     if let Some((key, _)) = entries.iter().find(|(key, value)| key.ends_with("_sha256") && !is_sha256(value)) {
-        return Err(Rejection::invalid(place(key), "is no SHA-256"));
+        return Err(Rejection::invalid(place(key), "is not a SHA-256"));
     }
     if entries.get("seed").is_none_or(|seed| seed.parse::<u64>().map(|read| read.to_string()).as_ref() != Ok(seed)) {
         return Err(Rejection::invalid(place("seed"), "must be a whole number"));
@@ -121,9 +121,9 @@ fn check_space(provenance: &CertificateProvenance, registration: &Registration, 
         return Err(Rejection::invalid(place("horizon_s"), "must be a positive number"));
     }
     let twice = [
-        ("crumple", &provenance.crumple, "is not that of `provenance`"),
-        ("space", &provenance.scenario, "is not `provenance.scenario`"),
-        ("space_sha256", &provenance.scenario_sha256, "is not `provenance.scenario_sha256`"),
+        ("crumple", &provenance.crumple, "differs from `provenance`"),
+        ("space", &provenance.scenario, "differs from `provenance.scenario`"),
+        ("space_sha256", &provenance.scenario_sha256, "differs from `provenance.scenario_sha256`"),
     ];
     match twice.into_iter().find(|(key, value, _)| entries.get(*key) != Some(*value)) {
         Some((key, _, problem)) => Err(Rejection::invalid(place(key), problem)),

@@ -103,10 +103,10 @@ impl CruiseBounds {
 #[non_exhaustive]
 pub enum CruiseBoundsError {
     /// The inputs or the output are not those of the benchmark.
-    #[error("must see 30, 1.4, v_ego, D_rel, v_rel every 0.1 s and answer with a, in m/s², uncut")]
+    #[error("must have the inputs 30, 1.4, v_ego, D_rel, v_rel every 0.1 s, and the output a in m/s², not limited")]
     ProblemMismatch,
     /// The bounds have become too wide.
-    #[error("leads to bounds that are too wide at {0} s")]
+    #[error("has bounds that are too wide at {0} s")]
     TooWide(f64),
 }
 
@@ -310,10 +310,10 @@ pub(crate) fn check(claim: &CruiseClaim, file: Option<&[u8]>, work: &OpBudget) -
     let found = found.map_err(|unshown| Rejection::Policy { problem: unshown.to_string() })?;
     let is_shown = |stated: f64, margin: f64| stated.partial_cmp(&margin).is_some_and(std::cmp::Ordering::is_le);
     if !is_shown(claim.margin_m_at_least, found.margin_m) {
-        return Err(Rejection::invalid("margin_m_at_least", "is more than is proved"));
+        return Err(Rejection::invalid("margin_m_at_least", "exceeds the proved value"));
     }
     if !is_shown(found.x_ego_width_m(), claim.x_ego_width_m_at_most) {
-        return Err(Rejection::invalid("x_ego_width_m_at_most", "is less than is proved"));
+        return Err(Rejection::invalid("x_ego_width_m_at_most", "is below the proved value"));
     }
     Ok(ProvedClaim::Cruise { margin_m: found.margin_m, x_ego_width_m: found.x_ego_width_m() })
 }

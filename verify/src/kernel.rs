@@ -101,7 +101,7 @@ pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim
             [&pair.last_stop_cases()[..], &[pair.harder_braking_case()], &pair.catching_up_cases(&r)].concat()
         }
         (None, false) => [&pair.last_stop_cases()[..], &pair.softer_braking_cases()].concat(),
-        _ => return Err(Rejection::invalid("catching_up_squared", "must be there exactly where b > c")),
+        _ => return Err(Rejection::invalid("catching_up_squared", "must be present exactly if b > c")),
     };
     match cases.into_iter().find(|case| !case.holds()) {
         Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),

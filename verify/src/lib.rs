@@ -179,9 +179,11 @@ impl SafetyAfterHorizon {
 impl std::fmt::Display for SafetyAfterHorizon {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Self::ForAnyLeader => "and nobody need touch afterwards, whatever the leader does",
-            Self::UnlessLeaderBrakes => "and nobody need touch afterwards, if the leader does not brake any more",
-            Self::Unproved => "nothing is shown of what comes afterwards",
+            Self::ForAnyLeader => "and a collision remains avoidable afterwards, whatever the leader does",
+            Self::UnlessLeaderBrakes => {
+                "and a collision remains avoidable afterwards, if the leader does not brake again"
+            }
+            Self::Unproved => "nothing is proved about the time afterwards",
         })
     }
 }
@@ -191,18 +193,21 @@ impl std::fmt::Display for ProvedClaim {
         match self {
             Self::Avoidable { min_gap_m: smallest_gap_m, horizon_s, after_horizon: afterwards } => write!(
                 formatter,
-                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s; {afterwards}"
+                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s; \
+                 {afterwards}"
             ),
             Self::Unavoidable { overlap_m, horizon_s } => write!(
                 formatter,
-                "unavoidable: whatever is done, two vehicles would overlap by {overlap_m} m or more within {horizon_s} s"
+                "unavoidable: for every command, two vehicles would overlap by {overlap_m} m or more within \
+                 {horizon_s} s"
             ),
-            Self::GapBound { gap_m, horizon_s } => write!(
-                formatter,
-                "gap bound: whatever is done, some gap gets as small as {gap_m} m within {horizon_s} s"
+            Self::GapBound { gap_m, horizon_s } => {
+                write!(formatter, "gap bound: for every command, some gap is at most {gap_m} m within {horizon_s} s")
+            }
+            Self::Kernel => formatter.write_str(
+                "kernel: full braking avoids a collision from every state in it, and no command does from \
+                 any other state",
             ),
-            Self::Kernel => formatter
-                .write_str("kernel: full braking keeps every state of it free of contact, and nothing any other"),
             Self::Rate { max_rate: at_most, confidence } => {
                 write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
             }
@@ -212,13 +217,14 @@ impl std::fmt::Display for ProvedClaim {
             ),
             Self::Cruise { margin_m, x_ego_width_m } => write!(
                 formatter,
-                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {margin_m} m for 5 s; all x_ego at the end lie within \
-                 {x_ego_width_m} m"
+                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {margin_m} m for 5 s; all x_ego at the \
+                 end lie within {x_ego_width_m} m"
             ),
             // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => write!(
                 formatter,
-                "reach: nothing is shown of any part of the box; {:.2} % of its volume is in cells with a start that ends in contact",
+                "reach: nothing is proved about any part of the box; {:.2} % of its volume is in cells with an \
+                 initial state that ends in a collision",
                 (1e4 * falsified_share).floor() / 1e2
             ),
             Self::Reach {
@@ -231,11 +237,11 @@ impl std::fmt::Display for ProvedClaim {
                 ..
             } => write!(
                 formatter,
-                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}{}; \
-                 {:.2} % of it is in cells with a start that ends in contact",
+                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} \
+                 s, {}{}; {:.2} % of it is in cells with an initial state that ends in a collision",
                 (1e4 * verified_share).floor() / 1e2,
                 limit.map_or_else(String::new, |limit| format!("however the leader brakes at up to {limit} m/s², ")),
-                if *has_follower { "with a vehicle behind" } else { "with nobody behind" },
+                if *has_follower { "with a vehicle behind" } else { "with no vehicle behind" },
                 (1e4 * falsified_share).floor() / 1e2
             ),
         }
@@ -255,15 +261,13 @@ pub enum Rejection {
         problem: &'static str,
     },
     /// The assumptions are not those that the statement needs.
-    #[error("`assumptions` must be {needed:?}, and at most noise-of-seed besides")]
+    #[error("`assumptions` must be {needed:?}, and only noise-of-seed may be added")]
     Assumptions {
         /// Assumptions that the statement needs.
         needed: Vec<Assumption>,
     },
     /// Two vehicles may collide on the stated profile.
-    #[error(
-        "vehicle {front_vehicle} and the one behind it may touch in step {step}: only a gap of {gap_m} m is proved"
-    )]
+    #[error("vehicle {front_vehicle} and its follower may collide in step {step}: only a gap of {gap_m} m is proved")]
     MayCollide {
         /// Index of the vehicle ahead, 0 for the leader.
         front_vehicle: usize,
@@ -281,7 +285,7 @@ pub enum Rejection {
         min_gap_m: f64,
     },
     /// The branches do not cover the firing instants one after the other.
-    #[error("`branches[{branch}]` must begin where the one before ends, and end no later than instant N")]
+    #[error("`branches[{branch}]` must begin where the previous one ends, and end no later than instant N")]
     Tiling {
         /// Index of the branch.
         branch: usize,
@@ -317,14 +321,14 @@ pub enum Rejection {
         problem: String,
     },
     /// Checking exceeds the operation limit: the claim stays undecided.
-    #[error("checking it takes more than {limit} operations, and no more are allowed")]
+    #[error("the check takes more than the allowed {limit} operations")]
     BudgetExceeded {
         /// Allowed number of operations.
         limit: WorkLimit,
     },
     /// The observation, or a better one, is too probable if the claim is false.
     #[error(
-        "what was observed, or better, may have probability {} if the claim is false, and {} is allowed",
+        "the observed counts, or better ones, may have probability {} if the claim is false, and at most {} is allowed",
         scope::format_number(*tail_probability),
         scope::format_number(*max_tail_probability)
     )]

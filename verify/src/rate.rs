@@ -112,7 +112,7 @@ pub(crate) fn check_rate(claim: &RateClaim, work: &OpBudget) -> Result<ProvedCla
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     if claim.failures >= registration.runs {
-        return Err(Rejection::invalid("failures", "are all runs: no bound on the rate follows"));
+        return Err(Rejection::invalid("failures", "equal the number of runs: no bound on the rate follows"));
     }
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
         return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
@@ -176,11 +176,11 @@ fn check_blocks<'a>(
             return Err(Rejection::invalid(format!("blocks[{index}]"), "counts more runs than it has"));
         }
         if !canonical::is_sha256(sha256) {
-            return Err(Rejection::invalid(format!("blocks[{index}]"), "has no SHA-256"));
+            return Err(Rejection::invalid(format!("blocks[{index}]"), "must have a SHA-256"));
         }
         (sums, left) = ([sums[0].saturating_add(first), sums[1].saturating_add(second)], left - runs);
     }
-    if sums == claimed { Ok(()) } else { Err(Rejection::invalid("blocks", "do not add up to what is claimed")) }
+    if sums == claimed { Ok(()) } else { Err(Rejection::invalid("blocks", "do not add up to the claimed counts")) }
 }
 
 fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {

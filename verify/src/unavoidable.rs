@@ -59,7 +59,7 @@ pub(crate) fn check(
 pub(crate) fn check_gap_bound(claim: &GapBoundClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     let GapBoundClaim { scene, gap_m: stated_m, branches } = claim;
     if !(*stated_m >= 0.0 && stated_m.is_finite()) {
-        return Err(Rejection::invalid("gap_m", "must be a number that is not negative"));
+        return Err(Rejection::invalid("gap_m", "must be 0 or more"));
     }
     let gap_m = (-min_overlap_m(scene, branches, work, branch_overlap_m)?).max(0.0);
     match gap_m <= *stated_m {
@@ -132,7 +132,7 @@ fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
         return Err(Rejection::invalid("branches", "must end with the last instant, N"));
     }
     if scene.follower.is_none() && branches.len() != 1 {
-        return Err(Rejection::invalid("branches", "must be one if there is no follower"));
+        return Err(Rejection::invalid("branches", "must be one branch if there is no follower"));
     }
     Ok(())
 }
@@ -148,7 +148,7 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     let egos = scene.egos.len();
     for (name, lists, wanted) in [("between", &branch.between, egos - 1), ("speed", &branch.speed, egos)] {
         if !lists.is_empty() && lists.len() != wanted {
-            return Err(Rejection::invalid(place(name), "has a wrong number of lists"));
+            return Err(Rejection::invalid(place(name), "has the wrong number of lists"));
         }
         for (list, rows) in lists.iter().enumerate() {
             check_multipliers(rows, end, || format!("{}[{list}]", place(name)))?;

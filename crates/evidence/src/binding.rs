@@ -65,7 +65,7 @@ impl From<FileError> for BindingError {
 #[non_exhaustive]
 pub enum ScenarioMismatch {
     /// The scene, or the vehicles outside it, differ.
-    #[error("the statement is about other vehicles, a longer or shorter time, or another space")]
+    #[error("the statement has other vehicles, another duration or another space")]
     OtherScene,
     /// The scenario has vehicles or controllers that such a claim cannot cover.
     #[error(transparent)]
@@ -77,7 +77,7 @@ pub enum ScenarioMismatch {
     #[error("the time step, the duration or the follower's driver of the scenario differs from that of the statement")]
     OtherRun,
     /// The policy is missing, or exceeds the limits of the vehicle under test.
-    #[error("its vehicle under test cannot do all that the policy asks for")]
+    #[error("its vehicle under test cannot execute all commands of the policy")]
     OtherLimits,
     /// A quantity of the initial state is outside the box.
     #[error("its {field} is {value}, outside {} to {}", range[0], range[1])]
@@ -177,7 +177,7 @@ fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
 }
 
 fn scene_mismatch() -> BindingError {
-    mismatch("statement", "is not about the scenario, or box around it, of `provenance`")
+    mismatch("statement", "does not match the scenario or box of `provenance`")
 }
 
 fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
@@ -187,7 +187,7 @@ fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
     if scenario.spec().name == certificate.provenance.scenario {
         Ok(scenario)
     } else {
-        Err(mismatch("provenance.scenario", "is not the name in `scenario_text`"))
+        Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`"))
     }
 }
 
@@ -212,7 +212,7 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
     let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
     let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
     if spec.scenario != certificate.provenance.scenario {
-        return Err(mismatch(BOX_TEXT_FIELD, "is around another scenario"));
+        return Err(mismatch(BOX_TEXT_FIELD, "belongs to another scenario"));
     }
     let starts = InitialSet::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)
@@ -225,7 +225,7 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
     if can_execute_policy(policy, &starts) {
         Ok(())
     } else {
-        Err(mismatch("policy_file", "asks for more than the vehicle can do"))
+        Err(mismatch("policy_file", "commands accelerations that the vehicle cannot execute"))
     }
 }
 
@@ -236,7 +236,7 @@ pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, Bin
     if space.name() == certificate.provenance.scenario {
         Ok(space)
     } else {
-        Err(mismatch("provenance.scenario", "is not the name in `scenario_text`"))
+        Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`"))
     }
 }
 
@@ -247,8 +247,9 @@ pub(super) fn rebuild_plan(
 ) -> Result<RatePlan, BindingError> {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
-    let estimator = estimator.ok_or_else(|| mismatch("registration.configuration.estimator", "is none there is"))?;
-    let seed = of("seed").parse().map_err(|_| mismatch("registration.configuration.seed", "is no whole number"))?;
+    let estimator =
+        estimator.ok_or_else(|| mismatch("registration.configuration.estimator", "is not a known estimator"))?;
+    let seed = of("seed").parse().map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
     let space = read_space(certificate)?;
     Ok(RatePlan::new(RateConfig { controller, against, space, seed, estimator, runs, confidence })?)
@@ -271,7 +272,7 @@ fn check_registration(certificate: &Certificate, registration: &Registration) ->
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let text = space::file::to_toml(&space).unwrap_or_default();
     if sha256(text) != of("space_sha256") {
-        return Err(mismatch("provenance.scenario_text", "is not the space as it is written by this program"));
+        return Err(mismatch("provenance.scenario_text", "differs from what this program writes for the space"));
     }
     // Other releases may use these names for other controllers.
     if of("crumple") != env!("CARGO_PKG_VERSION") {
@@ -281,6 +282,6 @@ fn check_registration(certificate: &Certificate, registration: &Registration) ->
     if rebuild_plan(certificate, registration, controllers)?.registration() == registration {
         Ok(())
     } else {
-        Err(mismatch("registration", "is not that of the controllers and space that it names"))
+        Err(mismatch("registration", "does not match the controllers and space that it names"))
     }
 }

@@ -55,9 +55,9 @@ impl CountsStatus {
     fn summary(&self) -> String {
         match self {
             Self::Unconfirmed => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
-            Self::Refuted { because } => format!("counted again, and refuted: {because}"),
+            Self::Refuted { because } => format!("refuted by a new count: {because}"),
             Self::Confirmed { confirmation, .. } if confirmation.is_complete() => format!(
-                "confirmed: all {} runs were drawn and simulated again here, and each ended as it is said to",
+                "confirmed: all {} runs were drawn and simulated again, and each has the stated result",
                 confirmation.total_runs
             ),
             Self::Confirmed { confirmation, seed } => {
@@ -67,13 +67,13 @@ impl CountsStatus {
                 chances.dedup();
                 let chance = |(forged, chance): (u64, f64)| {
                     let runs = if forged == 1 { "run" } else { "runs" };
-                    format!("{forged} forged {runs} with a chance of {:.2} %", (1e4 * chance).floor() / 1e2)
+                    format!("{forged} forged {runs}: {:.2} %", (1e4 * chance).floor() / 1e2)
                 };
                 let chances: Vec<String> = chances.into_iter().map(chance).collect();
                 format!(
-                    "confirmed by a sample: {blocks} of {of_blocks} blocks, {runs} of {of_runs} runs ({:.2} %), were drawn and \
-                     simulated again here, and each ended as it is said to. Chosen with seed {}, after the file was fixed, this \
-                     catches, wherever they are, at least {}",
+                    "confirmed by a sample: {blocks} of {of_blocks} blocks, {runs} of {of_runs} runs ({:.2} %), were \
+                     drawn and simulated again, and each has the stated result. If seed {} was chosen after the file \
+                     was fixed, the minimum probability of detection is, for {}",
                     (1e4 * *runs as f64 / *of_runs as f64).floor() / 1e2,
                     seed.unwrap_or_default(),
                     chances.join(", ")
@@ -166,11 +166,11 @@ impl CertificateReport<'_> {
         let path = TerminalText(&self.path);
         let mut text = match accepted {
             Ok(accepted) if matches!(counts, Some(CountsStatus::Refuted { .. })) => {
-                format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
+                format!("{path}: REFUTED: its counts are wrong, although the claim follows from them: {accepted}\n")
             }
             Ok(accepted) if let (Some(scenario), Some(Err(why))) = (scenario, about) => {
                 let (scenario, why) = (TerminalText(scenario), TerminalText(why));
-                format!("{path}: is NOT about {scenario}: {why}; taken by itself it is accepted: {accepted}\n")
+                format!("{path}: is NOT about {scenario}: {why}; the certificate itself is accepted: {accepted}\n")
             }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
@@ -190,25 +190,22 @@ impl CertificateReport<'_> {
         }
         let Ok(shown) = accepted else { return text };
         if let Statement::Rate(rate) = &certificate.statement {
-            text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
+            text += &format!("  counted: {} failures in {} runs\n", rate.failures, rate.registration.runs);
         }
         text += &counts.iter().map(|counts| format!("  {}\n", TerminalText(&counts.summary()))).collect::<String>();
         text += &self.scope(Some(shown)).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
-            Some(true) => text += "  which is the built-in one of that name\n",
-            Some(false) => text += "  which is NOT the built-in one of that name\n",
+            Some(true) => text += "  it is the built-in scenario or space of that name\n",
+            Some(false) => text += "  it is NOT the built-in scenario or space of that name\n",
             None => {}
         }
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
-        let old = if certificate.is_first_version() {
-            ", an old one: docs/certificates.md says what it leaves open"
-        } else {
-            ""
-        };
+        let old =
+            if certificate.is_first_version() { ", an old one: see docs/certificates.md for its limits" } else { "" };
         text + &format!(
-            "  version {}{old}; SHA-256 of what it says, without spaces and line breaks: {}\n",
+            "  version {}{old}; SHA-256 of its content, without spaces and line breaks: {}\n",
             certificate.version,
             certificate.digest()
         )
@@ -231,7 +228,8 @@ pub fn report_text(all: &[CertificateReport<'_>], scenario: Option<&str>) -> Str
     if let Some((bounds, confidence)) = joint_confidence(all) {
         let percent = (confidence * 1e8).floor() / 1e6;
         text += &format!(
-            "together: all {bounds} bounds hold at once at confidence {percent} % (the sum of what each leaves open)\n"
+            "together: all {bounds} bounds hold at confidence {percent} % (Bonferroni: the sum of their error \
+             probabilities)\n"
         );
     }
     text

@@ -81,7 +81,7 @@ impl CruisePlan {
     pub fn new(file: NetworkFile) -> Result<Self, CruiseError> {
         let answers = file.network.outputs();
         if answers != 1 {
-            let problem = format!("answers with {answers} numbers, and the benchmark wants 1");
+            let problem = format!("has {answers} outputs, and the benchmark needs 1");
             return Err(InvalidMapping { field: "network".to_owned(), problem }.into());
         }
         let input = |quantity, constant| InputMapping {
@@ -139,7 +139,7 @@ impl CruisePlan {
         let found = cruise::compute_bounds(&self.actor, cells)?;
         let seconds = begin.elapsed().as_secs_f64();
         let source = self.actor.source.clone();
-        let source = source.ok_or_else(|| CruiseError::Unreadable("says not what it was read from".to_owned()))?;
+        let source = source.ok_or_else(|| CruiseError::Unreadable("does not name its source file".to_owned()))?;
         let policy_sha256 = sha256(&self.bytes);
         let claim = CruiseClaim {
             policy_file: controller_file_name(&policy_sha256, true),

@@ -56,13 +56,14 @@ impl InitialSet {
         });
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
-                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, and all must \
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, \
+                 and all must \
                  stay in the lane",
             ));
         }
         let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
             ([], None) => (None, None),
-            ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning where nobody is behind")),
+            ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning without a follower")),
             ([follower], in_place) => follower_model(follower, in_place.as_ref())?,
             _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
         };
@@ -88,7 +89,7 @@ impl InitialSet {
                 .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
         };
         if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
-            return Err(InvalidBox::field("ranges.leader_brake_mps2", "is harder than the leader can brake"));
+            return Err(InvalidBox::field("ranges.leader_brake_mps2", "exceeds the braking limit of the leader"));
         }
         let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
         Ok(Self {
@@ -164,17 +165,18 @@ fn follower_model(
 
 fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
     if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
-        return Err(InvalidBox::field(LEADER_LIMIT_FIELD, format!("must be a number from 0 on, found {limit_mps2}")));
+        return Err(InvalidBox::field(LEADER_LIMIT_FIELD, format!("must be 0 or more, found {limit_mps2}")));
     }
     if limit_mps2 > able_mps2 {
-        let problem = format!("is harder than the leader can brake: {able_mps2} m/s² at most, found {limit_mps2}");
+        let problem =
+            format!("exceeds the braking limit of the leader: must be at most {able_mps2} m/s², found {limit_mps2}");
         return Err(InvalidBox::field(LEADER_LIMIT_FIELD, problem));
     }
     let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
     match of_script.into_iter().find(|(_, range)| range.is_some()) {
         Some((name, _)) => {
             let problem =
-                format!("has no meaning where `{LEADER_LIMIT_FIELD}` is given: the leader brakes as it likes");
+                format!("has no meaning with `{LEADER_LIMIT_FIELD}`: the leader brakes arbitrarily up to that limit");
             Err(InvalidBox::field(&format!("ranges.{name}"), problem))
         }
         None => Ok(()),

@@ -91,7 +91,7 @@ pub enum InvalidRate {
         found: u64,
     },
     /// A controller has no identity.
-    #[error("the controller `{controller}` states no identity: nothing can be claimed of it")]
+    #[error("the controller `{controller}` states no identity, so no claim about it is possible")]
     NoIdentity {
         /// Name of the controller.
         controller: String,
@@ -121,7 +121,7 @@ pub enum InvalidRate {
 #[non_exhaustive]
 pub enum RateError {
     /// The space gave an invalid scenario.
-    #[error("draw {index}: {source}")]
+    #[error("random scenario {index}: {source}")]
     Draw {
         /// Index of the run.
         index: u64,
@@ -129,7 +129,7 @@ pub enum RateError {
         source: InvalidField,
     },
     /// A controller cannot drive in the scenario.
-    #[error("draw {index}: {source}")]
+    #[error("random scenario {index}: {source}")]
     Run {
         /// Index of the run.
         index: u64,

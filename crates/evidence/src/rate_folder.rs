@@ -36,7 +36,7 @@ pub enum RateFolderError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The checker rejects the certificate.
-    #[error("nothing is shown by {}: {rejection} ({counts})", path.display())]
+    #[error("the counts in {} prove nothing: {rejection} ({counts})", path.display())]
     Rejected {
         /// File of the counts.
         path: PathBuf,
@@ -129,7 +129,7 @@ impl CountRecord {
         if work.is_complete() && work.read_required(PROGRESS_FILE)? != to_json(&path, tally)?.into_bytes() {
             return Err(RunFolderError::damaged(
                 &path,
-                "there is a count of the same registration that came to something else",
+                "the folder holds a count of the same registration with other results",
             )
             .into());
         }
@@ -145,7 +145,9 @@ impl<'a> BlockCounter<'a> {
                 let tally: CountTally = serde_json::from_slice(&bytes)
                     .map_err(|problem| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string()))?;
                 if !plan.record().is_consistent(&blocks, &tally) {
-                    return Err(RunFolderError::damaged(&work.path(PROGRESS_FILE), "not of this registration").into());
+                    return Err(
+                        RunFolderError::damaged(&work.path(PROGRESS_FILE), "belongs to another registration").into()
+                    );
                 }
                 tally
             }
@@ -261,8 +263,8 @@ mod tests {
         let part = interrupted_folder(&plan, |_| ());
         let error =
             |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
-        assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
-        let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
+        assert!(error(&plan, false).unwrap().contains("already holds a count: use --resume"));
+        let other = "registration.json: the count there has a different `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
         plan.register_in(part.path(), true).unwrap().certify(&Quiet).unwrap();
         for name in [REGISTRATION_FILE, PROGRESS_FILE, CERTIFICATE_FILE, crumple_store::run_folder::MANIFEST_FILE] {
@@ -281,7 +283,7 @@ mod tests {
         for change in changes {
             let folder = interrupted_folder(&plan, change);
             let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
-            assert!(error.ends_with("progress.json: not of this registration"), "{error}");
+            assert!(error.ends_with("progress.json: belongs to another registration"), "{error}");
         }
         let folder = interrupted_folder(&plan, |_| ());
         let path = folder.path().join(PROGRESS_FILE);

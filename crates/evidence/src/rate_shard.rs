@@ -76,7 +76,7 @@ impl Mergeable for ShardedCount {
             && may_be_resampled
         {
             true => Ok(tally),
-            false => Err(format!("not what shard {shard} of that count comes to")),
+            false => Err(format!("inconsistent with shard {shard} of that count")),
         }
     }
 }

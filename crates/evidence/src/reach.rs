@@ -96,16 +96,16 @@ pub enum InvalidBox {
     #[error("the controller {0}")]
     Controller(String),
     /// The observations of the network cannot be bounded.
-    #[error("the controller cannot be followed: {0}")]
+    #[error("the controller cannot be analysed: {0}")]
     Mapping(#[from] InvalidMapping),
     /// An initial state of the box makes no scenario.
-    #[error("a start of the box is no scenario: {0}")]
+    #[error("an initial state of the box is not a valid scenario: {0}")]
     Start(#[from] InvalidField),
     /// An initial state of the box cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
     /// The observer stopped the partition.
-    #[error("the cutting of the box was {0}")]
+    #[error("the partition of the box was {0}")]
     Stopped(#[from] Stopped),
 }
 
@@ -197,7 +197,7 @@ impl BoxSpec {
             other => Err(FileError::Syntax {
                 path: path.to_owned(),
                 line: file::line_in_toml(text, "version"),
-                message: format!("version: only 1 is known, found {other}"),
+                message: format!("version {other} is not supported: this release reads version 1"),
             }),
         }
     }
@@ -215,7 +215,7 @@ impl ReachPlan {
             let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
             InvalidBox::field(
                 "scenario",
-                format!("must be a built-in one ({}), found `{}`", known.join(", "), spec.scenario),
+                format!("must be a built-in scenario ({}), found `{}`", known.join(", "), spec.scenario),
             )
         })?;
         if let Some(driver) = &spec.follower_drives {
@@ -224,7 +224,7 @@ impl ReachPlan {
         }
         let starts = InitialSet::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?
-            .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
+            .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple or a network".to_owned()))?;
         let actor = NeuralController::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
         if !starts.can_execute(actor.action_bounds_mps2) {
             return Err(excessive_command_error(actor.action_bounds_mps2, starts.accel_limits_mps2(), &controller));
@@ -468,7 +468,7 @@ fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
         brake if brake.starts_with("vehicles[0].driver.brake") => "ranges.leader_brake_mps2",
         _ => return InvalidBox::Start(invalid),
     };
-    InvalidBox::field(range, format!("a start in it is no scenario: {}", invalid.problem))
+    InvalidBox::field(range, format!("contains an initial state that is not a valid scenario: {}", invalid.problem))
 }
 
 /// Returns the error of a command beyond the limits of the vehicle; for a network it names the field.
@@ -478,7 +478,8 @@ fn excessive_command_error(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller
         false => ("output.high_mps2", asked_mps2[1]),
     };
     let [least_mps2, most_mps2] = able_mps2;
-    let problem = format!("asks for up to {bound_mps2} m/s², and the vehicle does {least_mps2} to {most_mps2} m/s²");
+    let problem =
+        format!("commands up to {bound_mps2} m/s², and the limits of the vehicle are {least_mps2} to {most_mps2} m/s²");
     match controller {
         ControllerKind::Network(_) => InvalidMapping { field: field.to_owned(), problem }.into(),
         _ => InvalidBox::Controller(problem),

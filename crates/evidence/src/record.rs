@@ -65,7 +65,8 @@ impl CountTally {
         let Self { runs, failures, only_first_failed, only_second_failed, .. } = self;
         let counts = if is_of_two {
             format!(
-                "{only_first_failed} runs in which only the first failed, {only_second_failed} only the second, {failures} both"
+                "{only_first_failed} runs in which only the first failed, {only_second_failed} only the second, \
+                 {failures} both"
             )
         } else {
             format!("{failures} failures")
@@ -76,7 +77,7 @@ impl CountTally {
     /// Describes missing answers, each after a semicolon; empty without any.
     #[must_use]
     pub fn unanswered_summary(&self) -> String {
-        let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];
+        let who = ["; the controller ", "; the other controller, whose runs without an answer count for neither, "];
         let words = who.into_iter().zip(self.unanswered());
         words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs)))).collect()
     }
@@ -98,9 +99,9 @@ impl CountRecord {
         let has_blocks = block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MAX_BLOCKS);
         let space = configuration.get("space_sha256");
         match () {
-            () if !is_count => Some("registration: no number of runs and confidence that a count may have"),
-            () if !has_blocks => Some("registration.block_runs: no length of a block that a count may have"),
-            () if space != Some(&sha256(&self.space_text)) => Some("space_text: not the space that is registered"),
+            () if !is_count => Some("registration: runs or confidence are outside the allowed range"),
+            () if !has_blocks => Some("registration.block_runs: is not an allowed block length"),
+            () if space != Some(&sha256(&self.space_text)) => Some("space_text: differs from the registered space"),
             () => None,
         }
     }

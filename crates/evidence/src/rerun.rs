@@ -34,25 +34,33 @@ pub enum RerunError {
     #[error("a certificate of kind `{0}` counts no runs")]
     NothingCounted(&'static str),
     /// Another release made the counts.
-    #[error("`registration.configuration.crumple` is {counting_release}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
+    #[error(
+        "`registration.configuration.crumple` is {counting_release}, and this release is {}: use the release that \
+         made the counts",
+        env!("CARGO_PKG_VERSION")
+    )]
     OtherRelease {
         /// Release that made the counts.
         counting_release: String,
     },
     /// The certificate is of version 1, without space and hashes.
-    #[error("version 1 holds neither the space that runs were drawn from nor a hash of what came of them: count again")]
+    #[error(
+        "a certificate of version 1 contains neither the space nor hashes of the results: repeat the count with this \
+         release"
+    )]
     NoBlocks,
     /// A controller is not available.
     #[error(
-        "`registration.configuration.{place}` names no built-in controller, and no --controller has its identity: a name in a \
-         certificate opens no file and starts no program, not even with --allow-external"
+        "`registration.configuration.{place}` names no built-in controller, and no --controller has its identity: \
+         name the controller with --controller; a name in a certificate opens no file and starts no program, not even \
+         with --allow-external"
     )]
     NoController {
         /// Field of the registration that names the controller.
         place: &'static str,
     },
     /// The registration does not match its controllers and space.
-    #[error("`registration` is not that of the controllers and space that it names")]
+    #[error("`registration` does not match the controllers and space that it names")]
     OtherRegistration,
     /// The certificate does not match its texts.
     #[error(transparent)]
@@ -248,14 +256,15 @@ impl Rerun {
         };
         match (stated.counts, counts) {
             (stated, found) if stated != found && is_rate => {
-                refuted(format!("{} failed when they were made again, not {}", found[0], stated[0]))
+                refuted(format!("{} runs failed when repeated, and the certificate states {}", found[0], stated[0]))
             }
             (stated, found) if stated != found => refuted(format!(
-                "made again, only the first failed in {} and only the second in {}, not in {} and {}",
+                "when repeated, only the first controller failed in {} runs and only the second in {}, and the \
+                 certificate states {} and {}",
                 found[0], found[1], stated[0], stated[1]
             )),
             _ if stated.sha256 != found.sha256 => {
-                refuted("made again, they did not end as they are said to".to_owned())
+                refuted("when repeated, the runs have other results than the certificate states".to_owned())
             }
             _ => Ok(()),
         }

@@ -31,7 +31,7 @@ pub enum ScriptBeyondLimit {
         limit_mps2: f64,
     },
     /// The recording starts at another speed than the vehicle.
-    #[error("its leader drives at {speed_mps} m/s at the start, and its recording at {recorded_mps} m/s")]
+    #[error("its leader has an initial speed of {speed_mps} m/s, and its recording of {recorded_mps} m/s")]
     OtherSpeed {
         /// Speed of the vehicle, in m/s.
         speed_mps: f64,

@@ -36,19 +36,23 @@ impl RequestAuth {
         let said = path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = said.split_once('/').unwrap_or((said, ""));
         if !is_equal_constant_time(token.as_bytes(), self.token.as_bytes()) {
-            return Err(RequestError::Forbidden("the address lacks the token that was printed when this was started"));
+            return Err(RequestError::Forbidden(
+                "the address lacks the token: use the address that crumple printed at its start",
+            ));
         }
         let all = |name: &HeaderName| {
             headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default()).collect::<Vec<_>>()
         };
         let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
         if !matches!(all(&HOST)[..], [host] if is_own(host)) {
-            return Err(RequestError::Forbidden("this is another host's name: use the address that was printed"));
+            return Err(RequestError::Forbidden(
+                "the request names another host: use the address that crumple printed",
+            ));
         }
         let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
         let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
         if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
-            return Err(RequestError::Forbidden("a page of another origin asks for this"));
+            return Err(RequestError::Forbidden("the request comes from a page of another origin"));
         }
         Ok(rest)
     }

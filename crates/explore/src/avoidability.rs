@@ -29,7 +29,7 @@ pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResp
     match &found.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
             words.push(format!(
-                "Yes: this escape keeps {:.2} m. Somebody who knows what comes drives like this.",
+                "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
                 (100.0 * escape.min_gap_m).floor() / 100.0
             ));
             let options =
@@ -38,13 +38,13 @@ pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResp
             drawn = render_replay(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
         }
         AvoidanceVerdict::Unavoidable(_) => {
-            words.push("No: every driver collides. That is proved, and the checker has accepted the proof.".to_owned())
+            words.push("No: every driver collides. This is proved, and the checker has accepted the proof.".to_owned())
         }
         AvoidanceVerdict::Undecided(reason) => words.push(format!("Undecided: {reason}")),
     }
     if let Some(bound_m) = found.min_gap_bound_m {
         words.push(format!(
-            "No driver keeps more than {:.2} m, by a computed bound without a certificate.",
+            "No driver keeps more than {:.2} m. This is a computed bound without a certificate.",
             (100.0 * bound_m).ceil() / 100.0
         ));
     }

@@ -58,7 +58,7 @@ pub struct CatalogScenario {
 #[non_exhaustive]
 pub enum ExploreConfigError {
     /// There are more controllers than can be compared.
-    #[error("--controller: at most {most} can be seen side by side, found {found}", most = ExploreConfig::MAX_CONTROLLERS)]
+    #[error("--controller: at most {most} can be compared, found {found}", most = ExploreConfig::MAX_CONTROLLERS)]
     TooManyControllers {
         /// Number of controllers.
         found: usize,
@@ -142,7 +142,8 @@ impl ExploreConfig {
 impl Catalog {
     pub(crate) fn find_controllers(&self, names: &[String]) -> Result<Vec<&NamedController>, RequestError> {
         if !(1..=ExploreConfig::MAX_CONTROLLERS).contains(&names.len()) {
-            let problem = format!("1 to {} run side by side, found {}", ExploreConfig::MAX_CONTROLLERS, names.len());
+            let problem =
+                format!("must name 1 to {} controllers, found {}", ExploreConfig::MAX_CONTROLLERS, names.len());
             return Err(RequestError::invalid("controllers", problem));
         }
         let offered = |(index, name): (usize, &String)| {
@@ -150,7 +151,7 @@ impl Catalog {
             found.ok_or_else(|| {
                 RequestError::invalid(
                     format!("controllers[{index}]"),
-                    format!("no `{name}` was offered: start with --controller"),
+                    format!("`{name}` is not available: start crumple with --controller"),
                 )
             })
         };
@@ -180,7 +181,7 @@ impl Catalog {
                         let field = format!("scenario.vehicles[{index}].driver.file.path");
                         return Err(RequestError::invalid(
                             field,
-                            "only files of scenarios that this was started with may drive",
+                            "only the drivers of scenarios that were given at the start are allowed",
                         ));
                     }
                 }

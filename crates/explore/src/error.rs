@@ -11,15 +11,15 @@ use serde_json::{Value, json};
 pub(crate) enum RequestError {
     #[error("{0}")]
     Forbidden(&'static str),
-    #[error("there is nothing here: {0}")]
+    #[error("not found: {0}")]
     NotFound(&'static str),
-    #[error("this is asked for by {0}")]
+    #[error("use the method {0}")]
     MethodNotAllowed(&'static str),
     #[error("the request took longer than {} s to arrive", .0.as_secs_f64())]
     Timeout(Duration),
-    #[error("a request may have {0} KiB")]
+    #[error("the request is larger than {0} KiB")]
     TooLarge(usize),
-    #[error("what is asked has to be JSON, and to say so: Content-Type: application/json")]
+    #[error("the request must be JSON with the header Content-Type: application/json")]
     NotJson,
     /// The JSON is malformed, or a field is missing, unknown or of the wrong type.
     #[error("line {line}: {message}")]
@@ -36,7 +36,7 @@ pub(crate) enum RequestError {
         problem: String,
     },
     /// Another request holds the exclusive resource.
-    #[error("{0} is being decided already: ask again when that is done")]
+    #[error("crumple is still computing {0}: try again later")]
     Busy(&'static str),
     #[error("{0}")]
     Internal(String),

@@ -25,7 +25,7 @@
         body: JSON.stringify(body),
       });
     } catch {
-      throw new Error('crumple explore does not answer: it may have been ended');
+      throw new Error('crumple explore does not respond: it may have stopped');
     }
     const answer = await response.json();
     if (!response.ok) throw new Error(answer.error.message);
@@ -295,7 +295,7 @@
       });
       byId('vehicles').replaceChildren(...sliders.vehicles.slice(0, MOST_SLIDERS).map(vehicleSliders));
       const more = sliders.vehicles.length - MOST_SLIDERS;
-      if (more > 0) byId('vehicles').append(element('p', { class: 'hint' }, `${more} more vehicles stay as they are.`));
+      if (more > 0) byId('vehicles').append(element('p', { class: 'hint' }, `${more} more vehicles have no sliders.`));
       lead.show(sliders.lead, sliders.duration_s);
       changed();
     };
@@ -335,7 +335,7 @@
     byId('avoid').addEventListener('click', async () => {
       const [button, place] = [byId('avoid'), byId('avoided')];
       button.disabled = true;
-      place.replaceChildren(element('p', {}, 'Looking for an escape …'));
+      place.replaceChildren(element('p', {}, 'Searching for an escape …'));
       try {
         const { words, escape, verdict } = await ask('avoid', meant());
         place.replaceChildren(...words.map((line) => element('p', {}, line)));
@@ -355,7 +355,7 @@
           element('a', { href: address, download: saved.file_name }).click();
           setTimeout(() => URL.revokeObjectURL(address), 10_000);
         }
-        told.replaceChildren(saved.path ? `Saved as ${saved.path}. ` : '', 'Again with ', element('code', {}, saved.command));
+        told.replaceChildren(saved.path ? `Saved as ${saved.path}. ` : '', 'Repeat with ', element('code', {}, saved.command));
       } catch (error) {
         told.replaceChildren(element('span', { class: 'bad' }, error.message));
       }
@@ -409,7 +409,7 @@
         byId('across').value = seen.across;
         byId('up').value = seen.up;
         offer('method', seen.methods, [['', 'every method']]);
-        offer('kind', seen.kinds, [['', 'anything fails']]);
+        offer('kind', seen.kinds, [['', 'every kind']]);
         byId('words').replaceChildren(...seen.words.map((line) => element('p', { class: 'told' }, line)));
         ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, seen[id]));
         document.body.dataset.running = seen.running;

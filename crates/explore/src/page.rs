@@ -36,19 +36,20 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 fieldset { legend { "Road" } div id="road" {} }
                 div id="vehicles" {}
                 fieldset {
-                    legend { "How vehicle 0 brakes" }
+                    legend { "Acceleration of vehicle 0" }
                     div id="lead" {}
-                    p.hint id="lead-help" { "Draw its acceleration with the pointer; or focus it, choose a moment with ← and →, and change it with ↑ and ↓." }
+                    p.hint id="lead-help" { "Draw the acceleration with the pointer. With the keyboard, select a time \
+                    with ← and →, and change the value with ↑ and ↓." }
                     button type="button" id="lead-back" { "As in the scenario" }
                 }
                 fieldset id="chosen" {
-                    legend { "Controllers, side by side" }
+                    legend { "Controllers to compare" }
                     @for (index, controller) in offer.controllers.iter().enumerate() {
                         @let name = TerminalText(&controller.name);
                         label.choice { input type="checkbox" value=(controller.name) checked[index < offer.selected_controllers]; " " (name) }
                     }
                 }
-                label { "They look through "
+                label { "Estimator "
                     select id="estimator" {
                         @for estimator in EstimatorKind::ALL {
                             option value=(estimator.name()) selected[estimator == offer.estimator] { (estimator.name()) }
@@ -63,11 +64,11 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 }
                 p id="saved" role="status" {}
             }
-            section.seen aria-label="What comes of it" {
+            section.seen aria-label="Result" {
                 p.bad id="error" role="alert" hidden {}
                 div id="verdicts" {}
                 p.unseen id="said" role="status" {}
-                p { button type="button" id="avoid" { "Could anyone have avoided it?" } }
+                p { button type="button" id="avoid" { "Is the collision avoidable?" } }
                 div id="avoided" aria-live="polite" {}
                 div id="figures" {}
                 div id="above" {}
@@ -82,28 +83,29 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
     let content = html! {
         h1.unseen { "Campaigns" }
         @if offer.campaigns.is_empty() {
-            p { "No campaign was given. Start with the folder of one, finished or under way:" }
+            p { "No campaign was given. Start crumple with the folder of a finished or running campaign:" }
             p { code { "crumple explore runs/match-leader" } }
         } @else {
-            form.filters id="filters" aria-label="What is shown" {
+            form.filters id="filters" aria-label="Selection" {
                 label { "Campaign " select id="campaign" { @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } } } }
-                label { "Beside it "
+                label { "Compare with "
                     select id="against" {
                         option value="" { "none" }
                         @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } }
                     }
                 }
-                label { "Map across " select id="across" {} }
-                label { "Map up " select id="up" {} }
-                label { "Only by " select id="method" { option value="" { "every method" } } }
-                label { "Only failures in which " select id="kind" { option value="" { "anything fails" } } }
+                label { "Map x axis " select id="across" {} }
+                label { "Map y axis " select id="up" {} }
+                label { "Method " select id="method" { option value="" { "every method" } } }
+                label { "Kind of failure " select id="kind" { option value="" { "every kind" } } }
             }
             p.bad id="error" role="alert" hidden {}
             div id="words" {}
             p.unseen id="said" role="status" {}
             div.pair { div id="best" {} div id="front" {} }
             section { h2 { "Where it fails" }
-                p.hint { "Green: tried, nothing fails. Crossed: some fail. Red, with how many: all that were tried fail. Blank: not tried. A cell leads to its worst scenario." }
+                p.hint { "Green: no evaluation fails. Crossed: some fail. Red with a number: all fail. Blank: no \
+                evaluation. Each cell links to its worst scenario." }
                 div id="maps" {}
             }
             section { h2 { "Failures" } div id="distinct" {} div id="failures" {} }
@@ -135,7 +137,7 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                     }
                 }
                 main {
-                    noscript { p.bad { "This page needs its script." } }
+                    noscript { p.bad { "This page needs JavaScript." } }
                     (content)
                 }
                 script type="application/json" id="start" { (PreEscaped(escape_json(start))) }

@@ -93,20 +93,20 @@ fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simula
         Outcome::NoCollision => {
             let closest = run.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min);
             let gap = if closest.is_finite() { format!(", smallest gap {closest:.2} m") } else { String::new() };
-            ("safe", format!("✓ No contact in {} s{gap}", scenario.spec().duration_s))
+            ("safe", format!("✓ No collision in {} s{gap}", scenario.spec().duration_s))
         }
     };
     let mut notes = Vec::new();
     if !scenario.has_vehicle_under_test() {
-        notes.push("no vehicle is under test: the scenario's own drivers drive".to_owned());
+        notes.push("no vehicle is under test: the drivers of the scenario drive".to_owned());
     }
     if !controller.kind.is_deterministic() {
-        notes.push("it says of itself that it is not deterministic: another run may end otherwise".to_owned());
+        notes.push("the controller declares that it is not deterministic: another run may end differently".to_owned());
     }
     for vehicle in (0..scenario.vehicles().len()).filter(|&vehicle| scenario.is_under_test(vehicle)) {
         let braking = run.trace.as_ref().and_then(|trace| UnnecessaryBraking::from_trace(trace, &run.impacts, vehicle));
         if let Some(braking) = braking.filter(|braking| braking.hardest.is_some()) {
-            notes.push(format!("vehicle {vehicle} brakes without cause for {:.2} s", braking.time_s));
+            notes.push(format!("vehicle {vehicle} brakes unnecessarily for {:.2} s", braking.time_s));
         }
     }
     let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);

@@ -85,9 +85,8 @@ fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalo
     let scenario = Scenario::new(spec).map_err(scenario_error)?;
     let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(runs.max(1));
     if found > MAX_VEHICLE_STEPS {
-        let problem = format!(
-            "asks for {found} vehicle-steps over all controllers, and {MAX_VEHICLE_STEPS} are followed while one drags"
-        );
+        let problem =
+            format!("asks for {found} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed");
         return Err(RequestError::invalid("scenario.duration_s", problem));
     }
     Ok(scenario)
@@ -120,7 +119,7 @@ impl Edits {
                 (Some(_), None) => {
                     return Err(RequestError::invalid(
                         format!("edits.vehicles[{index}].gap_m"),
-                        "nobody is ahead of the first vehicle",
+                        "no vehicle is ahead of the first vehicle",
                     ));
                 }
                 (None, _) => {}

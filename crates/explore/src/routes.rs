@@ -97,7 +97,7 @@ impl Application {
             ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => {
                 Err(RequestError::MethodNotAllowed("POST"))
             }
-            _ => Err(RequestError::NotFound("the pages and what they ask for are elsewhere")),
+            _ => Err(RequestError::NotFound("see the address that crumple printed at its start")),
         }
     }
 
@@ -106,7 +106,7 @@ impl Application {
             OpenRequest { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
                 let offered = self.catalog.scenarios.get(*index);
                 let offered = offered.ok_or_else(|| {
-                    RequestError::invalid("scenario", format!("{} were offered", self.catalog.scenarios.len()))
+                    RequestError::invalid("scenario", format!("there are {} scenarios", self.catalog.scenarios.len()))
                 })?;
                 let scenario = &offered.scenario;
                 json_response(&OpenResponse {
@@ -120,7 +120,7 @@ impl Application {
             OpenRequest { scenario: None, campaign: Some(index), counterexample, evaluation } => {
                 self.open_campaign_scenario(*index, *counterexample, *evaluation)
             }
-            _ => Err(RequestError::invalid("scenario", "either a scenario or a campaign is opened")),
+            _ => Err(RequestError::invalid("scenario", "open either a scenario or a campaign")),
         }
     }
 
@@ -132,7 +132,7 @@ impl Application {
     ) -> Result<HttpResponse, RequestError> {
         let offered = self.catalog.campaigns.get(index);
         let offered = offered.ok_or_else(|| {
-            RequestError::invalid("campaign", format!("{} were offered", self.catalog.campaigns.len()))
+            RequestError::invalid("campaign", format!("there are {} campaigns", self.catalog.campaigns.len()))
         })?;
         // A damaged campaign is not opened in part.
         offered.poll()?;
@@ -159,7 +159,7 @@ impl Application {
                 );
                 scenario.edited(|spec| (spec.name, spec.about) = (name, about))?
             }
-            _ => return Err(RequestError::invalid("campaign", "either a counterexample or an evaluation is opened")),
+            _ => return Err(RequestError::invalid("campaign", "open either a counterexample or an evaluation")),
         };
         self.catalog.register_drivers(&scenario);
         let name = look.controller();
@@ -192,7 +192,7 @@ impl Application {
             // The lock protects no data.
             Err(TryLockError::Poisoned(alone)) => alone.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(RequestError::Busy("whether another scenario could have been avoided"));
+                return Err(RequestError::Busy("the avoidability of another scenario"));
             }
         };
         json_response(&check_avoidability(&scenario)?)

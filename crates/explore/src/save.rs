@@ -70,7 +70,7 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
             }
         };
     }
-    Err(RequestError::invalid("edits.name", format!("there are {MAX_SAME_NAME_FILES} scenarios of this name already")))
+    Err(RequestError::invalid("edits.name", format!("there are already {MAX_SAME_NAME_FILES} scenarios of this name")))
 }
 
 /// Returns a file name of letters, digits and hyphens. It cannot leave the folder and is no reserved name of a system.

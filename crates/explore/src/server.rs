@@ -92,7 +92,7 @@ pub enum ServeError {
         source: io::Error,
     },
     /// The system has no random numbers for the token.
-    #[error("no random numbers for a token: {0}")]
+    #[error("cannot get random numbers for a token: {0}")]
     Random(#[from] getrandom::Error),
     /// The system accepts no more connections or signals.
     #[error("cannot serve: {0}")]
@@ -261,7 +261,7 @@ async fn handle(
     let answer = tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
     idle_since.store(next_tick(), Ordering::Relaxed);
     answer.unwrap_or_else(|_| {
-        Err(RequestError::Internal("a fault of crumple: please report it with the scenario".to_owned()))
+        Err(RequestError::Internal("an internal error of crumple: please report it with the scenario".to_owned()))
     })
 }
 
@@ -271,7 +271,7 @@ async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
     while let Some(frame) = body.frame().await {
         let broken = |error: hyper::Error| RequestError::Malformed {
             line: 1,
-            message: format!("the request breaks off: {error}"),
+            message: format!("the request is incomplete: {error}"),
         };
         let Ok(data) = frame.map_err(broken)?.into_data() else { continue };
         length = length.saturating_add(data.len());

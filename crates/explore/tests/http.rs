@@ -332,7 +332,7 @@ fn what_is_wrong_is_said_with_its_field() {
         "run",
         &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 0, "gap_m": 3.0 }] })),
         422,
-        "nobody is ahead",
+        "no vehicle is ahead",
     );
     refused(
         "run",
@@ -350,10 +350,10 @@ fn what_is_wrong_is_said_with_its_field() {
     refused("run", &with(&|body| body["controllers"] = json!(vec!["idm"; 5])), 422, "1 to 4");
     refused("run", &with(&|body| body["scenario"]["duration_s"] = json!(1e4)), 422, "vehicle-steps");
     refused("run", &format!("\"{}\"", "x".repeat(2 << 20)), 413, "KiB");
-    refused("open", r#"{"scenario": 99}"#, 422, "were offered");
-    refused("open", r#"{"campaign": 0, "evaluation": 0}"#, 422, "were offered");
+    refused("open", r#"{"scenario": 99}"#, 422, "there are");
+    refused("open", r#"{"campaign": 0, "evaluation": 0}"#, 422, "there are");
     refused("open", "{}", 422, "either");
-    refused("campaign", r#"{"campaign": 0}"#, 422, "were offered");
+    refused("campaign", r#"{"campaign": 0}"#, 422, "there are");
     let (status, answer) = post("nothing", b"{}");
     assert_eq!((status, &answer["error"]["kind"]), (404, &json!("not-found")));
 }

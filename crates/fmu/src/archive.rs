@@ -24,10 +24,10 @@ pub enum FmuError {
     #[error("cannot be read: {0}")]
     Read(#[from] io::Error),
     /// The file is no zip archive, or is damaged.
-    #[error("is no FMU: {0}")]
+    #[error("is not an FMU: {0}")]
     Archive(#[from] ZipError),
     /// A member is too large or has a name that leads out of the archive, or there are too many.
-    #[error("is no FMU: {0}")]
+    #[error("is not an FMU: {0}")]
     Member(String),
     /// The description cannot be used.
     #[error(transparent)]

@@ -147,18 +147,16 @@ impl VariableType {
 #[non_exhaustive]
 pub enum InvalidDescription {
     /// The FMU follows another edition of the standard, or states none.
-    #[error("modelDescription.xml: is of FMI version {found:?}; FMI 2.0 and 3.0 are read")]
+    #[error("modelDescription.xml: FMI version {found:?} is not supported; crumple reads FMI 2.0 and 3.0")]
     Version {
         /// Value of `fmiVersion`.
         found: String,
     },
     /// The FMU supports only model exchange or scheduled execution.
-    #[error(
-        "has no co-simulation, which alone brings its own solver (modelDescription.xml has no element `CoSimulation`)"
-    )]
+    #[error("does not support co-simulation, which crumple needs (modelDescription.xml has no element `CoSimulation`)")]
     NoCoSimulation,
     /// The FMU needs a tool that crumple cannot start.
-    #[error("needs the tool that made it to run (needsExecutionTool)")]
+    #[error("cannot run without the tool that exported it (needsExecutionTool)")]
     NeedsTool,
     /// An element or attribute is missing or invalid.
     #[error("modelDescription.xml, line {line}: {problem}")]

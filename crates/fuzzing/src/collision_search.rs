@@ -32,7 +32,8 @@ pub enum CollisionSearchError {
     Controller(#[from] UnknownController),
     /// The controller runs in a separate process, which this search does not start.
     #[error(
-        "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in controllers, \
+        "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in \
+         controllers, \
          policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
     )]
     OtherProcess {
@@ -40,7 +41,7 @@ pub enum CollisionSearchError {
         controller: String,
     },
     /// The controller has a decision interval at which no scenario can run.
-    #[error("`{controller}` decides every {interval_s} s, and no scenario has a step for that: {reason}")]
+    #[error("`{controller}` has a decision interval of {interval_s} s, which fits the step of no scenario: {reason}")]
     Interval {
         /// Name of the controller.
         controller: String,

@@ -127,7 +127,7 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
 /// Errors of the file system, which are not findings.
 pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
     let (Some(genuine), Some(campaign)) = (campaign_snapshots(), small_campaign()) else {
-        return Ok(Some("the genuine campaign cannot be made".to_owned()));
+        return Ok(Some("the original campaign cannot run".to_owned()));
     };
     let (base, bytes) = match bytes {
         [first, rest @ ..] if first % 2 == 1 => (&genuine.half_done, rest),
@@ -140,13 +140,13 @@ pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
     let examined = examine(folder.path());
     let is_whole = |found: &FolderExamination| found.is_complete && found.files.iter().all(|(_, state)| state.is_ok());
     if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
-        return Ok(Some(format!("the examination is wrong about what is complete and whole: {examined:?}")));
+        return Ok(Some(format!("the examination is wrong about complete and undamaged files: {examined:?}")));
     }
     match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
         Ok(_) if read_folder(folder.path())? != genuine.complete => {
-            Ok(Some("a campaign went on from what is not its own, to another end".to_owned()))
+            Ok(Some("a campaign resumed from foreign files, with another result".to_owned()))
         }
-        Err(error) if contents == *base => Ok(Some(format!("the genuine folder is refused: {error}"))),
+        Err(error) if contents == *base => Ok(Some(format!("the original folder is refused: {error}"))),
         _ => Ok(None),
     }
 }

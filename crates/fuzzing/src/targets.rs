@@ -102,7 +102,7 @@ fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Resul
     let text = format.to_text(scenario);
     let back = Crumple.file_round_trip(scenario, format);
     let same = back.as_ref().is_ok_and(|back| back == scenario);
-    ensure(same, Invariant::Files, &text, || format!("{format:?}: it came back as {back:?}"))?;
+    ensure(same, Invariant::Files, &text, || format!("{format:?}: it reads back as {back:?}"))?;
     if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MAX_VEHICLE_STEPS {
         let test_case = TestCase { scenario: scenario.clone(), setup: RunSetup::with_true_state() };
         let options = test_case.setup.options(scenario.spec().step_s);
@@ -123,7 +123,7 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     let written = policy.to_bytes().ok();
     let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
     ensure(back.as_ref() == Some(&policy), Invariant::Reading, &header, || {
-        "it is not what was written of it".to_owned()
+        "it differs from what was written".to_owned()
     })?;
     let Some(short) = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok())
     else {
@@ -133,7 +133,9 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
         let result = simulate(&run, RecordingLevel::Summary);
         let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
-        ensure(moved, Invariant::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
+        ensure(moved, Invariant::Reading, &header, || {
+            format!("its state leaves the allowed range: {:?}", result.vehicles)
+        })?;
     }
     Ok(())
 }
@@ -149,7 +151,7 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
             Ok(file) => file,
             Err(refused) => {
                 let is_said = !refused.to_string().is_empty();
-                ensure(is_said, Invariant::Reading, "", || format!("{format} is refused without a word"))?;
+                ensure(is_said, Invariant::Reading, "", || format!("{format} is refused without a reason"))?;
                 continue;
             }
         };
@@ -191,10 +193,10 @@ pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
                 names.sort_unstable();
                 names.dedup();
                 let is_one = names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
-                ensure(is_one, Invariant::Reading, &model_identifier, || format!("{names:?} are not all"))?;
+                ensure(is_one, Invariant::Reading, &model_identifier, || format!("{names:?} are incomplete"))?;
             }
             Err(refused) => {
-                ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a word".to_owned())?
+                ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a reason".to_owned())?
             }
         }
     }
@@ -211,7 +213,7 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let written = serde_json::to_string(&read).unwrap_or_default();
     let again = Certificate::from_json(&written).ok();
     let same = again.as_ref() == Some(&read);
-    ensure(same, Invariant::Certificates, text, || format!("it came back as {again:?}"))?;
+    ensure(same, Invariant::Certificates, text, || format!("it reads back as {again:?}"))?;
     let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
     let (said, said_again) = (check(&read), again.as_ref().map(check));
     // Compared as text, because a reason may contain NaN.
@@ -244,11 +246,11 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
             let text = to_toml(&scenario).unwrap_or_default();
             let back = from_toml(&text, Path::new("f.toml"));
             let same = back.as_ref().is_ok_and(|back| *back == scenario);
-            ensure(same, Invariant::Files, &text, || format!("it came back as {back:?}"))?;
+            ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
         }
         for dropped in &recording.dropped {
             let is_said = !dropped.to_string().is_empty();
-            ensure(is_said, Invariant::Reading, "", || "something is dropped without a word".to_owned())?;
+            ensure(is_said, Invariant::Reading, "", || "a row or column is dropped without a note".to_owned())?;
         }
         let seen = recording::preview(&recording);
         let is_even =
@@ -279,7 +281,7 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
         // Printing adds parentheses and may expand a sum: a text at the limits can exceed them.
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
         back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || {
-            format!("{printed} is read as {back:?}")
+            format!("{printed} reads back as {back:?}")
         })?,
     }
     let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };

@@ -21,13 +21,13 @@ pub fn describe_json(path: &Path, kind: &str, found: &str, expected: &str) -> St
 fn describe(path: &Path, kind: &str, found: Option<Value>, expected: Option<Value>) -> String {
     let path = path.display();
     let (Some(old), Some(new)) = (found, expected) else {
-        return format!("{path}: not the file of a {kind}");
+        return format!("{path}: this is not the file of a {kind}");
     };
     match first_difference("", Some(&old), Some(&new)) {
         Some((place, there, here)) => {
-            format!("{path}: the {kind} there has another `{place}`: {there} instead of {here}")
+            format!("{path}: the {kind} there has a different `{place}`: {there} instead of {here}")
         }
-        None => format!("{path}: not as the {kind} left it"),
+        None => format!("{path}: the file has changed since the {kind} wrote it"),
     }
 }
 
@@ -90,11 +90,11 @@ mod tests {
     fn of_a_json_file_the_place_and_both_values_are_named() {
         let at = |old: &str, new: &str| describe_json(Path::new("a.json"), "count", old, new);
         let said = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
-        assert_eq!(said, "a.json: the count there has another `seed`: \"1\" instead of \"2\"");
+        assert_eq!(said, "a.json: the count there has a different `seed`: \"1\" instead of \"2\"");
         assert!(
             at(&format!(r#"{{"a": "{}"}}"#, "x".repeat(201)), "{}")
                 .ends_with("`a`: a text of 201 bytes instead of nothing")
         );
-        assert_eq!(at("{", "{}"), "a.json: not the file of a count");
+        assert_eq!(at("{", "{}"), "a.json: this is not the file of a count");
     }
 }

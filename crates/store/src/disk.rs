@@ -51,7 +51,7 @@ impl StagedFiles {
     /// [`DiskError`] if it cannot be written, or its path is staged already: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
         if self.staged.iter().any(|staged| staged.path == path) {
-            let twice = "two results would go there: give scenarios names of their own";
+            let twice = "two results would have this path: give the scenarios different names";
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
         }
         let folder = parent_folder(path);
@@ -116,7 +116,7 @@ pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
         None => return Ok(None),
         // Reading a pipe would block.
         Some(found) if !found.is_file() && !found.is_dir() => {
-            let problem = io::Error::new(io::ErrorKind::InvalidData, "is no file");
+            let problem = io::Error::new(io::ErrorKind::InvalidData, "is not a file");
             return Err(DiskError::at(path)(problem));
         }
         Some(_) => {}
@@ -158,9 +158,9 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
         Err(_) if path.is_dir() => {}
         Err(_) if path.symlink_metadata().is_ok() => {
             let problem = if path.is_symlink() {
-                "a link that leads to no folder"
+                "is a link that does not lead to a folder"
             } else {
-                "there is something else than a folder"
+                "exists and is not a folder"
             };
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, problem)));
         }

@@ -14,8 +14,8 @@ use crumple_core::digest::Sha256;
 use crate::disk::DiskError;
 
 /// Error message about unfinished work of another build, after the name of its file.
-pub const OTHER_BUILD_MESSAGE: &str = "made by another build of crumple, and work ends in the build that it began in: go on with that \
-                               build, or begin anew without --resume in another --out";
+pub const OTHER_BUILD_MESSAGE: &str = "another build of crumple started this work: resume it with that build, \
+                               or start again without --resume in another --out";
 
 /// Path of the program, if it is not the executable.
 static LIBRARY: OnceLock<PathBuf> = OnceLock::new();

@@ -53,7 +53,7 @@ pub enum SuiteProblem {
         found: u32,
     },
     /// A name that is unsuitable for file names.
-    #[error("must be 1 to 60 small letters, digits and hyphens")]
+    #[error("must be 1 to 60 lower-case letters, digits and hyphens")]
     Name,
     /// The name of another test.
     #[error("another test has this name")]
@@ -72,10 +72,10 @@ pub enum SuiteProblem {
         found: usize,
     },
     /// A test with both a manoeuvre and a refusal, or with neither.
-    #[error("a test has either `lead` or `refused`")]
+    #[error("a test must have either `lead` or `refused`")]
     LeadOrRefusal,
     /// A missing parameter of the manoeuvre.
-    #[error("is missing: where the lead is {lead} there must be one{}", describe_alternative(alternative.as_ref()))]
+    #[error("is missing: a test with lead = {lead} needs it{}", describe_alternative(alternative.as_ref()))]
     Missing {
         /// Manoeuvre of the vehicle ahead.
         lead: &'static str,
@@ -83,13 +83,13 @@ pub enum SuiteProblem {
         alternative: Option<ParameterKind>,
     },
     /// A parameter that repeats another one.
-    #[error("is there beside `{}`, which says the same: there must be one of them", other.name())]
+    #[error("repeats `{}`: state only one of them", other.name())]
     AlreadyStated {
         /// The other parameter.
         other: ParameterKind,
     },
     /// An impact speed that cannot be allowed.
-    #[error("must be more than 0 and at max {max} {unit}, found {}", format_compact(*found))]
+    #[error("must be above 0 and at most {max} {unit}, found {}", format_compact(*found))]
     ImpactOutOfRange {
         /// Maximum, in `unit`.
         max: f64,
@@ -105,7 +105,7 @@ pub enum SuiteProblem {
         found: ParameterUnit,
     },
     /// A parameter or direction that the manoeuvre does not use.
-    #[error("has no place where the lead is {lead}")]
+    #[error("is not allowed in a test with lead = {lead}")]
     Misplaced {
         /// Manoeuvre of the vehicle ahead.
         lead: &'static str,
@@ -119,7 +119,12 @@ pub enum SuiteProblem {
         found: ParameterUnit,
     },
     /// A value outside its range.
-    #[error("must be from {} to {} {unit}, found {}", format_compact(range[0]), format_compact(range[1]), format_compact(*found))]
+    #[error(
+        "must be from {} to {} {unit}, found {}",
+        format_compact(range[0]),
+        format_compact(range[1]),
+        format_compact(*found)
+    )]
     OutOfRange {
         /// Allowed range, in `unit`.
         range: [f64; 2],
@@ -146,13 +151,13 @@ pub enum SuiteProblem {
     #[error("the vehicle ahead must be slower than the vehicle under test at every point")]
     NotSlower,
     /// A parameter with a range but without two values.
-    #[error("{} has no two values between which there is a range", parameter.label())]
+    #[error("{} needs two different values for a range", parameter.label())]
     NoValueRange {
         /// Parameter of the range.
         parameter: ParameterKind,
     },
     /// A tolerance that is negative or not a number.
-    #[error("must be a number from 0 on, found {found}")]
+    #[error("must be 0 or more, found {found}")]
     Tolerance {
         /// Value in the file.
         found: f64,
@@ -161,13 +166,13 @@ pub enum SuiteProblem {
     #[error("is stated twice")]
     DuplicateRange,
     /// More points than the maximum.
-    #[error("makes {found} points, and a suite may have {MAX_POINTS}")]
+    #[error("makes {found} points, and a suite may have at most {MAX_POINTS}")]
     TooMany {
         /// Number of points.
         found: usize,
     },
     /// A point that makes no scenario.
-    #[error("{point}: makes no scenario: {why}")]
+    #[error("{point}: is not a valid scenario: {why}")]
     Scenario {
         /// Description of the point.
         point: String,

@@ -35,7 +35,7 @@ pub enum MapProblem {
         found: f64,
     },
     /// Too few cells or too many.
-    #[error("must have 2 to {MAX_CELLS} cells each way, found {0}x{1}")]
+    #[error("must have 2 to {MAX_CELLS} cells in each direction, found {0}x{1}")]
     Cells(usize, usize),
 }
 

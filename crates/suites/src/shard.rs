@@ -29,7 +29,7 @@ pub enum SuiteShardError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The controller has no identity.
-    #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
+    #[error("the controller `{0}` states no identity, so crumple cannot check that shards belong together")]
     NoIdentity(String),
     /// A controller was refused during the run.
     #[error(transparent)]
@@ -115,7 +115,7 @@ impl Mergeable for ShardedSuite {
         let places = names.skip((own.start % self.run.controllers.len().max(1) as u64) as usize);
         let is_of = results.rows.iter().zip(places).all(|(tested, name)| tested.controller == *name);
         if results.rows.len() as u64 != own.end - own.start || !is_of {
-            return Err(format!("not what shard {shard} of that suite comes to"));
+            return Err(format!("inconsistent with shard {shard} of that suite"));
         }
         results.rows.iter().try_for_each(|row| row.clone().decode().map(drop))?;
         Ok(results.rows)
@@ -173,7 +173,9 @@ pub fn run_shard(
     let mut results = read_results(&work)?;
     let known = results.rows.len() as u64;
     if known > count {
-        return Err(RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), "more than the shard has").into());
+        return Err(
+            RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), "has more results than the shard").into()
+        );
     }
     run_pairs(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
         results

@@ -175,7 +175,7 @@ impl CrashMapSituation {
         let simple = R157SimpleSettings::default();
         let hardest_mps2 = VehicleClass::Light.max_brake_mps2();
         let lines = [
-            (None, "beyond, even this touches", 0.0, hardest_mps2),
+            (None, "beyond this line, even this braking collides", 0.0, hardest_mps2),
             (Some("r157-simple"), "closed form of r157-simple", simple.reaction_s, simple.brake_mps2),
         ];
         let line = |(driver, words, reaction_s, brake_mps2): (_, &str, f64, f64)| {

@@ -40,7 +40,7 @@ impl PlanCommand {
 
     /// Returns the folder for use in commands, in a form that cannot be taken for an option.
     fn folder_argument(&self) -> Result<String, CliError> {
-        let name = || format!("--out: {} is not text, and job files are", self.out.display());
+        let name = || format!("--out: {} is not valid UTF-8, which job files require", self.out.display());
         let folder = self.out.to_str().ok_or_else(|| CliError::Input(name()))?;
         Ok(if folder.starts_with('-') { format!("./{folder}") } else { folder.to_owned() })
     }
@@ -50,7 +50,7 @@ impl PlanCommand {
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
             true => {
-                let problem = "is not empty: use --force to write a plan there all the same, or another --out";
+                let problem = "is not empty: use --force to write a plan there, or another --out";
                 Err(CliError::Input(format!("{}: {problem}", self.out.display())))
             }
             false => Ok(()),
@@ -92,20 +92,18 @@ impl PlanCommand {
                 "rate",
             ),
             PlannedWork::Search { method, budget, evaluations } => (
-                format!("{evaluations} evaluations: {budget} by {method}, and as many by each reference search"),
+                format!("{evaluations} evaluations: {budget} by {method}, and {budget} by each reference search"),
                 match self.method.is_blind() {
                     true => String::new(),
-                    false => format!("  {shards} searches by {method}, each with its share of the budget\n"),
+                    false => format!("  {shards} searches by {method}, each with a part of the budget\n"),
                 },
                 "campaign",
             ),
         };
         let what = if self.budget.is_some() { "evaluations" } else { "runs" };
         let mut text = format!(
-            "{first}\n  \
-             {:.0} {what} a second on a core here: {:.2} core-hours\n  \
-             {shards} shards on {cores_of_a_shard} core(s) each, {:.1} minutes a shard; {} files, {:.1} MB\n\
-             {last}\n",
+            "{first}\n  {:.0} {what} per second on one core of this machine: {:.2} core-hours\n  {shards} shards on \
+             {cores_of_a_shard} core(s) each, {:.1} minutes per shard; {} files, {:.1} MB\n{last}\n",
             planned.runs_a_core_and_second,
             planned.core_hours,
             planned.minutes_of_a_shard,

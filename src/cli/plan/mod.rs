@@ -21,16 +21,16 @@ use files::PlanSummary;
 /// Plan a count or a search on many machines: runs, shards, hours, bytes, and job files for HyperQueue, Ray and Slurm
 #[derive(Args)]
 #[command(after_long_help = "\
-A rate is planned with --rate-below or --runs, a search for failures (`falsify`) with --budget. The pace is measured here, on one core, with runs of \
-another seed: nothing of what will be counted is known beforehand. To evaluations of a search comes in every shard what it takes to look at its failures \
-closely, seconds to minutes. DIR gets `plan.json`, \
-`task.sh`, which makes a shard, and a file for each engine: `hyperqueue_job.py`, `ray_job.py` and `slurm.sh`. Begin them in the folder in which \
-`plan` was run, so that relative paths lead to the same files, with the same build of crumple on all machines; \
-docs/many-machines.md goes through it.
+--rate-below or --runs plans a rate, --budget a search for failures (`falsify`). `plan` measures the pace on one \
+core of this machine, with runs of another seed, so that no counted run is known in advance. Each shard of a search \
+also takes seconds to minutes to analyse its failures. DIR gets `plan.json`, `task.sh`, which runs one shard, and a \
+file for each engine: `hyperqueue_job.py`, `ray_job.py` and `slurm.sh`. Start them in the folder in which `plan` was \
+run, so that relative paths refer to the same files, with the same build of crumple on all machines \
+(docs/many-machines.md).
 
-Suites, assessments and trainings are not planned: how long they take is not known from a pace. They are divided all the same, by --shard I/N of \
-`suite run` (a range of its tests, each with a controller), of `assess` (some of its pieces of evidence) and of `train --seeds` (a range of the seeds), \
-each with N at most their number, by a loop or any array of tasks:
+`plan` does not cover suites, assessments and trainings, whose duration does not follow from a pace. --shard I/N \
+divides them, too: `suite run` (a range of its tests, each with a controller), `assess` (some pieces of evidence) \
+and `train --seeds` (a range of the seeds), each with N at most their number. Use a loop or any array of tasks:
   for i in 1 2 3 4; do crumple suite run fmvss-127 --controller policy --shard $i/4 --out tests/$i --resume; done
   crumple merge tests/* --out failures
 

@@ -92,10 +92,14 @@ impl PlanCommand {
         quiet: bool,
     ) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
         if self.seed > i64::MAX as u64 {
-            return Err(CliError::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
+            return Err(CliError::Input(format!(
+                "--seed: must be at most {} for a search, found {}",
+                i64::MAX,
+                self.seed
+            )));
         }
         if self.controller.kind.identity().is_none() {
-            let problem = "states no identity: nobody could tell whether shards of it go together";
+            let problem = "states no identity, so crumple cannot verify that its shards belong together";
             return Err(CliError::Input(format!("the controller `{}` {problem}", self.controller.name)));
         }
         let space = &self.space.1;

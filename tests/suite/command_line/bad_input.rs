@@ -124,7 +124,11 @@ fn arguments_that_make_no_sense_are_named() {
         (&["simulate", "paper-1", "--trace", "t"], "error: invalid value 't' for '--trace"),
         (&["simulate", "paper-1", "--plot", "p.pdf"], "error: invalid value 'p.pdf' for '--plot"),
         (&["simulate", "paper-1", "--plot", "p.svg", "--trace", "t.txt"], "error: invalid value 't.txt' for '--trace"),
-        (&["simulate", "paper-1", "paper-1", "--trace", "t.csv"], "error: t-paper-1.csv: two results would go there"),
+        (
+            &["simulate", "paper-1", "paper-1", "--trace", "t.csv"],
+            "error: t-paper-1.csv: two results would have this \
+            path",
+        ),
         (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
         (&["simulate"], "error: the following required arguments were not provided"),
         (&["avoid", "paper-1", "--grid", "0.015"], "error: --grid: a grid of 0.015 s is not a multiple"),
@@ -188,7 +192,7 @@ fn presets_that_cannot_be_used_are_named() {
         ("missing.toml", "error: missing.toml: "),
         ("no-space.toml", &*no_space),
         ("no-file.toml", &*no_file),
-        ("", "error: --preset: none is named"),
+        ("", "error: --preset: the name of the preset is empty"),
     ];
     let of_one = [
         ("train", ("slow", "error: there is no preset `slow`, and no such file; there are fast, ")),

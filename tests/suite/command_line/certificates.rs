@@ -34,7 +34,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     assert!(stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
     let said = check(&["idm/certificate.json", "--rerun"]);
     assert_eq!(exit_code(&said), 0);
-    assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again here"), "{}", stdout(&said));
+    assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again"), "{}", stdout(&said));
     assert!(!stdout(&said).contains("maker's word"));
 
     // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
@@ -50,8 +50,8 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     for rerun in ["--rerun", "--rerun=1"] {
         let said = check(&["forged.json", rerun]);
         assert_eq!(exit_code(&said), 1, "{rerun}");
-        assert!(stdout(&said).contains("counted again, and refuted: blocks["), "{}", stdout(&said));
-        assert!(stdout(&said).contains("failed when they were made again, not 0"), "{}", stdout(&said));
+        assert!(stdout(&said).contains("refuted by a new count: blocks["), "{}", stdout(&said));
+        assert!(stdout(&said).contains("failed when repeated, and the certificate states 0"), "{}", stdout(&said));
     }
     // Correct counts with hashes of other runs.
     let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
@@ -81,7 +81,7 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     let said = run_crumple(folder.path(), &["check", "forged.json"]);
     assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
     let said = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
-    assert!(exit_code(&said) == 1 && stdout(&said).contains("counted again, and refuted: "), "{}", stdout(&said));
+    assert!(exit_code(&said) == 1 && stdout(&said).contains("refuted by a new count: "), "{}", stdout(&said));
     // A certificate of version 0.1.0 has no blocks to count again.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
@@ -142,13 +142,14 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
     reach.provenance.scenario_sha256 = String::new();
     write_certificate(folder.path(), "old.json", &reach);
-    for (name, about) in [("bound.json", "which is NOT the built-in one"), ("old.json", "binds a statement to nothing")]
+    for (name, about) in
+        [("bound.json", "it is NOT the built-in scenario or space"), ("old.json", "binds a statement to nothing")]
     {
         let said = run_crumple(folder.path(), &["check", name]);
         assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
         for words in [
             "in 100.00 % of the box's volume",
-            " m for 0.1 s, with nobody behind",
+            " m for 0.1 s, with no vehicle behind",
             "for 0.1 s from the start and no longer",
             "behind: no vehicle\n",
             about,
@@ -172,11 +173,7 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     // One of three blocks has a forged run, and two blocks were counted again.
     assert!((rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{report}");
     let text = sampled(&[]);
-    for words in [
-        "2 of 3 blocks, 200 of 300 runs (66.66 %)",
-        "after the file was fixed",
-        "1 forged run with a chance of 66.66 %",
-    ] {
+    for words in ["2 of 3 blocks, 200 of 300 runs (66.66 %)", "after the file was fixed", "1 forged run: 66.66 %"] {
         assert!(stdout(&text).contains(words), "{words}: {}", stdout(&text));
     }
     assert_eq!(exit_code(&run_crumple(folder.path(), &["check", "idm/certificate.json", "--rerun=0"])), 2);
@@ -189,7 +186,7 @@ fn several_bounds_are_said_to_hold_at_once() {
     write_idm_count(folder.path(), "two", &["--seed", "8"]);
     let arguments = ["check", "one/certificate.json", "two/certificate.json"];
     let both = run_crumple(folder.path(), &arguments);
-    assert!(stdout(&both).contains("together: all 2 bounds hold at once at confidence 98 %"), "{}", stdout(&both));
+    assert!(stdout(&both).contains("together: all 2 bounds hold at confidence 98 %"), "{}", stdout(&both));
     let reports = json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()));
     assert!(reports.iter().all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9), "{reports:?}");
     let alone = run_crumple(folder.path(), &arguments[..2]);
@@ -208,10 +205,10 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     let said = run_crumple(folder.path(), &["check", "paper-1.json"]);
     for words in [
         "no gap is ever smaller than",
-        " m for 15 s; and nobody need touch afterwards, ",
+        " m for 15 s; and a collision remains avoidable afterwards, ",
         "for 15 s from the start\n",
         "behind: front bumper",
-        "which is the built-in one of that name",
+        "it is the built-in scenario or space of that name",
     ] {
         assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
@@ -241,7 +238,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
     assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
     let said = run_crumple(folder.path(), &["check", "mine.json"]);
-    assert!(stdout(&said).contains("which is NOT the built-in one of that name"), "{}", stdout(&said));
+    assert!(stdout(&said).contains("it is NOT the built-in scenario or space of that name"), "{}", stdout(&said));
 }
 
 #[test]
@@ -279,7 +276,7 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
         with(&|claim| claim.ranges.gap_ahead_m = other),
         with(&|claim| claim.observation_error = [0.0; 8]),
     ] {
-        assert!(code == 1 && said.contains("is not about the scenario, or box around it, of `provenance`"), "{said}");
+        assert!(code == 1 && said.contains("does not match the scenario or box of `provenance`"), "{said}");
     }
 }
 
@@ -321,7 +318,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         write_certificate(folder.path(), "forged.json", &forged);
         let said = run_crumple(folder.path(), &["check", "forged.json"]);
         assert!(
-            exit_code(&said) == 1 && stdout(&said).contains("is not about the scenario, or box around it"),
+            exit_code(&said) == 1 && stdout(&said).contains("does not match the scenario or box"),
             "{}",
             stdout(&said)
         );
@@ -368,25 +365,20 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     }
 
     for (field, ranges, line, problem) in [
+        ("leader_brakes_at_most_mps2 = -0.1", gap, 3, "leader_brakes_at_most_mps2: must be 0 or more, found -0.1"),
+        ("leader_brakes_at_most_mps2 = nan", gap, 3, "leader_brakes_at_most_mps2: must be 0 or more, found NaN"),
         (
-            "leader_brakes_at_most_mps2 = -0.1",
+            "leader_brakes_at_most_mps2 = 30",
             gap,
             3,
-            "leader_brakes_at_most_mps2: must be a number from 0 on, found -0.1",
+            "leader_brakes_at_most_mps2: exceeds the braking limit of the leader",
         ),
-        (
-            "leader_brakes_at_most_mps2 = nan",
-            gap,
-            3,
-            "leader_brakes_at_most_mps2: must be a number from 0 on, found NaN",
-        ),
-        ("leader_brakes_at_most_mps2 = 30", gap, 3, "leader_brakes_at_most_mps2: is harder than the leader can brake"),
-        ("leader_brakes_at_most_mps2 = 1", "onset_s = 1.0", 5, "ranges.onset_s: has no meaning where"),
+        ("leader_brakes_at_most_mps2 = 1", "onset_s = 1.0", 5, "ranges.onset_s: has no meaning with"),
         (
             "leader_brakes_at_most_mps2 = 1",
             "leader_brake_mps2 = 1.0",
             5,
-            "ranges.leader_brake_mps2: has no meaning where",
+            "ranges.leader_brake_mps2: has no meaning with",
         ),
         ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
     ] {
@@ -443,7 +435,7 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         claim.min_gap_m_at_least = 0.0;
         write_certificate(folder.path(), "forged.json", &forged);
         let said = run_crumple(folder.path(), &["check", "forged.json"]);
-        let differs = stdout(&said).contains("is not about the scenario, or box around it");
+        let differs = stdout(&said).contains("does not match the scenario or box");
         assert!(exit_code(&said) == 1 && differs, "{}", stdout(&said));
     }
 
@@ -480,7 +472,7 @@ fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
     assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&said));
     assert!(!stdout(&said).contains(".json: accepted"), "{}", stdout(&said));
     let gate = stderr(&said).lines().last().unwrap();
-    assert!(gate.starts_with("gate: not about the scenario asked for: "), "{gate}");
+    assert!(gate.starts_with("gate: not about the scenario of --scenario: "), "{gate}");
 }
 
 #[test]

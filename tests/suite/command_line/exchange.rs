@@ -46,7 +46,7 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
     assert_eq!(file_names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
     let over = ["import", "soft.csv", "--map", map, "--preview", "hard.svg"];
-    assert_refused(&run_crumple(folder.path(), &over), "hard.svg: is there and says something else: use --force");
+    assert_refused(&run_crumple(folder.path(), &over), "hard.svg: exists with other contents: use --force");
     assert_eq!(exit_code(&run_crumple(folder.path(), &[&over[..], &["--force"]].concat())), 0);
     assert_refused(&run_crumple(folder.path(), &[&over[..], &["--out", "x"]].concat()), "cannot be used with");
     let slow: String = logged_pair_csv(3.0).lines().step_by(10).map(|line| format!("{line}\n")).collect();
@@ -55,7 +55,7 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     let shown = run_crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
     let said = [
         "one each 1.000 s",
-        "a vehicle's speeds are 1.000 s apart, and at most 0.5 s are bridged: no braking can be seen",
+        "the speeds of a vehicle are 1.000 s apart, more than the limit of 0.5 s: crumple cannot find braking",
     ];
     assert!(said.iter().all(|said| stdout(&shown).contains(said)), "{shown:?}");
     let imported = run_crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
@@ -64,7 +64,7 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     let nothing = run_crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
     assert_eq!(exit_code(&nothing), 1);
     let said =
-        "gate: no episode of 1.3 m/s² that makes a scenario; soft.csv: the hardest braking is 1.00 m/s within a second";
+        "gate: no braking episode of at least 1.3 m/s² gives a scenario; soft.csv: the hardest braking is 1.00 m/s";
     assert!(stderr(&nothing).starts_with(said), "{nothing:?}");
     assert!(!folder.path().join("none").exists());
 }
@@ -116,10 +116,13 @@ fn exports_are_two_files_a_scenario() {
     let before = read();
     assert_eq!((exit_code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
     assert_eq!(exit_code(&export(&["paper-1", "--as", "actions"])), 0);
-    assert_refused(&export(&["paper-1", "paper-1"]), "paper-1: paper-1.xosc would be written over another of these");
+    assert_refused(
+        &export(&["paper-1", "paper-1"]),
+        "paper-1: paper-1.xosc would overwrite the file of another scenario",
+    );
     assert_refused(
         &export(&["paper-1", "--as", "actions", "--controller", "idm"]),
-        "--controller: drives in trajectories",
+        "--controller: applies only to `--as trajectories`",
     );
     assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
 }
@@ -155,12 +158,15 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
 
     let simulated = run_crumple(folder.path(), &["simulate", &file]);
     assert!(stdout(&simulated).contains(": baseline, estimator kalman"), "{simulated:?}");
-    let said = format!("note: {file} is recorded with `match-leader`, and is simulated with `baseline`");
+    let said = format!("note: {file} was recorded with `match-leader`, but is simulated with `baseline`");
     assert!(stderr(&simulated).contains(&said), "{simulated:?}");
 
     // A copy has no record, and a record may name several controllers.
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
-    assert_refused(&export("alone.toml", &[]), "alone.toml: no record says which controller it is about: name one");
+    assert_refused(
+        &export("alone.toml", &[]),
+        "alone.toml: no record states the controller of this scenario: choose one",
+    );
     let record = file_names_in(&folder.path().join("found/counterexamples"))
         .into_iter()
         .find(|name| name.starts_with("expected"));
@@ -168,7 +174,10 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     let text = fs::read_to_string(&record).unwrap();
     let entry = text.split("[[expected]]").find(|entry| entry.contains(&format!("\"{name}\""))).expect("an entry");
     fs::write(&record, format!("{text}[[expected]]{}", entry.replace("match-leader", "idm"))).unwrap();
-    assert_refused(&export(&file, &[]), "it is recorded with `match-leader` and `idm`: choose one with --controller");
+    assert_refused(
+        &export(&file, &[]),
+        "recorded with several controllers (`match-leader` and `idm`): choose one with --controller",
+    );
     fs::write(&record, text.replace("\"match-leader\"", "\"gone.toml\"")).unwrap();
-    assert_refused(&export(&file, &[]), "it is recorded with the controller `gone.toml`: ");
+    assert_refused(&export(&file, &[]), "the record names the controller `gone.toml`: ");
 }

@@ -65,9 +65,9 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     let (hits, drives_on) = ("no contact", "always v1.speed_mps >= 0");
     let cases = [
         (hits, "failure", 0, ""),
-        (hits, "nothing", 1, "gate: expected nothing, and there are"),
+        (hits, "nothing", 1, "gate: expected no failure, but found "),
         (drives_on, "nothing", 0, ""),
-        (drives_on, "failure", 1, "gate: expected a failure, and there is none in 60 evaluations"),
+        (drives_on, "failure", 1, "gate: expected a failure, but found none in 60 evaluations"),
     ];
     for (number, (spec, expected, exit_code, said)) in cases.into_iter().enumerate() {
         let out = format!("{number}");
@@ -81,8 +81,8 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         ["falsify", "--controller", "baseline", "--budget", "5", "--out", "alone", "--metamorphic", "larger-gap=1e6"];
     let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
     assert_eq!(exit_code(&alone), 1);
-    assert!(stderr(&alone).contains("none of 15 evaluations has another scenario"), "{}", stderr(&alone));
-    let told = "NOT COMPARED: of 5 of 5 evaluations there is no scenario with 1000000 m less of a gap ahead at the start (halton)";
+    assert!(stderr(&alone).contains("none of 15 evaluations has a second scenario"), "{}", stderr(&alone));
+    let told = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the start (halton)";
     assert!(stdout(&alone).contains(told), "{}", stdout(&alone));
     let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
     assert_eq!(exit_code(&run_crumple(folder.path(), &shard)), 2);
@@ -284,7 +284,7 @@ fn the_front_of_severity_and_likelihood_is_shown() {
     let (robustness, likelihood) = (column("robustness"), column("ln_likelihood"));
     assert!(robustness.len() > 1 && robustness.is_sorted() && likelihood.is_sorted(), "{robustness:?} {likelihood:?}");
     let text = fs::read_to_string(folder.path().join("severest/summary.txt")).unwrap();
-    assert!(text.contains("severity against likelihood:"), "{text}");
+    assert!(text.contains("Pareto front of severity and likelihood:"), "{text}");
     let likeliest = |summary: &Value| summary["front"].as_array().unwrap().last().unwrap()["ln_likelihood"].as_f64();
     let aimed = campaign("likeliest", "likeliest");
     assert_eq!(aimed["aim"], "likeliest");
@@ -305,13 +305,13 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
         sleep(Duration::from_millis(20));
     }
     let second = run_crumple(folder.path(), &arguments);
-    assert_refused(&second, "busy: another process works on the campaign there");
+    assert_refused(&second, "busy: another process is working on the campaign there");
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();
     assert_eq!(ended.status.code(), Some(130));
     let said = String::from_utf8(ended.stderr).unwrap();
-    assert!(said.contains("interrupted: every evaluation is kept in busy: the same command with --resume"), "{said}");
+    assert!(said.contains("interrupted: the evaluations so far are in busy: the same command with --resume"), "{said}");
     let whole = fs::read(&journal).unwrap();
     let known: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
     let known = &known["files"]["evaluations.journal"]["growing"]["bytes"];
@@ -346,10 +346,10 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     // An existing file in the place of a result is an error before any work.
     fs::write(&journal, &whole).unwrap();
     fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
-    assert_refused(&run_crumple(folder.path(), &arguments), "busy/summary.json: work.json knows no such file");
+    assert_refused(&run_crumple(folder.path(), &arguments), "busy/summary.json: work.json does not list this file");
     let looked = run_crumple(folder.path(), &["fsck", "busy"]);
     assert!(
-        stdout(&looked).contains("2 of 2 files are whole\n  summary.json: not of this work, and where"),
+        stdout(&looked).contains("2 of 2 files are intact\n  summary.json: not part of these results, in a folder"),
         "{looked:?}"
     );
     assert_eq!(exit_code(&looked), 1);
@@ -401,9 +401,9 @@ fn mistakes_are_said_before_anything_is_written() {
     let unknown = falsify(&["--spec", "always v7.gap_m > 0"]);
     let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";
     assert!(unknown.contains(expected), "{unknown}");
-    assert!(falsify(&["--aim", "worst"]).contains("there is no aim `worst`; there are: severest, likeliest, nearest"));
-    assert!(falsify(&["--against", "baseline"]).contains("`baseline` is set against itself"));
-    assert!(falsify(&["--method", "best"]).contains("there is no method `best`"));
+    assert!(falsify(&["--aim", "worst"]).contains("unknown aim `worst`; the aims are: severest, likeliest, nearest"));
+    assert!(falsify(&["--against", "baseline"]).contains("`baseline` is compared with itself"));
+    assert!(falsify(&["--method", "best"]).contains("unknown search method `best`"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the bad space is there");
 }
 

@@ -40,7 +40,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
             ["fit", "events.csv", "--out", "other.toml", "--name", "other", "--plot", "fit.svg", "--samples", "19"];
         run_crumple(here, &[&fit[..], more].concat())
     };
-    assert_refused(&drawn_over(&[]), "fit.svg: is there and says something else: use --force");
+    assert_refused(&drawn_over(&[]), "fit.svg: exists with other contents: use --force");
     assert!(!here.join("other.toml").exists());
     assert_eq!(exit_code(&drawn_over(&["--force"])), 0);
 
@@ -49,7 +49,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let json = &json_objects(&run_crumple(here, &again))[0];
     assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
     std::fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
-    assert_refused(&run_crumple(here, &again), "space.toml: is there and says something else");
+    assert_refused(&run_crumple(here, &again), "space.toml: exists with other contents");
     assert_eq!(exit_code(&run_crumple(here, &[&again[..], &["--force"]].concat())), 0);
     assert_eq!(std::fs::read_to_string(here.join("space.toml")).unwrap(), text);
 
@@ -60,7 +60,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     };
     let one = rate("1", &["--out", "one"]);
     assert_eq!(exit_code(&one), 0, "{}", stderr(&one));
-    assert!(stdout(&one).contains("failures per hour") && stdout(&one).contains("with the data's uncertainty"));
+    assert!(stdout(&one).contains("failures per hour") && stdout(&one).contains("with the uncertainty of the data"));
     let on_the_road = |output: &Output| stdout(output).split_once("on the road").unwrap().1.to_owned();
     for again in [rate("2", &["--out", "two"]), rate("2", &["--out", "one", "--resume"])] {
         assert_eq!(on_the_road(&again), on_the_road(&one));
@@ -75,7 +75,8 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         ["verify", "rate", "--controller", "baseline", "--space", "changed.toml", "--runs", "50", "--out", "changed"];
     let counted = run_ok(here, &[&asked[..], &["--confidence", "0.9"]].concat());
     assert!(
-        stdout(&counted).contains("without the data's uncertainty: `lead_speed_mps` is not what is fitted"),
+        stdout(&counted)
+            .contains("without the uncertainty of the data: `lead_speed_mps` was changed after the space was fitted"),
         "{counted:?}"
     );
 
@@ -127,17 +128,17 @@ fn what_cannot_be_fitted_is_refused() {
     std::fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
     let fit =
         |recording: &str, more: &[&str]| run_crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
-    assert_refused(&fit("few.csv", &[]), "19 episodes of 2 vehicles, and 20 are needed");
+    assert_refused(&fit("few.csv", &[]), "found 19 episodes of 2 vehicles, and 20 are needed");
     assert_refused(
         &fit("enough.csv", &["--vehicles", "3"]),
-        "0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
+        "found 0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
     );
     assert_refused(&fit("enough.csv", &["--vehicles", "6"]), "6 is not in 2..=5");
     assert_refused(&fit("enough.csv", &["--min-brake", "-1"]), "--min-brake");
     assert_refused(&fit("enough.csv", &["--min-brake", "12"]), "min_brake: must be below 12 m/s²");
     assert_refused(&fit("enough.csv", &["--name", ""]), "name: must have 1 to 100 characters");
     assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
-    assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: is given twice");
+    assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: this recording is given twice");
     assert_refused(&run_crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
     let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
     let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));

@@ -160,10 +160,10 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     };
     assert_eq!(exit_code(&run("random-actions", &["--expect", "safe"])), 0);
     let output = run("random-actions", &["--expect", "useful"]);
-    let said = "gate: expected no collision, no braking without cause and nobody left behind in quiet\n";
+    let said = "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
     assert_eq!((exit_code(&output), stderr(&output)), (1, said));
-    assert!(stdout(&output).contains("\n  vehicle 1 brakes without cause for "), "{}", stdout(&output));
-    assert!(stdout(&output).contains(" had a cause\n"), "{}", stdout(&output));
+    assert!(stdout(&output).contains("\n  vehicle 1 brakes unnecessarily for "), "{}", stdout(&output));
+    assert!(stdout(&output).contains(" was necessary\n"), "{}", stdout(&output));
 
     let useful = run("idm", &["--expect", "useful", "--format", "json"]);
     assert_eq!(exit_code(&useful), 0);
@@ -175,7 +175,7 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
     let left = run_crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "policy", "--expect", "useful"]);
     assert_eq!(exit_code(&left), 1);
-    assert!(stdout(&left).contains("vehicle 1 is left behind by the one ahead"), "{}", stdout(&left));
+    assert!(stdout(&left).contains("vehicle 1 is left behind by its leader"), "{}", stdout(&left));
     let contact = run_crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
     assert_eq!(exit_code(&contact), 1, "a contact is no use either");
 }

@@ -27,7 +27,7 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
         (&["man"], other),
         (&["verify", "shield"], other),
         (&["assess", "a.toml"], other),
-        (&["import", RECORDING], "is there and says something else"),
+        (&["import", RECORDING], "exists with other contents"),
     ];
     for (number, (command, refused)) in commands.into_iter().enumerate() {
         let (out, apart) = (format!("out-{number}"), format!("apart-{number}"));
@@ -133,9 +133,9 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
     let passed = run("acc-aeb");
     assert_eq!(exit_code(&passed), 0);
     assert_eq!(file_names_in(&failures), [edited.as_str(), "own.toml"]);
-    assert!(stderr(&passed).contains(" and 1 more: not of this run, and left alone"), "{}", stderr(&passed));
+    assert!(stderr(&passed).contains(" and 1 more: not written by this run, and unchanged"), "{}", stderr(&passed));
     fs::write(failures.join("failures.sha256"), "0  ../elsewhere\n").unwrap();
-    assert_refused(&run("acc-aeb"), "failures.sha256:1: is no SHA-256 and the name of a file beside it");
+    assert_refused(&run("acc-aeb"), "failures.sha256:1: expected a SHA-256 and the name of a file in this folder");
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn an_edited_scenario_is_not_imported_over() {
     let first = folder.path().join("episodes").join(&names[0]);
     let genuine = fs::read_to_string(&first).unwrap();
     fs::write(&first, genuine.clone() + "# mine\n").unwrap();
-    assert_refused(&import(&[]), &format!("{}: is there and says something else: use --force", names[0]));
+    assert_refused(&import(&[]), &format!("{}: exists with other contents: use --force", names[0]));
     assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
     assert_eq!(exit_code(&import(&["--force"])), 0);
     assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
@@ -182,7 +182,7 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     fs::remove_file(at("report/counterexamples/deep")).unwrap();
     for outside in ["scenarios/../../mine/a.toml", at("mine/a.toml").to_str().unwrap(), "../mine/b.toml"] {
         list(&[outside]);
-        assert_refused(&assess(), "report/report.sha256:1: is no SHA-256 and the name of a file");
+        assert_refused(&assess(), "report/report.sha256:1: expected a SHA-256 and the name of a file");
     }
     list(&["scenarios/old.toml"]);
     let made = assess();

@@ -20,8 +20,8 @@ fn single_results_go_through_links_and_into_files_only() {
     let simulate = |trace: &str| run_crumple(folder.path(), &["simulate", "paper-1", "--trace", trace]);
     assert_eq!(exit_code(&simulate("link.csv")), 0);
     assert!(at("link.csv").is_symlink() && fs::read_to_string(at("elsewhere/target.csv")).unwrap().contains("time_s"));
-    assert_refused(&simulate("dangling.csv"), "dangling.csv: a symbolic link that leads nowhere");
-    assert_refused(&simulate("null.csv"), "null.csv: is no file");
+    assert_refused(&simulate("dangling.csv"), "dangling.csv: the target of this symbolic link cannot be resolved");
+    assert_refused(&simulate("null.csv"), "null.csv: is not a regular file");
     assert!(at("null.csv").is_symlink() && !Path::new("/dev/null").is_file());
     assert_eq!(file_names_in(&at("elsewhere")), ["target.csv"]);
     symlink("elsewhere/escape.toml", at("escape.toml")).unwrap();
@@ -50,28 +50,28 @@ fn what_would_take_hours_is_refused_before_it_begins() {
             1,
             600.0,
             &["avoid"],
-            "1 vehicles under test over 60000 steps are too much to decide: at most 20, and 50000",
+            "1 vehicles under test over 60000 steps are too many: the limits are 20 vehicles and 50000",
         ),
         (
             "many",
             21,
             2.0,
             &["avoid"],
-            "21 vehicles under test over 200 steps are too much to decide: at most 20, and 50000",
+            "21 vehicles under test over 200 steps are too many: the limits are 20 vehicles and 50000",
         ),
         (
             "both",
             50,
             500.0,
             &["worst-case", "--controller", "idm"],
-            "51 vehicles over 50000 steps are too much to attack: at most 500000",
+            "51 vehicles over 50000 steps are too many: the limit is 500000",
         ),
         (
             "often",
             1,
             600.0,
             &["worst-case", "--controller", "idm", "--budget", "1000000"],
-            "1000000 simulations of 2 vehicles over 60000 steps are too many: at most 20000000000 vehicles times steps in all, so 166666",
+            "1000000 simulations of 2 vehicles over 60000 steps are too many: the limit is 20000000000 vehicles times steps in all, which allows 166666",
         ),
         ("huge", 100, 600.0, &["simulate"], "duration_s: asks for"),
         ("crowd", 1000, 1.0, &["simulate"], "vehicles: must have 2 to 1000 vehicles, found 1001"),
@@ -114,6 +114,6 @@ fn an_interrupted_assessment_says_how_to_go_on() {
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();
     assert_eq!(exit_code(&ended), 130, "{}", stderr(&ended));
-    let said = "interrupted: what is gathered is kept in report/evidence: the same command goes on";
+    let said = "interrupted: the evidence computed so far is in report/evidence: the same command resumes";
     assert!(stderr(&ended).contains(said), "{}", stderr(&ended));
 }

@@ -88,8 +88,11 @@ fn gates_decide_and_evidence_is_kept() {
     fs::write(&piece, "{").unwrap();
     let third = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     let name = piece.file_name().unwrap().to_string_lossy().into_owned();
-    assert!(stderr(&third).contains(&format!("two/evidence/{name} was damaged, and gathered again")), "{third:?}");
-    assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
+    assert!(
+        stderr(&third).contains(&format!("two/evidence/{name} was damaged, and its evidence was computed again")),
+        "{third:?}"
+    );
+    assert!(stderr(&third).contains("pieces of evidence were reused"), "{third:?}");
     let read = |report: &str| {
         let text = fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
         without_build_info("assessment.json", &text)
@@ -102,7 +105,7 @@ fn gates_decide_and_evidence_is_kept() {
     assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
     fs::write(folder.path().join("one/assessment.md"), "").unwrap();
     let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
-    assert_eq!(stderr(&looked), "gate: damaged: one; could not be looked at: none\n");
+    assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
 
     config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
     let failed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);

@@ -79,7 +79,7 @@ mod tier_2 {
             folder.path(),
             &retrain_args("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]),
         );
-        assert_refused(&other, "the retraining there has another `policy`: \"policy\" instead of \"through/");
+        assert_refused(&other, "the retraining there has a different `policy`: \"policy\" instead of \"through/");
         let read = run_crumple(folder.path(), &resume);
         assert_eq!(
             (exit_code(&read), stdout(&read)),
@@ -87,12 +87,16 @@ mod tier_2 {
             "a complete one is read"
         );
         let whole = run_crumple(folder.path(), &["fsck", "killed"]);
-        assert!(exit_code(&whole) == 0 && !stdout(&whole).contains("not of this work"), "{}", stdout(&whole));
+        assert!(exit_code(&whole) == 0 && !stdout(&whole).contains("not part of these results"), "{}", stdout(&whole));
         fs::write(folder.path().join("killed/rounds/01/search/mine.txt"), "of somebody").unwrap();
         fs::create_dir(folder.path().join("killed/rounds/001")).unwrap();
         let looked = run_crumple(folder.path(), &["fsck", "killed"]);
         for stranger in ["rounds/01/search/mine.txt", "rounds/001"] {
-            assert!(stdout(&looked).contains(&format!("  {stranger}: not of this work")), "{}", stdout(&looked));
+            assert!(
+                stdout(&looked).contains(&format!("  {stranger}: not part of these results")),
+                "{}",
+                stdout(&looked)
+            );
         }
     }
 }
@@ -146,8 +150,8 @@ fn mistakes_are_said_before_anything_is_written() {
         assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
-    assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` is no policy that can be trained on"));
-    assert!(retrain(&["--policy", "shield:policy"]).contains("is no policy that can be trained on"));
+    assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` cannot be retrained"));
+    assert!(retrain(&["--policy", "shield:policy"]).contains("cannot be retrained"));
     fs::write(folder.path().join("lists.toml"), "version = 1\nname = \"x\"\nepisodes = 1\nenvironment = [1, 2]\n")
         .unwrap();
     assert!(retrain(&["--preset", "lists.toml"]).starts_with("error: lists.toml:4: environment: "));
@@ -159,15 +163,17 @@ fn mistakes_are_said_before_anything_is_written() {
     let expected = format!("error: own.toml:{}: spaces[0].space: `nowhere` is neither", nowhere.lines().count() - 1);
     assert!(retrain(&["--preset", "own.toml"]).starts_with(&expected), "{expected}");
     fs::remove_file(folder.path().join("own.toml")).unwrap();
-    assert!(retrain(&["--space", ""]).contains("no space is named"));
+    assert!(retrain(&["--space", ""]).contains("the name of the scenario space is empty"));
     assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
     // A network trained with another scaling would misread its inputs.
-    let differ = "and the training preset `road` differ in what is seen, or how it is scaled";
+    let differ = "and the training preset `road` differ in the observation or its scaling";
     assert!(retrain(&["--preset", "road"]).contains(differ));
     let road = format!("{}/corpora/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
     assert!(retrain(&["--policy", &road]).contains("and the training preset `retrain` differ in"));
-    assert!(retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` stands alone"));
-    assert!(retrain(&["--regression", "paper", "--regression", "paper"]).contains("two spaces are called `paper`"));
+    assert!(
+        retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` cannot be combined with spaces")
+    );
+    assert!(retrain(&["--regression", "paper", "--regression", "paper"]).contains("two spaces have the name `paper`"));
     assert!(retrain(&["--regression", "nowhere"]).contains("--regression: `nowhere` is neither"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

@@ -36,7 +36,7 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
     assert!(stdout(&merge(&["s/b"])).contains("missing of 3 shards: 1,3\n"));
     assert!(!folder.join("rate").exists());
     fs::create_dir(folder.join("s/a")).unwrap();
-    assert!(stderr(&merge(&["s/a", "s/b"])).contains("s/a: not begun"));
+    assert!(stderr(&merge(&["s/a", "s/b"])).contains("s/a: not started"));
     run_shard(folder, "1/3", "s/a");
     for _ in 0..2 {
         let output = merge(&["s/c", "s/a", "s/b", "s/a"]);
@@ -44,23 +44,23 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
         assert!(stdout(&output).contains("of 900 runs\nrate/certificate.json: accepted"), "{}", stdout(&output));
         assert_same_files(folder, "single", "rate");
     }
-    assert_refused(&merge(&["s/a", "single"]), "single: a count, and what came before it is a shard of a count");
-    assert_refused(&merge(&["s/a", "s/b", "--partial"]), "--partial: only of a search a part is of use");
     assert_refused(
-        &run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]),
-        "s/b, which is one of the shards",
+        &merge(&["s/a", "single"]),
+        "single: a count, but the folders before it are of kind shard of a count",
     );
+    assert_refused(&merge(&["s/a", "s/b", "--partial"]), "--partial: only for searches");
+    assert_refused(&run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]), "is in the shard s/b;");
     // The error for another count in the folder names the field and both values.
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
     assert_refused(&other, "another `count.registration.configuration.seed`: \"0\" instead of \"1\"");
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--out=rate", "--resume"]].concat());
     assert_refused(
         &other,
-        "rate/registration.json: the count there has another `configuration.seed`: \"0\" instead of \"1\"",
+        "rate/registration.json: the count there has a different `configuration.seed`: \"0\" instead of \"1\"",
     );
     assert_refused(&merge(&["nowhere"]), "nowhere: there is no such folder");
     run_shard(folder, "1/2", "half");
-    assert_refused(&merge(&["s/a", "half"]), "half: shard 1/2 has done what shard 1/3 in s/a has done, too");
+    assert_refused(&merge(&["s/a", "half"]), "half: shard 1/2 repeats work of shard 1/3 in s/a");
     // A folder without a manifest is no shard.
     fs::rename(folder.join("s/b/work.json"), folder.join("kept.json")).unwrap();
     for order in [["s/a", "s/b"], ["s/b", "s/a"]] {
@@ -140,20 +140,23 @@ fn shards_of_a_search_are_one_campaign() {
     assert_eq!(exit_code(&looked), 0);
     assert!(stdout(&looked).contains("campaign: a campaign, complete; "), "{}", stdout(&looked));
     assert!(
-        stdout(&looked).contains("part: a campaign, put together without 20 evaluations of each method"),
+        stdout(&looked).contains("part: a campaign, incomplete: merged without 20 evaluations of each method"),
         "{}",
         stdout(&looked)
     );
     let again = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=campaign", "--resume"]].concat());
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&single)));
     let part = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=part", "--resume"]].concat());
-    assert_refused(&part, "the campaign there has another `divided`");
+    assert_refused(&part, "the campaign there has a different `divided`");
     assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
     assert_refused(
         &run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()),
-        "a shard keeps no log",
+        "a shard has no log",
     );
-    assert_refused(&run_crumple(folder, &["merge", "1", "--format=junit", "--out=x"]), "JUnit and HTML are of suites");
+    assert_refused(
+        &run_crumple(folder, &["merge", "1", "--format=junit", "--out=x"]),
+        "JUnit and HTML are only for suites",
+    );
 }
 
 #[test]
@@ -176,7 +179,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
     let output = run_crumple(folder, &["merge", "1", "2", "4", "--out=x"]);
     assert_eq!(exit_code(&output), 1);
     assert!(
-        stderr(&output).contains("tests are missing, shards 3 of 4, and nothing is written: cut-in-"),
+        stderr(&output).contains("tests are missing, shards 3 of 4; nothing is written: cut-in-"),
         "{}",
         stderr(&output)
     );
@@ -211,7 +214,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     }
     let output = run_crumple(folder, &["merge", "2", "--out=report"]);
     assert_eq!(exit_code(&output), 1);
-    assert!(stderr(&output).contains("evidence is missing, shards 1 of 2, and `assess` would gather it: "));
+    assert!(stderr(&output).contains("evidence is missing, shards 1 of 2; `assess` would compute it: "));
     let output = run_crumple(folder, &["merge", "2", "--out=report", "--format=json"]);
     assert_eq!(exit_code(&output), 1);
     let said = &json_objects(&output)[0];
@@ -220,7 +223,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     run_ok(folder, &["merge", "2", "1", "2", "--out=report"]);
     assert_same_files(folder, "single/evidence", "report/evidence");
     let output = run_crumple(folder, &["assess", "a.toml", "--out=report"]);
-    assert!(stderr(&output).contains("5 of 5 pieces of evidence were there"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("5 of 5 pieces of evidence were reused"), "{}", stderr(&output));
     let report = |of: &str| {
         let text = fs::read_to_string(folder.join(of).join("assessment.json")).unwrap();
         let mut report: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -251,7 +254,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
         let which = format!("{index}/2");
         run_crumple(folder, &[&train[..], &["--shard", &which, "--out", index]].concat());
     }
-    assert!(stderr(&run_crumple(folder, &["merge", "2", "--out=all"])).contains("seeds are missing of 3: 0"));
+    assert!(stderr(&run_crumple(folder, &["merge", "2", "--out=all"])).contains("missing seeds of 3: 0"));
     let output = run_crumple(folder, &["merge", "2", "1", "2", "--out=all"]);
     assert!(!stderr(&output).contains("missing"), "{}", stderr(&output));
     assert_eq!(file_names_in(&folder.join("single")), file_names_in(&folder.join("all")));
@@ -274,8 +277,8 @@ fn shards_of_trainings_are_put_together_with_their_results() {
         let output = run_crumple(folder, &[&["merge", "--out=some"], &order[..]].concat());
         assert_eq!(exit_code(&output), 1);
         assert!(
-            stderr(&output).contains("not: not begun")
-                && stderr(&output).contains("seeds are missing of 3: 0, shards 1 of 2")
+            stderr(&output).contains("not: not started")
+                && stderr(&output).contains("missing seeds of 3: 0, shards 1 of 2")
         );
     }
     let refused = |folders: &[&str], said: &str| {
@@ -283,12 +286,12 @@ fn shards_of_trainings_are_put_together_with_their_results() {
         assert!(!folder.join("x").exists());
     };
     run_crumple(folder, &[&train[..], &["--shard=1/1", "--out=whole"]].concat());
-    refused(&["2", "whole"], "whole: shard 1/1 has done what shard 2/2 in 2 has done, too");
-    refused(&["1", "2", "--partial"], "--partial: only of a search");
-    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=2"]), "2, which is one of the shards");
+    refused(&["2", "whole"], "whole: shard 1/1 repeats work of shard 2/2 in 2");
+    refused(&["1", "2", "--partial"], "--partial: only for searches");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=2"]), "is in the shard 2;");
     run_shard(folder, "1/3", "count");
     for order in [["count", "1"], ["1", "count"]] {
-        refused(&order, &format!("{}: a shard of", order[1]));
+        refused(&order, &format!("{}: this shard belongs to another run than", order[1]));
     }
     // A copy of a shard with another result for the same seed.
     run_crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
@@ -296,11 +299,11 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     let text = fs::read_to_string(&result).unwrap();
     let changed = text.replacen("\"unseen_contacts\": ", "\"unseen_contacts\": 1", 1);
     rewrite_with_manifest(&folder.join("copy/seed-0"), "result.json", &changed);
-    refused(&["1", "2", "copy"], "copy: shard 1/2 came to something else in 1");
+    refused(&["1", "2", "copy"], "copy: shard 1/2 has a different result in 1");
     // A seed in another shard, a shard with another record, and one without a record.
     fs::rename(folder.join("1/seed-0"), folder.join("2/seed-2-was")).unwrap();
     fs::rename(folder.join("2/seed-2"), folder.join("1/seed-0")).unwrap();
-    refused(&["1", "2"], "1/seed-0/training.toml: trained otherwise");
+    refused(&["1", "2"], "1/seed-0/training.toml: differs from the configuration or seed");
     let text = fs::read_to_string(folder.join("2/shard.json")).unwrap();
     fs::write(folder.join("2/shard.json"), text.replace("\"seeds\": 3", "\"seeds\": 4")).unwrap();
     refused(&["2"], "2/shard.json: not as it was written");

@@ -120,7 +120,11 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
         &[("batch = 8", "batch = 9")],
     );
     let other = run_crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
-    assert_refused(&other, "run/seed-4/training.toml: the training there has another `learning.batch`: 8 instead of 9");
+    assert_refused(
+        &other,
+        "run/seed-4/training.toml: the training there has a different `learning.batch`: 8 instead \
+        of 9",
+    );
     assert!(!folder.path().join("run/seed-7").exists(), "nothing is begun");
     // `training.toml` in the folder is a preset that gives the same policy.
     let again =
@@ -157,9 +161,9 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
     for (space, reason) in [
         ("nowhere", "error: --space nowhere: `nowhere` is neither a built-in space"),
         ("steady=0", "error: --space steady: the weight must be between 0.000001 and 1000000, found 0"),
-        ("steady=much", "`much` is no weight"),
-        ("steady=", "no weight stands behind the `=`"),
-        ("=1", "'=1' for '--space <S[=WEIGHT]>': no space is named"),
+        ("steady=much", "`much` is not a weight"),
+        ("steady=", "the weight after `=` is missing"),
+        ("=1", "'=1' for '--space <S[=WEIGHT]>': the name of the scenario space is empty"),
         ("paper-3.toml", "paper-3.toml"),
     ] {
         assert_refused(&train("refused", &[space]), reason);
@@ -215,21 +219,21 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     for (preset, reason) in [
         ("slow", format!("there is no preset `slow`, and no such file; {names}")),
         ("retrain", format!("no such file: it is the preset of `crumple retrain`; {names}")),
-        ("", "--preset: none is named".to_owned()),
-        (policy, format!("{policy}: is no preset, but a policy")),
+        ("", "--preset: the name of the preset is empty".to_owned()),
+        (policy, format!("{policy}: is not a preset, but a policy")),
     ] {
         assert_refused(&run_crumple(folder.path(), &["train", "--preset", preset]), &reason);
     }
     // The error names the kind of the file, and the command that takes it.
-    for (command, wanted) in [("describe", "is no network from outside"), ("check", "is no certificate")] {
-        let drives = "but a policy, which is a controller as it is: `crumple simulate paper-1 --controller FILE`";
+    for (command, wanted) in [("describe", "is not an imported network"), ("check", "is not a certificate")] {
+        let drives = "but a policy: use it with `crumple simulate paper-1 --controller FILE`";
         let refused = run_crumple(folder.path(), &[command, policy]);
         assert_refused(&refused, &format!("error: {policy}: {wanted}, {drives}"));
         let refused = run_crumple(folder.path(), &[command, "run/seed-4/checkpoint.safetensors"]);
-        assert_refused(&refused, &format!("{wanted}, but a checkpoint, from which `crumple train`"));
+        assert_refused(&refused, &format!("{wanted}, but a checkpoint: resume it with `crumple train`"));
     }
     let described = run_crumple(folder.path(), &["describe", "baseline"]);
-    assert_refused(&described, "baseline: is no network from outside, but a controller as it is");
+    assert_refused(&described, "baseline: is not an imported network, but a controller");
     let checked = run_crumple(folder.path(), &["check", "none.safetensors"]);
     assert_refused(&checked, "none.safetensors: No such file");
 }

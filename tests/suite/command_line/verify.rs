@@ -32,9 +32,9 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
     let folder = temp_folder();
     for (controller, said) in [
         ("shield:nobody", "there is no controller `nobody`"),
-        ("shield,ahead=0:idm", "`ahead=0` is no setting of a shield"),
-        ("shield,gap-error:idm", "`gap-error` is no setting of a shield"),
-        ("shield,colour=1:idm", "`colour=1` is no setting of a shield"),
+        ("shield,ahead=0:idm", "`ahead=0` is not a setting of a shield"),
+        ("shield,gap-error:idm", "`gap-error` is not a setting of a shield"),
+        ("shield,colour=1:idm", "`colour=1` is not a setting of a shield"),
     ] {
         let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
         assert_refused(&output, said);
@@ -59,7 +59,7 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
         assert!(!text.contains("proved error bound") && !text.contains("proved bounds of the filter"), "{name}");
     }
     let says = |name: &str, words: &str| all.iter().any(|(one, text)| one.ends_with(name) && text.contains(words));
-    assert!(says("--help", "keep their bounds, six standard deviations of the noise, is not proved"));
+    assert!(says("--help", "keep their bounds of six standard deviations of the noise"));
     assert!(says("commands.md", "error bounds of six standard deviations"));
     assert!(says("limits.md", "the filter's error bounds are six standard deviations"));
     assert!(says("assessment.md", "six standard deviations of the noise with the Kalman filter"));
@@ -107,13 +107,13 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
     assert_eq!((&found["controller"], &found["box"]), (&"policy".into(), &"box.toml".into()));
     assert!(found["smallest_gap_m"].as_f64() > Some(0.0) && found["shares"][0]["verified"] == 1.0, "{found}");
     for (ranges, said) in [
-        ("\ngap_ahead_m = -3", "box.toml:5: ranges.gap_ahead_m: holds a negative number"),
-        ("onset_s = -1", "box.toml:4: ranges.onset_s: holds a negative number"),
+        ("\ngap_ahead_m = -3", "box.toml:5: ranges.gap_ahead_m: contains a negative number"),
+        ("onset_s = -1", "box.toml:4: ranges.onset_s: contains a negative number"),
         (
             "leader_speed_mps = 400",
-            "box.toml:4: ranges.leader_speed_mps: a start in it is no scenario: must be from 0 to 100",
+            "box.toml:4: ranges.leader_speed_mps: contains an initial state that is not a valid scenario: must be from 0 to 100",
         ),
-        ("leader_brake_mps2 = 29", "box.toml:4: ranges.leader_brake_mps2: is harder than the leader can brake"),
+        ("leader_brake_mps2 = 29", "box.toml:4: ranges.leader_brake_mps2: exceeds the braking limit of the leader"),
         ("gap_ahead_m = nan", "box.toml:4: ranges.gap_ahead_m: "),
     ] {
         write(ranges);
@@ -141,12 +141,12 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     assert_eq!(exit_code(&count(&["--out", "whole"])), 2, "not without --resume");
     assert_refused(
         &count(&["--out", "whole", "--resume", "--seed", "1"]),
-        "the count there has another `configuration.seed`: ",
+        "the count there has a different `configuration.seed`: ",
     );
     let again = count(&["--out", "whole", "--resume"]);
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&whole)));
     let fsck = run_crumple(folder.path(), &["fsck", "whole"]);
-    assert_eq!((exit_code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are whole\n"));
+    assert_eq!((exit_code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are intact\n"));
     for name in ["registration.json", "progress.json", "certificate.json", "work.json"] {
         let path = folder.path().join("whole").join(name);
         let bytes = std::fs::read(&path).unwrap();
@@ -194,13 +194,13 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_eq!(written.parse::<Value>().unwrap(), report);
     let levels = report["levels"].as_array().unwrap();
     assert!(levels.iter().all(|level| level["robustness"].is_f64() && level["robustness"] == level["smallest_gap_m"]));
-    assert_refused(&estimate(&[]), "rare holds a rare-failure estimate already: use --resume");
+    assert_refused(&estimate(&[]), "rare already holds a rare-failure estimate: use --resume");
     assert_refused(
         &estimate(&["--resume", "--estimator", "truth"]),
         "rare/rare-estimate.json: the rare-failure estimate there was",
     );
     let text = estimate(&["--resume"]);
-    assert!(stdout(&text).contains("no bound and no certificate"), "{}", stdout(&text));
+    assert!(stdout(&text).contains("neither a bound nor a certificate"), "{}", stdout(&text));
     assert!(stdout(&text).contains("smallest gap") && stdout(&text).contains(" m "), "{}", stdout(&text));
     let rule = run_ok(
         folder.path(),
@@ -246,7 +246,11 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
             kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
         assert!(killed >= 2, "killed {killed} times");
         let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
-        assert_refused(&run_crumple(folder.path(), &other), "the rare-failure estimate there was configured otherwise");
+        assert_refused(
+            &run_crumple(folder.path(), &other),
+            "the rare-failure estimate there has a different \
+            configuration",
+        );
         let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
         assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
         assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
@@ -296,7 +300,7 @@ fn a_count_says_what_it_is_of() {
     for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {
         assert_refused(
             &run_crumple(folder.path(), &[&rate[..], &rare].concat()),
-            &format!("{}: is of --rare", rare[0]),
+            &format!("{}: requires --rare", rare[0]),
         );
     }
     let shown = run_crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());

@@ -172,9 +172,9 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
         ("NO_NUMBER", 0.03, "exit code 2", "its output is NaN, at 0.03 s"),
         ("TO_DISCARD", 0.03, "exit code 2", "the FMU discarded it (fmi3DoStep)"),
         ("TO_FAIL", 0.03, "exit code 2", "the FMU reports an error (fmi3DoStep)"),
-        ("TO_END", 0.03, "exit code 2", "the FMU asks for the end of the simulation at 0.04 s"),
+        ("TO_END", 0.03, "exit code 2", "the FMU requested the end of the simulation at 0.04 s"),
         ("HANG", 0.03, "gave no answer within 0.5 s", ""),
-        ("NO_INSTANCE", 0.0, "exit code 2", "the FMU gives no instance (fmi3InstantiateCoSimulation)"),
+        ("NO_INSTANCE", 0.0, "exit code 2", "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)"),
     ];
     for (what, time_s, why, last) in cases {
         let Some(odd) = odd_fmu_folder(what) else { return };
@@ -222,7 +222,7 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
             "",
             "output.variable: the FMU has no `acceleration_mps2` among its outputs: command, spare",
         ),
-        ("lanes = 1", "lanes = 1.5", "parameters.lanes: 1.5 is no value of a parameter that is integer"),
+        ("lanes = 1", "lanes = 1.5", "parameters.lanes: 1.5 is not a value of a parameter that is integer"),
         ("lanes", "roads", "the FMU has no `roads` among its parameters"),
         ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
         ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
@@ -236,7 +236,7 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
     let bare = NamedController::find_for_user("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
-    assert!(bare.contains("odd.fmu: inputs: its input `distance` is called like nothing that can be seen"), "{bare}");
+    assert!(bare.contains("odd.fmu: inputs: its input `distance` has not the name of a quantity"), "{bare}");
     let nobody = Command::new(env!("CARGO_BIN_EXE_crumple"))
         .args(["simulate", "paper-1", "--controller", "odd.toml"])
         .current_dir(odd.path())
@@ -285,10 +285,14 @@ fn damaged_fmus_are_refused() {
     let model = |was: &str, is: &str| EXAMPLE_XML.replacen(was, is, 1);
     let described = [
         (model("<CoSimulation", "<ModelExchange"), "has no co-simulation"),
-        (model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""), "is of FMI version \"1.0\"; FMI 2.0 and 3.0 are read"),
+        (
+            model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""),
+            "FMI version \"1.0\" is not supported; crumple reads FMI \
+            2.0 and 3.0",
+        ),
         (model("modelIdentifier=\"follower\"", "modelIdentifier=\"../follower\""), "is no identifier of C"),
         (model("modelIdentifier=\"follower\"", "modelIdentifier=\"other\""), "has no library for this platform"),
-        (model("canHandle", "needsExecutionTool=\"true\" canHandle"), "needs the tool that made it"),
+        (model("canHandle", "needsExecutionTool=\"true\" canHandle"), "cannot run without the tool that exported it"),
         (model("valueReference=\"0\"", "valueReference=\"-1\""), "line 12: valueReference \"-1\" is no whole number"),
         (model("name=\"speed_mps\"", "name=\"gap_ahead_m\""), "there are two variables \"gap_ahead_m\""),
         (

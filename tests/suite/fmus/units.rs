@@ -156,7 +156,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (
             other_units_xml(),
             wired("gap_ahead_m", "", "squash = \"tanh\""),
-            "has the unit `g`, and `squash` is for answers",
+            "has the unit `g`, and `squash` is allowed only for outputs",
         ),
         (
             with("unit=\"late\"", "unit=\"furlong\""),

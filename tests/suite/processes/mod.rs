@@ -79,9 +79,9 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         ("end-early", 0.0, "`sh bad.sh end-early", "ended by itself with exit code 3"),
         ("sleep-early", 0.0, "`sh bad.sh sleep-early", "gave no answer within 3 s"),
         ("babble", 0.0, "`sh bad.sh babble", "answered `hello`, which is no answer"),
-        ("list", 0.0, "`sh bad.sh list", "which is no answer: a line is a JSON object"),
+        ("list", 0.0, "`sh bad.sh list", "which is not a valid answer: a line is a JSON object"),
         ("other-version", 0.0, "`sh bad.sh", "speaks version 2 of the protocol, and crumple speaks 1"),
-        ("other-inputs", 0.0, "`sh bad.sh", "wants 7 inputs, and is shown 10"),
+        ("other-inputs", 0.0, "`sh bad.sh", "expects 7 inputs, and crumple sends 10"),
         (
             "odd-interval",
             0.0,
@@ -99,7 +99,7 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         ("chatter", 0.04, "`bad`", "answered question 5 where it was asked question 6"),
         ("not-a-number", 0.03, "`bad`", "answered with a number that is not finite"),
         ("exceed", 0.03, "`bad`", "answered 31 m/s², which is outside its range of -30 to 30 m/s²"),
-        ("leave-out", 0.03, "`bad`", "which is no answer: missing field `acceleration_mps2`"),
+        ("leave-out", 0.03, "`bad`", "which is not a valid answer: missing field `acceleration_mps2`"),
         ("stay", f64::INFINITY, "", ""),
     ];
     let scenario = short_scenario();
@@ -209,7 +209,7 @@ fn who_is_not_what_he_claims_is_caught_within_two_runs() {
         for run in 0..4 {
             let outcome = simulate_with_truth(&controller, &short_scenario()).outcome;
             let said = outcome.failed_controller().map(ToString::to_string).unwrap_or_default();
-            let is_caught = said.contains("says that it is deterministic, and when it was asked the same twice");
+            let is_caught = said.contains("declares that it is deterministic, but to the same observations");
             assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {said}");
         }
     }
@@ -220,11 +220,7 @@ fn who_says_that_he_is_not_deterministic_is_marked() {
     let own = bad_process_folder("admit", LISTED_FILES);
     let failed = simulate_with_truth(&find_controller("bad.toml", own.path()).kind, &short_scenario()).outcome;
     assert!(
-        failed
-            .failed_controller()
-            .unwrap()
-            .to_string()
-            .contains("its controller file has to say `deterministic = false`")
+        failed.failed_controller().unwrap().to_string().contains("set `deterministic = false` in its controller file")
     );
     let folder = bad_process_folder("admit", &format!("{LISTED_FILES}\ndeterministic = false"));
     let simulated =
@@ -233,7 +229,7 @@ fn who_says_that_he_is_not_deterministic_is_marked() {
     assert_eq!(report["nondeterministic"], true, "{report}");
     let text = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
     let text = String::from_utf8(text.stdout).unwrap();
-    assert!(text.contains("the controller says that it is not deterministic"), "{text}");
+    assert!(text.contains("the controller declares that it is not deterministic"), "{text}");
     write_short_space(folder.path());
     let search = ["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "3", "--format", "json"];
     let summary = run_crumple(folder.path(), &search);
@@ -259,7 +255,7 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
         file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
     let said = refused(&["simulate", "driven.toml", "--allow-external"]);
-    assert!(said.contains("states no identity: the driver of a scenario has to list its `files`"), "{said}");
+    assert!(said.contains("has no identity: the driver of a scenario must list its `files`"), "{said}");
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let plan = AssessmentPlan::load(&folder.path().join("a.toml")).unwrap_or_else(|error| panic!("{error}"));
@@ -296,14 +292,14 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
         (
             "version = 1",
             "version = 1\nnetwork = \"a.onnx\"",
-            "bad.toml:3: command: there is `network` already, and one of them drives",
+            "bad.toml:3: command: `network` is given already: keep one of them",
         ),
         (
             "files",
             "[output]\nanswer = 1\nlow_mps2 = -1\nhigh_mps2 = 1\n[[inputs]]\nconstant = 1 #",
             "bad.toml:4: output.answer: must be 0",
         ),
-        ("command", "# ", "bad.toml:1: version: there is neither a `network`, nor an `fmu`, nor a `command`"),
+        ("command", "# ", "bad.toml:1: version: one of `network`, `fmu` and `command` is required"),
     ];
     for (was, is, said) in cases {
         assert!(whole.contains(was), "{was}");

@@ -80,7 +80,7 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
     ];
     for (controller, place, why) in [
         ("missing.toml", "missing.toml:2: command: ", "`./no-such-program` cannot be started: No such file"),
-        ("silent.toml", "silent.toml:2: command: ", "ended by itself with exit code 4; it said last: no licence"),
+        ("silent.toml", "silent.toml:2: command: ", "ended by itself with exit code 4; its last output: no licence"),
         (
             "exec:./no-such-program",
             "controller `exec:./no-such-program`: ",
@@ -146,12 +146,12 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
         (out, summary)
     };
     let ((code, text, _), summary) = against("idm", "near.toml");
-    assert!(code == 0 && text.contains("NOT JUDGED: `near.toml` gave no answer in "), "{text}");
+    assert!(code == 0 && text.contains("NOT COMPARED: `near.toml` gave no answer in "), "{text}");
     assert!(text.contains("gap table: index"), "{text}");
     let gate =
         ["falsify", "--space", "short.toml", "--budget", "10", "--out", "gate", "--controller", "idm", "--against"];
     let (code, _, error) = run_and_capture(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
-    assert!(code == 1 && error.contains("gave no answer, so that they were not judged"), "{error}");
+    assert!(code == 1 && error.contains("the other controller gave no answer"), "{error}");
     let silent = &summary["methods"][1]["other_unanswered"];
     assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
     assert_eq!((&summary["falsified"], &summary["methods"][1]["failures"]), (&Value::from(false), &Value::from(0)));
@@ -171,7 +171,10 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
     };
     let ((code, text, error), tally) = count("idm", Some("near.toml"), "0.9");
     assert_eq!((code, &tally["only_second_failed"]), (1, &Value::from(0)), "{text}{error}");
-    assert!(error.contains("the other controller, whose runs then speak for neither, gave no answer in "), "{error}");
+    assert!(
+        error.contains("the other controller, whose runs without an answer count for neither, gave no answer in "),
+        "{error}"
+    );
     let ((code, text, _), tally) = count("near.toml", None, "0.9");
     assert!(code == 0 && text.contains("; the controller gave no answer in ") && text.contains("index"), "{text}");
     assert!(tally["failures"].as_u64().is_some_and(|failures| failures > 0), "{tally}");
@@ -231,7 +234,7 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
         let (code, text, error) = run_and_capture(folder.path(), command);
         assert_eq!(code, 2, "{command:?}: {text}{error}");
         let told = [
-            "the controller `bad.toml` was refused on the way",
+            "the controller `bad.toml` failed during the command",
             "a fresh one -1.1 m/s²: is its state cleared at reset?",
         ];
         assert!(told.iter().all(|told| error.contains(told)), "{command:?}: {error}");
@@ -362,7 +365,7 @@ fn a_file_that_is_no_controller_is_told_how_to_become_one() {
     let folder = temp_folder();
     for (name, told) in [
         ("aeb", "asked as `exec:./aeb`"),
-        ("aeb.c", "is no controller, but a source text: a program is asked as `exec:./aeb`"),
+        ("aeb.c", "is source code, not a controller: run a program with `exec:./aeb`"),
         ("libaeb.so", "a shared library"),
         ("aeb.py", "`exec:python3 aeb.py`"),
     ] {

@@ -146,7 +146,10 @@ pub enum PartitionCell {
 #[non_exhaustive]
 pub enum Undecided {
     /// A gap may close.
-    #[error("the gap {} the ego may be as small as {gap_m:.3} m by step {step}", if *pair == 0 { "ahead of" } else { "behind" })]
+    #[error(
+        "the gap {} the ego vehicle may be as small as {gap_m:.3} m by step {step}",
+        if *pair == 0 { "ahead of" } else { "behind" }
+    )]
     MayCollide {
         /// 0 for the gap ahead, 1 for the one behind.
         pair: usize,
@@ -162,7 +165,7 @@ pub enum Undecided {
         step: u32,
     },
     /// The follower may fire in too many intervals.
-    #[error("too many cases have to be told apart at step {step}")]
+    #[error("there are too many cases at step {step}")]
     TooManySets {
         /// Step of the interval.
         step: u32,
@@ -198,29 +201,29 @@ impl ReachClaim {
         }
         let decision_steps = (actor.decision_interval_s / self.step_s).round();
         if !(decision_steps >= 1.0 && (decision_steps * self.step_s - actor.decision_interval_s).abs() < 1e-9) {
-            return Err(Rejection::invalid("step_s", "does not divide the time between decisions"));
+            return Err(Rejection::invalid("step_s", "must divide the decision interval"));
         }
         if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
-            return Err(Rejection::invalid("steps", "must be from one decision to 100 000"));
+            return Err(Rejection::invalid("steps", "must be from one decision interval to 100 000"));
         }
         if let Some(departure) = actor.residual_over.filter(|departure| !departure.is_complete_in_one_step(self.step_s))
         {
             let (rate, step_s) = (departure.rate_per_s, self.step_s);
             let problem = format!(
-                "lets departures from its law come and go at {rate} 1/s: over a step of {step_s} s that is no more than a part of the way, and \
-                 only who goes all of it within a step can be followed"
+                "changes its residual at {rate} 1/s, so that a change takes more than a step of {step_s} s: only a \
+                 residual that changes completely within a step can be checked"
             );
             return Err(Rejection::Policy { problem });
         }
         let decision_steps = decision_steps as u32;
         if !self.steps.is_multiple_of(decision_steps) {
-            return Err(Rejection::invalid("steps", "must be whole decisions"));
+            return Err(Rejection::invalid("steps", "must be whole decision intervals"));
         }
         for dimension in BoxDimension::ALL {
             if self.ranges.get(dimension).low() < 0.0 {
                 return Err(Rejection::invalid(
                     format!("ranges.{}", dimension.field_name()),
-                    "holds a negative number",
+                    "contains a negative number",
                 ));
             }
         }
@@ -237,7 +240,7 @@ impl ReachClaim {
         let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
         if let Some(dimension) = unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO) {
             let field = format!("ranges.{}", dimension.field_name());
-            return Err(Rejection::invalid(field, "must be 0 where the leader brakes as it likes"));
+            return Err(Rejection::invalid(field, "must be 0 if the leader brakes arbitrarily"));
         }
         Ok(ReachProblem {
             controller: actor,
@@ -258,7 +261,9 @@ impl ReachClaim {
     /// [`Rejection`] if two are stated, or an invalid one.
     fn follower_model(&self) -> Result<Option<FollowerModel>, Rejection> {
         match (self.follower_ttc_s, self.follower_law.as_deref()) {
-            (Some(_), Some(_)) => Err(Rejection::invalid("follower_law", "and `follower_ttc_s` are two followers")),
+            (Some(_), Some(_)) => {
+                Err(Rejection::invalid("follower_law", "and `follower_ttc_s` must not both be present"))
+            }
             (Some(ttc_s), None) => Ok(Some(FollowerModel::Latched { ttc_s })),
             (None, law) => Ok(law.copied().map(FollowerLaw::validate).transpose()?.map(FollowerModel::ByLaw)),
         }
@@ -283,9 +288,11 @@ impl ReachClaim {
         }
         for (index, &cell) in self.partition.iter().enumerate() {
             let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
-            let (ranges, cuts, share) = pending.pop().ok_or_else(|| invalid("is one cell too many"))?;
+            let (ranges, cuts, share) =
+                pending.pop().ok_or_else(|| invalid("is one cell more than the cuts create"))?;
             if let PartitionCell::Cut(dimension) = cell {
-                let [lower, upper] = ranges.bisect(dimension).ok_or_else(|| invalid("cuts what is a single number"))?;
+                let [lower, upper] =
+                    ranges.bisect(dimension).ok_or_else(|| invalid("cuts a range that is a single number"))?;
                 if cuts == MAX_CUTS {
                     return Err(invalid("cuts too often"));
                 }
@@ -330,7 +337,7 @@ pub(crate) fn check(
     ];
     let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
     if let Some((field, ..)) = stated.iter().find(is_more) {
-        return Err(Rejection::invalid(*field, "is more than is proved"));
+        return Err(Rejection::invalid(*field, "exceeds the proved value"));
     }
     Ok(ProvedClaim::Reach {
         verified_share,
@@ -353,7 +360,7 @@ pub(crate) fn load_controller(
     let file = file.ok_or_else(|| wrong("is not there"))?;
     let found = sha256(file);
     if found != digest {
-        return Err(Rejection::Policy { problem: format!("has the SHA-256 {found}, and `policy_sha256` is {digest}") });
+        return Err(Rejection::Policy { problem: format!("has SHA-256 {found}, and `policy_sha256` is {digest}") });
     }
     let actor = NeuralController::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
     if actor.source.as_ref() == source { Ok(actor) } else { Err(wrong("was read from another file than `source`")) }
@@ -378,7 +385,7 @@ fn check_leaves(
     std::thread::scope(|scope| {
         let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
         let parts: Vec<_> = parts.map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>())).collect();
-        let died = || vec![Err("the check of it failed".to_owned())];
+        let died = || vec![Err("its check failed".to_owned())];
         parts.into_iter().flat_map(|part| part.join().unwrap_or_else(|_| died())).collect()
     })
 }
@@ -397,8 +404,12 @@ fn check_leaf(
         }
         PartitionCell::Falsified(point) => {
             let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
-            let reached = reach_with_budget(&cell.at_point(point).ok_or("the point is not in it")?, work);
-            if reached.surely_collides { Ok(f64::INFINITY) } else { Err("the point is not shown to touch".to_owned()) }
+            let reached = reach_with_budget(&cell.at_point(point).ok_or("the point is outside the cell")?, work);
+            if reached.surely_collides {
+                Ok(f64::INFINITY)
+            } else {
+                Err("the point is not proved to collide".to_owned())
+            }
         }
         PartitionCell::Undecided | PartitionCell::Cut(_) => Ok(f64::INFINITY),
     }

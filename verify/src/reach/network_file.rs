@@ -132,7 +132,7 @@ impl NetworkFileInput {
         let Self { quantity, constant, offset, scale, low, high, absent } = *self;
         let given = [Some(offset), Some(scale), Some(low), Some(high), constant, absent];
         if !given.into_iter().flatten().all(f64::is_finite) || scale == 0.0 || low > high {
-            return Err("has numbers that make no sense");
+            return Err("contains numbers outside their ranges");
         }
         let (of, constant, absent) = match (quantity, constant) {
             (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVATION_SIZE], constant, None),
@@ -146,7 +146,7 @@ impl NetworkFileInput {
             (Some(quantity), None) if quantity.is_about_follower() => (quantity.coefficients(), 0.0, absent),
             (Some(quantity), None) if quantity.is_about_leader() => (quantity.coefficients(), 0.0, None),
             (Some(quantity), None) if absent.is_none() => (quantity.coefficients(), 0.0, None),
-            _ => return Err("must be a quantity or a constant, and `absent` is for what is seen of another vehicle"),
+            _ => return Err("must be a quantity or a constant; `absent` is only for quantities of another vehicle"),
         };
         Ok(ControllerInput { coefficients: of, constant, absent_value: absent, offset, scale, low, high })
     }
@@ -156,10 +156,10 @@ impl NetworkFileHeader {
     fn check(&self) -> Result<(), String> {
         let Self { version, source, inputs, steps, output, empty_gap_m, decision_interval_s } = self;
         if *version != VERSION {
-            return Err(format!("{METADATA_KEY}: version {version} is not known, only {VERSION}"));
+            return Err(format!("{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"));
         }
         if !is_sha256(&source.sha256) {
-            return Err(format!("{METADATA_KEY}: source: `sha256` is no SHA-256"));
+            return Err(format!("{METADATA_KEY}: source: `sha256` is not a SHA-256"));
         }
         if !(1..=MAX_LAYER_WIDTH).contains(&inputs.len()) || steps.len() > MAX_STEPS {
             return Err("describes too large a network".to_owned());
@@ -201,7 +201,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     }
     let NetworkFileOutput { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 } = header.output;
     if answer >= width {
-        return Err(format!("{METADATA_KEY}: output: there is no answer {answer}"));
+        return Err(format!("{METADATA_KEY}: output: there is no output {answer}"));
     }
     let mut actor = NeuralController {
         inputs,
@@ -243,7 +243,7 @@ impl NetworkFileStep {
             }
             Self::Relu => Activation::Relu,
             Self::LeakyRelu(number) | Self::Elu(number) if !is_single(number) => {
-                return wrong("is no number of single precision");
+                return wrong("is not a number in single precision");
             }
             Self::LeakyRelu(slope) => Activation::LeakyRelu(slope),
             Self::Elu(alpha) => Activation::Elu(alpha),

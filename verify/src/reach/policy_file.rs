@@ -113,7 +113,7 @@ impl PolicyFileHeader {
     fn check(&self) -> Result<(), String> {
         let Self { version, hidden, observation, action, decision_interval_s, estimator, .. } = self;
         if *version != VERSION {
-            return Err(format!("{METADATA_KEY}: version {version} is not known, only {VERSION}"));
+            return Err(format!("{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"));
         }
         if !ESTIMATORS.contains(&estimator.as_str()) {
             return Err(format!("{METADATA_KEY}: estimator: {estimator:?} is not known"));
@@ -127,11 +127,11 @@ impl PolicyFileHeader {
         let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
         let positive = scale.iter().chain([limit, empty_gap_m, decision_interval_s]).all(is_positive);
         if !positive || !offset.iter().all(|value| value.is_finite()) {
-            return Err("has a scaling that makes no sense".to_owned());
+            return Err("has a scaling outside its range".to_owned());
         }
         // The spacing of a history of length one has no meaning and must not suggest one.
         if [*history, *history_every] != [1, 1] {
-            let is_not = "only a network that sees nothing but the present can be followed";
+            let is_not = "only a network without history can be analysed";
             return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
         }
         if let Some(Err(problem)) = action.residual_policy().map(|departure| departure.check()) {
@@ -141,7 +141,7 @@ impl PolicyFileHeader {
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
-            Err("has bounds of its action that are not finite and in order".to_owned())
+            Err("has action bounds that are not finite and in order".to_owned())
         }
     }
 }
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn scales_are_positive_and_all_numbers_finite() {
-        let refused = Err("has a scaling that makes no sense".to_owned());
+        let refused = Err("has a scaling outside its range".to_owned());
         for wrong in [0.0, -1.0, f64::INFINITY, f64::NAN] {
             assert_eq!(check_modified(|header| header.observation.scale[7] = wrong), refused, "scale {wrong}");
             assert_eq!(check_modified(|header| header.observation.limit = wrong), refused, "limit {wrong}");
@@ -250,9 +250,7 @@ mod tests {
     fn bounds_of_an_action_have_a_difference_and_a_sum() {
         let with = |low, high| {
             let judged = check_modified(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
-            judged
-                .inspect_err(|error| assert_eq!(error, "has bounds of its action that are not finite and in order"))
-                .is_ok()
+            judged.inspect_err(|error| assert_eq!(error, "has action bounds that are not finite and in order")).is_ok()
         };
         for (low, high) in [(-7.5, 3.0), (0.0, f64::MIN_POSITIVE), (-1.0, 0.0), (-1e200, 1e200), (1e200, 1e201)] {
             assert!(with(low, high), "{low} {high}");

@@ -74,7 +74,7 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
                 return Err(twice(&name));
             }
         }
-        let description = description.ok_or_else(|| A::Error::custom("describes no network"))?;
+        let description = description.ok_or_else(|| A::Error::custom("does not describe a network"))?;
         Ok(SafetensorsHeader { description, tensors })
     }
 }
@@ -86,7 +86,7 @@ impl SafetensorsFile<'_> {
         places.sort_unstable();
         let end = places.iter().try_fold(0, |end, &[from, to]| (from == end && to >= from).then_some(to));
         let is_whole = end == Some(self.data.len());
-        if is_whole { Ok(()) } else { Err("has tensors that overlap, or bytes that belong to none".to_owned()) }
+        if is_whole { Ok(()) } else { Err("has tensors that overlap, or bytes outside all tensors".to_owned()) }
     }
 
     /// Takes the numbers of a single-precision tensor, all finite; each can be taken once.
@@ -96,12 +96,12 @@ impl SafetensorsFile<'_> {
         let numbers = self.data.get(from..to).filter(|_| entry.dtype == "F32" && entry.shape == shape);
         let length = shape.iter().try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
         let numbers = numbers.filter(|bytes| Some(bytes.len()) == length);
-        let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} is not what it should be"))?.as_chunks::<4>();
+        let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} has a wrong type or shape"))?.as_chunks::<4>();
         let numbers: Vec<f64> = numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect();
         if numbers.iter().all(|value| value.is_finite()) {
             Ok(numbers)
         } else {
-            Err(format!("tensor {name} is not finite"))
+            Err(format!("tensor {name} contains a number that is not finite"))
         }
     }
 }
@@ -114,9 +114,9 @@ impl NeuralController {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (length, rest) = bytes.split_first_chunk::<8>().ok_or("is too short")?;
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
-        let (listing, data) = rest.split_at_checked(length).ok_or("is shorter than it says")?;
+        let (listing, data) = rest.split_at_checked(length).ok_or("is shorter than its header states")?;
         if length > MAX_HEADER_BYTES {
-            return Err("has too long a header".to_owned());
+            return Err("has a header that is too long".to_owned());
         }
         let SafetensorsHeader { description, tensors } =
             serde_json::from_slice(listing).map_err(|error| format!("header: {error}"))?;
@@ -125,14 +125,14 @@ impl NeuralController {
         let actor = match (description.crumple_policy, description.crumple_network) {
             (Some(text), None) => policy_file::read(&text, &mut file)?,
             (None, Some(text)) => network_file::read(&text, &mut file)?,
-            _ => return Err("describes no network, or two".to_owned()),
+            _ => return Err("must describe exactly one network".to_owned()),
         };
         if let Some(name) = file.tensors.keys().next() {
-            return Err(format!("tensor {name:?} is not part of the network that is described"));
+            return Err(format!("tensor {name:?} is not part of the described network"));
         }
         match actor.max_output_magnitude() {
             Ok(_) => Ok(actor),
-            Err(layer) => Err(format!("can leave single precision in layer {layer}")),
+            Err(layer) => Err(format!("can exceed single precision in layer {layer}")),
         }
     }
 
@@ -271,7 +271,7 @@ mod tests {
             ("F32", &[2, 3], [4, 28]),
             ("F32", &[2, 3], [0, 0]),
         ] {
-            let wrong = Err("tensor w is not what it should be".to_owned());
+            let wrong = Err("tensor w has a wrong type or shape".to_owned());
             assert_eq!(of(dtype, shape, place, numbers), wrong, "{dtype} {shape:?} {place:?}");
         }
         for number in [f32::NAN, f32::INFINITY] {

@@ -47,7 +47,7 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
     for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
         assert!(of(step_s).ends_with("must be positive"), "{step_s}");
     }
-    assert!(of(0.03).ends_with("does not divide the time between decisions") && of(0.05).is_empty());
+    assert!(of(0.03).ends_with("must divide the decision interval") && of(0.05).is_empty());
 }
 
 /// The limit holds for repeated lower and for repeated upper halves.
@@ -69,7 +69,9 @@ fn a_cell_is_cut_no_more_often_than_may_be() {
 #[test]
 fn a_partition_of_too_many_cells_is_refused_as_such() {
     assert!(problem(claim(vec![PartitionCell::Undecided; MAX_CELLS + 1]).leaves()).ends_with("has too many cells"));
-    assert!(problem(claim(vec![PartitionCell::Undecided; 2]).leaves()).ends_with("is one cell too many"));
+    assert!(
+        problem(claim(vec![PartitionCell::Undecided; 2]).leaves()).ends_with("is one cell more than the cuts create")
+    );
 }
 
 /// A colliding point falsifies only its own cell.
@@ -83,6 +85,6 @@ fn a_point_is_one_of_its_cell() {
     let mut cell = ranges;
     cell.gap_ahead_m = interval(1.0, 1.5);
     assert_eq!(check_leaf(&scene, &point(1.25), &cell, &work), Ok(f64::INFINITY));
-    assert_eq!(check_leaf(&scene, &point(1.75), &cell, &work), Err("the point is not in it".to_owned()));
+    assert_eq!(check_leaf(&scene, &point(1.75), &cell, &work), Err("the point is outside the cell".to_owned()));
     assert_eq!(check_leaf(&scene, &point(1.75), &ranges, &work), Ok(f64::INFINITY));
 }

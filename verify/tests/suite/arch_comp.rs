@@ -239,14 +239,14 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     let more: [(CruiseClaimMutation, &str); 7] = [
         (
             |claim| claim.margin_m_at_least = claim.margin_m_at_least.next_up(),
-            "`margin_m_at_least` is more than is proved",
+            "`margin_m_at_least` exceeds the proved value",
         ),
-        (|claim| claim.margin_m_at_least = f64::NAN, "`margin_m_at_least` is more than is proved"),
+        (|claim| claim.margin_m_at_least = f64::NAN, "`margin_m_at_least` exceeds the proved value"),
         (
             |claim| claim.x_ego_width_m_at_most = claim.x_ego_width_m_at_most.next_down(),
-            "`x_ego_width_m_at_most` is less than is proved",
+            "`x_ego_width_m_at_most` is below the proved value",
         ),
-        (|claim| claim.x_ego_width_m_at_most = f64::NAN, "`x_ego_width_m_at_most` is less than is proved"),
+        (|claim| claim.x_ego_width_m_at_most = f64::NAN, "`x_ego_width_m_at_most` is below the proved value"),
         (|claim| claim.cells = 0, "`cells` must be 1 to 10 000"),
         (|claim| claim.cells = 10_001, "`cells` must be 1 to 10 000"),
         (|claim| claim.source.sha256 = "1".repeat(64), "the policy file was read from another file than `source`"),
@@ -287,7 +287,7 @@ fn the_program_takes_the_network_and_the_limit_it_is_told() {
         assert!(text.ends_with("as crumple read it, with the mapping stated\n"), "{text}");
     }
     let (code, text) = run(&["--policy", elsewhere, "--work-limit", "0"]);
-    assert!(code == 1 && text.contains("rejected: checking it takes more than 0 operations"), "{text}");
+    assert!(code == 1 && text.contains("rejected: the check takes more than the allowed 0 operations"), "{text}");
     for value in ["many", "-1", "1.5"] {
         let (code, text) = run(&["--work-limit", value]);
         assert!(code == 2 && text.starts_with("usage: crumple-verify"), "{text}");

@@ -341,17 +341,17 @@ fn results_are_said_in_words() {
         }
         .to_string()
     };
-    let nothing = "reach: nothing is shown of any part of the box; 0.19 % of its volume is in cells with a start that ends in contact";
+    let nothing = "reach: nothing is proved about any part of the box; 0.19 % of its volume is in cells with an initial state that ends in a collision";
     assert_eq!(reach(0.0, true, None), nothing);
     assert_eq!(
         reach(0.999_99, true, None),
         "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 % of it is in \
-         cells with a start that ends in contact"
+         cells with an initial state that ends in a collision"
     );
     assert_eq!(
         reach(1e-9, false, Some(7.5)),
         "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at up to 7.5 m/s², \
-         with nobody behind; 0.19 % of it is in cells with a start that ends in contact"
+         with no vehicle behind; 0.19 % of it is in cells with an initial state that ends in a collision"
     );
     let avoidable =
         |afterwards| ProvedClaim::Avoidable { min_gap_m: 0.25, horizon_s: 2.0, after_horizon: afterwards }.to_string();
@@ -359,21 +359,21 @@ fn results_are_said_in_words() {
         (
             SafetyAfterHorizon::ForAnyLeader,
             "whatever-the-leader-does",
-            "and nobody need touch afterwards, whatever the leader does",
+            "and a collision remains avoidable afterwards, whatever the leader does",
         ),
         (
             SafetyAfterHorizon::UnlessLeaderBrakes,
             "if-the-leader-does-not-brake",
-            "and nobody need touch afterwards, if the leader does not brake any more",
+            "and a collision remains avoidable afterwards, if the leader does not brake again",
         ),
-        (SafetyAfterHorizon::Unproved, "not-shown", "nothing is shown of what comes afterwards"),
+        (SafetyAfterHorizon::Unproved, "not-shown", "nothing is proved about the time afterwards"),
     ] {
         assert_eq!(afterwards.name(), name);
         let all = format!("avoidable: on the stated profile no gap is ever smaller than 0.25 m for 2 s; {said}");
         assert_eq!(avoidable(afterwards), all);
     }
     let gap_bound = ProvedClaim::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
-    assert_eq!(gap_bound, "gap bound: whatever is done, some gap gets as small as 1.5 m within 3 s");
+    assert_eq!(gap_bound, "gap bound: for every command, some gap is at most 1.5 m within 3 s");
     let cruise = ProvedClaim::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
     assert_eq!(
         cruise,

@@ -169,7 +169,7 @@ fn a_registration_and_its_provenance_say_the_same() {
         assert!(error.contains("registration.configuration."), "{key}: {error}");
     }
     let named = mutate(&|certificate| certificate.provenance.scenario = "high-risk".to_owned());
-    assert!(named.unwrap_err().contains("is not `provenance.scenario`"));
+    assert!(named.unwrap_err().contains("differs from `provenance.scenario`"));
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn blocks_cover_the_runs_and_add_up() {
         ("[[1,", "[[101,", "counts more runs than it has"),
         ("[2,\"", "[51,\"", "counts more runs than it has"),
         ("\"blocks\":[[1,", "\"blocks\":[[0,", "do not add up"),
-        (&sha256("1"), &sha256("1")[1..], "has no SHA-256"),
+        (&sha256("1"), &sha256("1")[1..], "must have a SHA-256"),
     ] {
         let error = check_replaced(&rate(), from, to).unwrap_err();
         assert!(error.contains(said), "{to}: {error}");
@@ -355,7 +355,7 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
         |claim: &mut ComparisonClaim| claim.only_first_failed = 2,
         |claim: &mut ComparisonClaim| claim.only_second_failed = 61,
     ] {
-        assert_eq!(of_two(change), "`blocks` do not add up to what is claimed");
+        assert_eq!(of_two(change), "`blocks` do not add up to the claimed counts");
     }
     assert_eq!(of_two(|claim| drop(claim.blocks.pop())), "`blocks` must cover all runs");
     let missing = of_two(|claim| drop(claim.registration.configuration.remove("against")));
@@ -378,8 +378,8 @@ fn what_is_about_no_scenario_names_none() {
             assert_eq!(said, format!("`provenance.{field}` must be absent: {why}"));
         }
     };
-    bound(kernel(), "kernel: full braking keeps", "a kernel is about no one scenario");
-    bound(cruise(), "the policy file is not there", "the benchmark is its own scenario");
+    bound(kernel(), "kernel: full braking avoids", "a kernel does not belong to a scenario");
+    bound(cruise(), "the policy file is not there", "the benchmark defines its scenario");
 }
 
 #[test]

@@ -42,16 +42,16 @@ fn what_makes_no_sense_is_refused() {
         ("unknown field `note`", |text| text["note"] = json!("")),
         ("missing field `empty_gap_m`", |text| drop(text.as_object_mut().unwrap().remove("empty_gap_m"))),
         ("unknown variant `matlab`", |text| text["source"]["format"] = json!("matlab")),
-        ("is no SHA-256", |text| text["source"]["sha256"] = json!("abc")),
+        ("is not a SHA-256", |text| text["source"]["sha256"] = json!("abc")),
         ("unknown variant `time_gap_ahead_s`", |text| text["inputs"][0]["quantity"] = json!("time_gap_ahead_s")),
-        ("inputs[0]: has numbers that make no sense", |text| text["inputs"][0]["scale"] = json!(0.0)),
-        ("inputs[0]: has numbers that make no sense", |text| text["inputs"][0]["low"] = json!(1e7)),
+        ("inputs[0]: contains numbers outside their ranges", |text| text["inputs"][0]["scale"] = json!(0.0)),
+        ("inputs[0]: contains numbers outside their ranges", |text| text["inputs"][0]["low"] = json!(1e7)),
         ("inputs[0]: must be a quantity or a constant", |text| {
             text["inputs"][0] = json!({ "offset": 0.0, "scale": 1.0, "low": 0.0, "high": 1.0 });
         }),
         ("unknown variant `cosine`", |text| text["steps"][0] = json!("cosine")),
-        ("is not what it should be", |text| text["steps"][0] = json!({ "linear": 4000 })),
-        ("there is no answer 4000", |text| text["output"]["answer"] = json!(4000)),
+        ("has a wrong type or shape", |text| text["steps"][0] = json!({ "linear": 4000 })),
+        ("there is no output 4000", |text| text["output"]["answer"] = json!(4000)),
         ("not finite and in order", |text| text["output"]["low_mps2"] = json!(5.0)),
         ("must be positive", |text| text["decision_interval_s"] = json!(0.0)),
     ];
@@ -186,12 +186,12 @@ fn numbers_of_functions_are_of_single_precision() {
         for number in [0.125, 0.0, f64::from(0.1_f32), f64::from(f32::MAX)] {
             // The value at 1 must stay in single precision as well.
             let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
-            let expected = if number > 1.0 { Err("can leave single precision in layer 0".to_owned()) } else { Ok(()) };
+            let expected = if number > 1.0 { Err("can exceed single precision in layer 0".to_owned()) } else { Ok(()) };
             assert_eq!(read, expected, "{name} {number}");
         }
         for number in [0.1, 1e300, -1e39, 1e-46] {
             let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
-            let said = "crumple_network: steps[0]: is no number of single precision".to_owned();
+            let said = "crumple_network: steps[0]: is not a number in single precision".to_owned();
             assert_eq!(read, Err(said), "{name} {number}");
         }
     }
@@ -206,7 +206,8 @@ fn what_stands_in_is_for_who_may_be_absent() {
         let actor = NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))?;
         Ok::<_, String>((actor.inputs[0].constant, actor.inputs[0].absent_value))
     };
-    let refused = "crumple_network: inputs[0]: must be a quantity or a constant, and `absent` is for what is seen of another vehicle";
+    let refused = "crumple_network: inputs[0]: must be a quantity or a constant; `absent` is only for \
+                   quantities of another vehicle";
     let refused = Err(refused.to_owned());
     for quantity in ["gap", "speed", "relative_speed", "acceleration"] {
         let unit = match quantity {
@@ -244,7 +245,7 @@ fn an_input_has_a_scale_and_limits_in_order() {
         assert_eq!(read(scale, limits), Ok(limits[0]), "{scale} {limits:?}");
     }
     for (scale, limits) in [(2.0, [1.0_f64.next_up(), 1.0]), (0.0, [-1.0, 1.0]), (-0.0, [-1.0, 1.0])] {
-        let refused = Err("crumple_network: inputs[0]: has numbers that make no sense".to_owned());
+        let refused = Err("crumple_network: inputs[0]: contains numbers outside their ranges".to_owned());
         assert_eq!(read(scale, limits), refused, "{scale} {limits:?}");
     }
 }
@@ -297,6 +298,6 @@ fn a_header_is_as_long_as_is_allowed_and_no_longer() {
     };
     assert_eq!(padded(1 << 20), Ok(actor));
     for longer in [1, 2, 1 << 20] {
-        assert_eq!(padded((1 << 20) + longer).map(|_| ()), Err("has too long a header".to_owned()), "{longer}");
+        assert_eq!(padded((1 << 20) + longer).map(|_| ()), Err("has a header that is too long".to_owned()), "{longer}");
     }
 }

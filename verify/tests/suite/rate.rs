@@ -160,7 +160,7 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
     }
     for failures in [100, 101] {
         let refused = rejection_text(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
-        assert_eq!(refused, "`failures` are all runs: no bound on the rate follows");
+        assert_eq!(refused, "`failures` equal the number of runs: no bound on the rate follows");
     }
     let comparison = |only_first_failed, only_second_failed| {
         let registration = registration(10, 0.99);

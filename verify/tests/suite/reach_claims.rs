@@ -111,7 +111,7 @@ fn a_network_that_can_overflow_is_refused() {
         let from = listing[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
         bytes[8 + length + from..][..4].copy_from_slice(&3e38_f32.to_le_bytes());
     }
-    assert_eq!(NeuralController::from_bytes(&bytes).unwrap_err(), "can leave single precision in layer 0");
+    assert_eq!(NeuralController::from_bytes(&bytes).unwrap_err(), "can exceed single precision in layer 0");
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn a_policy_that_departs_from_a_law_is_read_with_it() {
     let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
     let refused = claim().problem(&slow).unwrap_err();
     assert!(matches!(refused, Rejection::Policy { .. }), "{refused:?}");
-    assert!(refused.to_string().contains("at 199 1/s: over a step of 0.01 s"), "{refused}");
+    assert!(refused.to_string().contains("at 199 1/s, so that a change takes more than a step of 0.01 s"), "{refused}");
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("duplicate key", |text, _| replace(text, "\"training\":{", "\"training\":{\"a\":1,\"a\":2,")),
         ("estimator: \"lidar\" is not known", |text, _| replace(text, "\"kalman\"", "\"lidar\"")),
         ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
-        ("sees nothing but the present", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
+        ("only a network without history", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
         ("action: departs_from: dead_zone: 1 is not from 0 to 0.99", |text, _| {
             insert_residual(text, "\"dead_zone\":1.0,\"rate_per_s\":4.0")
         }),
@@ -219,12 +219,12 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
             replace(header, "\"actor.0.bias\"", more);
         }),
         ("unknown field `sparse`", |_, header| replace(header, "\"dtype\"", "\"sparse\":true,\"dtype\"")),
-        ("bytes that belong to none", |_, header| replace(header, "\"data_offsets\":[0,", "\"data_offsets\":[4,")),
+        ("bytes outside all tensors", |_, header| replace(header, "\"data_offsets\":[0,", "\"data_offsets\":[4,")),
     ];
     for (said, change) in changes {
         let error = NeuralController::from_bytes(&with_header(change)).unwrap_err();
         assert!(error.contains(said), "{said}: {error}");
     }
     let longer = [with_header(|_, _| ()), vec![0; 4]].concat();
-    assert!(NeuralController::from_bytes(&longer).unwrap_err().contains("bytes that belong to none"));
+    assert!(NeuralController::from_bytes(&longer).unwrap_err().contains("bytes outside all tensors"));
 }

@@ -273,7 +273,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
     assert_eq!(with(20.0, 0.0), Ok(ProvedClaim::GapBound { gap_m: 0.0, horizon_s }));
     for stated_m in [-1e-300, -5.0, f64::NAN, f64::INFINITY] {
         let said = with(30.0, stated_m).unwrap_err().to_string();
-        assert_eq!(said, "`gap_m` must be a number that is not negative", "{stated_m}");
+        assert_eq!(said, "`gap_m` must be 0 or more", "{stated_m}");
     }
     let speed = vec![vec![(5, 1.0)]];
     for nothing in [Branch { last: 5, ..Branch::default() }, Branch { last: 5, speed, ..Branch::default() }] {

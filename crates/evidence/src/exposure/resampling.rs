@@ -20,29 +20,27 @@ pub const MIN_RESAMPLES: u32 = 79;
 #[non_exhaustive]
 pub enum ResamplingError {
     /// Resampling was not requested.
-    #[error("nothing was resampled")]
+    #[error("no resampling was requested")]
     NotRequested,
     /// Too few resamples for percentiles.
-    #[error("{requested} resamples are too few for an interval: {MIN_RESAMPLES} are needed")]
+    #[error("{requested} resamples are too few for an interval: use at least {MIN_RESAMPLES}")]
     TooFew {
         /// Requested number of resamples.
         requested: u32,
     },
     /// The space does not hold its data.
-    #[error("the space does not hold what it was fitted to")]
+    #[error("the space does not contain the data to which it was fitted")]
     NoData,
     /// The space was edited after it was fitted, so resamples would not represent it.
     #[error(
-        "{what} is not what is fitted to the `observed` values that the space holds: it was changed since, and resamples would not be"
+        "{what} was changed after the space was fitted to its `observed` values, so resamples would not represent it"
     )]
     Edited {
         /// Edited part of the space.
         what: String,
     },
     /// Too few resamples to which a space could be fitted.
-    #[error(
-        "a space could be fitted to {fitted} of {tried} resamples only, and {MIN_RESAMPLES} are needed for an interval"
-    )]
+    #[error("only {fitted} of {tried} resamples could be fitted, and an interval needs {MIN_RESAMPLES}")]
     TooFewFits {
         /// Number of fitted spaces.
         fitted: u32,

@@ -152,13 +152,14 @@ impl ExclusionCounts {
         let mut words = Vec::new();
         if nobody_behind + shorter > 0 {
             words.push(format!(
-                "Left out, and in none of the hours: {nobody_behind} brakings with nobody known behind, {shorter} with fewer than {vehicles} vehicles"
+                "Excluded, with their hours: {nobody_behind} episodes without a known follower, {shorter} with fewer \
+                 than {vehicles} vehicles"
             ));
         }
         if impossible + outside > 0 {
             words.push(format!(
-                "Left out of these hours: {impossible} brakings with speeds that no vehicle has, {outside} with numbers outside the ranges; \
-                 rates per hour count them as if they failed as often as the others"
+                "Excluded, but part of these hours: {impossible} episodes with impossible speeds, {outside} with \
+                 values outside the ranges; rates per hour assume that they fail as often as the others"
             ));
         }
         words
@@ -227,7 +228,7 @@ impl EpisodeSample {
             let mut most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
             if left_out.impossible_speeds + left_out.no_follower > 0 {
                 let ExclusionCounts { no_follower: nobody_behind, impossible_speeds: impossible, .. } = left_out;
-                most += &format!(", {nobody_behind} nobody known behind, {impossible} speeds that no vehicle has");
+                most += &format!(", {nobody_behind} have no known follower, {impossible} have impossible speeds");
             }
             // A recording in which no braking is detectable looks like one without braking.
             let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));

@@ -15,7 +15,9 @@ pub enum FitError {
         found: usize,
     },
     /// The threshold leaves no braking.
-    #[error("min_brake: must be below {limit} m/s², beyond which nothing is taken for braking, found {found}")]
+    #[error(
+        "min_brake: must be below {limit} m/s², because harder decelerations do not count as braking, found {found}"
+    )]
     MinBrake {
         /// Requested threshold, in m/s².
         found: f64,
@@ -24,8 +26,8 @@ pub enum FitError {
     },
     /// Too few episodes.
     #[error(
-        "{found} episodes of {vehicles} vehicles, and {needed} are needed; {too_few_vehicles} have fewer vehicles, {out_of_range} have numbers that no \
-         scenario of such a space may have{details}"
+        "found {found} episodes of {vehicles} vehicles, and {needed} are needed; {too_few_vehicles} have fewer \
+         vehicles, {out_of_range} have values outside the ranges of a space{details}"
     )]
     TooFew {
         /// Number of episodes.
@@ -60,6 +62,6 @@ pub enum FitError {
         why: FamilyFitError,
     },
     /// The fitted space is invalid.
-    #[error("what was fitted is no space: {0}")]
+    #[error("the fitted space is invalid: {0}")]
     Space(#[from] InvalidSpace),
 }

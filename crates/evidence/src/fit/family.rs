@@ -51,13 +51,13 @@ pub struct FamilyFit {
 #[non_exhaustive]
 pub enum FamilyFitError {
     /// The family has positive values only.
-    #[error("is of values above 0, and one is {0}")]
+    #[error("needs values above 0, found {0}")]
     NotPositive(f64),
     /// All values are equal.
     #[error("all values are {0}")]
     Constant(f64),
     /// The likelihood has no maximum.
-    #[error("no maximum of the likelihood was found")]
+    #[error("the likelihood has no maximum")]
     NoMaximum,
 }
 

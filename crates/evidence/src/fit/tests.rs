@@ -350,11 +350,9 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     assert_eq!((sizes[0].values[1].at, sizes[0].values[1].count), (12.5, 10));
     assert_eq!(depending.len(), 6);
     let about = &space.spec().about;
-    for said in [
-        "1 brakings with nobody known behind",
-        "1 brakings with speeds that no vehicle has",
-        "10 heavy ones (median 12.5 m)",
-    ] {
+    for said in
+        ["1 episodes without a known follower", "1 episodes with impossible speeds", "10 heavy ones (median 12.5 m)"]
+    {
         assert!(about.contains(said), "{about}");
     }
     let drawn: Vec<_> = (0..400).map(|index| space.draw(1, index).unwrap()).collect();
@@ -392,7 +390,7 @@ fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
         .collect();
     let slow = read(format!("{header}{rows}").as_bytes(), Path::new("slow.csv"), None).unwrap();
     let said = EpisodeSample::from_recordings(&[slow], taken(1.3)).unwrap_err().to_string();
-    assert!(said.contains("; slow.csv: a vehicle's speeds are 1.000 s apart"), "{said}");
+    assert!(said.contains("; slow.csv: the speeds of a vehicle are 1.000 s apart"), "{said}");
 }
 
 #[test]

@@ -73,7 +73,10 @@ pub enum RareError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The controller has no identity, so earlier results cannot be attributed to it.
-    #[error("the controller `{0}` states no identity: begin anew, without --resume, in another --out")]
+    #[error(
+        "the controller `{0}` states no identity, so its estimate cannot be resumed; start again without --resume, \
+         with another --out"
+    )]
     NoIdentity(String),
     /// The observer stopped the estimate.
     #[error("the estimate was {0}")]

@@ -52,7 +52,7 @@ impl RareProgress {
         let found: RareProgressFile = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
         match found.is_consistent_with(record, repetitions) {
             true => Ok(Self { run_folder: work, state: found }),
-            false => Err(damaged("not of this estimate".to_owned())),
+            false => Err(damaged("belongs to another estimate".to_owned())),
         }
     }
 
@@ -67,7 +67,9 @@ impl RareProgress {
         if !self.state.pilot.iter().all(|pilot| pilot.has_dimension(dimension))
             || !self.state.fitting.iter().all(may_be)
         {
-            return Err(RunFolderError::damaged(&self.run_folder.path(PROGRESS_FILE), "not of this space").into());
+            return Err(
+                RunFolderError::damaged(&self.run_folder.path(PROGRESS_FILE), "belongs to another space").into()
+            );
         }
         if let Some(pilot) = &self.state.pilot {
             return Ok(pilot.clone());

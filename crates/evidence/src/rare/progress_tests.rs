@@ -111,10 +111,12 @@ fn what_is_half_done_is_gone_on_with_by_nothing_else() {
     assert!(root.path().join(PROGRESS_FILE).exists());
     let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
     assert!(
-        error(&plan, false).unwrap().ends_with("holds a rare-failure estimate already: use --resume, or another --out")
+        error(&plan, false).unwrap().ends_with("already holds a rare-failure estimate: use --resume or another --out")
     );
     for other in [self::plan(RareMethod::Splitting, 1), self::plan(RareMethod::Importance, 2)] {
-        assert!(error(&other, true).unwrap().ends_with("the rare-failure estimate there was configured otherwise"));
+        assert!(
+            error(&other, true).unwrap().ends_with("the rare-failure estimate there has a different configuration")
+        );
     }
     let kept = plan.open_folder(root.path(), true).unwrap();
     let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();

@@ -43,7 +43,7 @@ impl Sharded for ShardedEstimate {
 
     fn differing_field(&self, other: &Self) -> Option<String> {
         let fields = [
-            ("what is estimated, how or by which release", other.estimate != self.estimate),
+            ("the configuration or the release", other.estimate != self.estimate),
             ("the number of resamples", other.exposure != self.exposure),
         ];
         fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned())
@@ -64,7 +64,7 @@ impl Mergeable for ShardedEstimate {
             && repeated.repetitions.count() == made
             && self.exposure.iter().all(is_of_space)
             && repeated.resample_estimates.len() as u64 <= resampled.end - resampled.start;
-        if is_sound { Ok(repeated) } else { Err(format!("not what shard {shard} of that estimate comes to")) }
+        if is_sound { Ok(repeated) } else { Err(format!("inconsistent with shard {shard} of that estimate")) }
     }
 
     /// Compares the pilots: the same seed gives the same levels on every machine.
@@ -220,7 +220,7 @@ impl MergedEstimate {
             });
         let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
         let resamples = resamples
-            .map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+            .map_err(|ResampleCountMismatch| unusable("the number of resamples does not match the space".to_owned()))?;
         Ok(RatePerExposure::new(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
@@ -234,7 +234,7 @@ impl MergedEstimate {
         let folder = self.work().estimate.open_folder(folder, true)?;
         match folder.read_report()? {
             Some(kept) if kept != report.without_exposure() => {
-                let problem = "there is an estimate of the same configuration that came to something else";
+                let problem = "the folder holds an estimate of the same configuration with other results";
                 return Err(RunFolderError::damaged(&folder.path(), problem).into());
             }
             _ => folder.write_report(&report)?,

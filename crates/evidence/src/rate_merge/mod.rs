@@ -141,14 +141,14 @@ impl MergedCount {
         let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
-        let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
+        let seed = seed.ok_or_else(|| unusable("configuration.seed: must be a number".to_owned()))?;
         let mut kept =
             MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());
         let resamples =
             count_on_resamples(&space, seed, resampling.0, resampling.1, &mut |_: &ScenarioSpace, _, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
         let resamples = resamples
-            .map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+            .map_err(|ResampleCountMismatch| unusable("the number of resamples does not match the space".to_owned()))?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(RatePerExposure::new(&space, known, resamples.as_ref()))
     }

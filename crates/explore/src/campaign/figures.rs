@@ -61,7 +61,7 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         g transform={ "translate(12 " (top) ")" } { (key) }
     };
     let description =
-        "The smallest robustness that each method had found, over its evaluations on a logarithmic scale.";
+        "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
     Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
 }
 
@@ -91,7 +91,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
     let fronts: Vec<_> = shown.iter().map(|one| (one, one.reader.front())).collect();
     let points = || fronts.iter().flat_map(|(_, front)| front);
     if points().next().is_none() {
-        return html! { p.hint { "No failure yet, so nothing stands on the front." } };
+        return html! { p.hint { "No failure yet, so the Pareto front is empty." } };
     }
     let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
     let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
@@ -101,8 +101,8 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         width: width(narrow) - LEFT_MARGIN - 24.0,
         height: HEIGHT,
     };
-    let title = "Robustness of failures that no other beats in severity and likelihood";
-    let mut panel = Panel::new(frame, if narrow { "The front: robustness" } else { title }, x, y);
+    let title = "Pareto front of the failures in severity and likelihood";
+    let mut panel = Panel::new(frame, if narrow { "Pareto front: robustness" } else { title }, x, y);
     let markers = [Marker::Disc, Marker::Square];
     for (series, (one, front)) in fronts.iter().enumerate() {
         let place: HashMap<(&str, u64), usize> = one
@@ -144,7 +144,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         (panel.draw(&Svg::id("front", "frame")))
         g transform={ "translate(12 " (top) ")" } { (key) }
     };
-    Svg::new("front", (width(narrow), top + key_height), title, "Each point leads to its scenario.", content)
+    Svg::new("front", (width(narrow), top + key_height), title, "Each point links to its scenario.", content)
         .with_links()
         .inline()
 }
@@ -204,8 +204,8 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
             }
         }
     };
-    let description = "Green: tried, nothing fails. Crossed: some fail. Red with a number: all that were tried fail. Blank: not tried. Each cell leads \
-        to its worst scenario.";
+    let description = "Green: no evaluation fails. Crossed: some fail. Red with a number: all fail. Blank: no \
+    evaluation. Each cell links to its worst scenario.";
     let size = ((frame.right() + 14.0).max(width(narrow).min(320.0)), frame.bottom() + 40.0);
     html! { div.map { (Svg::new(&prefix, size, &title, description, content).with_links()) } }
 }

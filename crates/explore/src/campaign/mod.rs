@@ -104,9 +104,7 @@ pub(crate) fn show_campaigns(
     offered: &[CatalogCampaign],
 ) -> Result<CampaignResponse, RequestError> {
     let of = |field: &str, index: usize| {
-        offered
-            .get(index)
-            .ok_or_else(|| RequestError::invalid(field, format!("{} campaigns were offered", offered.len())))
+        offered.get(index).ok_or_else(|| RequestError::invalid(field, format!("there are {} campaigns", offered.len())))
     };
     let one = of("campaign", request.campaign)?;
     // A comparison with itself would deadlock.
@@ -216,7 +214,7 @@ fn summary_line(shown: &CampaignView<'_>) -> String {
     let stage = match look.summary() {
         None => format!("running, {made} of {all} evaluations so far, {failing} fail"),
         Some(summary) if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
-            format!("complete, {all} evaluations, of which none was kept")
+            format!("complete, {all} evaluations, none of them logged")
         }
         Some(_) if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
             format!("complete; of {all} evaluations the first {made} are shown, {failing} of which fail")
@@ -234,12 +232,12 @@ fn summary_line(shown: &CampaignView<'_>) -> String {
 
 fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
     let Some(summary) = shown.reader.summary() else {
-        return html! { p.hint { (TerminalText(shown.name)) ": distinct failures are told apart when the search is over." } };
+        return html! { p.hint { (TerminalText(shown.name)) ": the distinct failures follow after the search." } };
     };
     html! {
-        @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That is no proof that there is none." } }
+        @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That does not prove that none exists." } }
         @else { div.scroll tabindex="0" { table {
-            caption { (TerminalText(shown.name)) ": distinct failures, shrunk, the severest first" }
+            caption { (TerminalText(shown.name)) ": distinct failures, shrunk, most severe first" }
             thead { tr {
                 th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
                 th scope="col" { "avoidable" } th scope="col" { "found by" } th scope="col" { "not nominal" }

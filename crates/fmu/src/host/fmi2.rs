@@ -75,7 +75,7 @@ pub(super) struct Fmi2 {
 
 impl Fmi2 {
     pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
-        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
+        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
         let location = format!("file://{}", percent_encode(&resources_folder(made.folder).to_string_lossy()));
         // SAFETY: loading runs the library's initializers, which is what this process is for.
         let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
@@ -114,7 +114,11 @@ impl FmiFunctions for Fmi2 {
         // SAFETY: the texts end in NUL; they and the callbacks live as long as the instance, and do not move.
         self.component =
             unsafe { (self.instantiate)(c"crumple".as_ptr(), CO_SIMULATION, token, resources, callbacks, 0, 0) };
-        if self.component.is_null() { Err("the FMU gives no instance (fmi2Instantiate)".to_owned()) } else { Ok(()) }
+        if self.component.is_null() {
+            Err("the FMU cannot be instantiated (fmi2Instantiate)".to_owned())
+        } else {
+            Ok(())
+        }
     }
 
     fn reset(&mut self) -> Result<(), String> {

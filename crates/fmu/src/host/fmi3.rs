@@ -64,7 +64,7 @@ pub(super) struct Fmi3 {
 
 impl Fmi3 {
     pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
-        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
+        let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
         // The standard requires a separator at the end.
         let location = resources_folder(made.folder).join("").to_string_lossy().into_owned();
         // SAFETY: loading runs the library's initializers, which is what this process is for.
@@ -110,7 +110,7 @@ impl FmiFunctions for Fmi3 {
                 ptr::null(),
             )
         };
-        let problem = || "the FMU gives no instance (fmi3InstantiateCoSimulation)".to_owned();
+        let problem = || "the FMU cannot be instantiated (fmi3InstantiateCoSimulation)".to_owned();
         if self.instance.is_null() { Err(problem()) } else { Ok(()) }
     }
 
@@ -167,7 +167,7 @@ impl FmiFunctions for Fmi3 {
             )
         };
         check_status("fmi3DoStep", status)?;
-        if ends { Err(format!("the FMU asks for the end of the simulation at {last_s} s")) } else { Ok(()) }
+        if ends { Err(format!("the FMU requested the end of the simulation at {last_s} s")) } else { Ok(()) }
     }
 
     fn get(&mut self, wire: VariableRef) -> Result<f64, String> {

@@ -31,9 +31,9 @@ pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
         0 | 1 => return Ok(()),
         2 => "discarded it",
         3 => "reports an error",
-        4 => "reports that it cannot go on (fatal)",
-        5 => "asks to be waited for, which is not supported",
-        other => return Err(format!("{call} returned {other}, which the standard does not know")),
+        4 => "reported a fatal error",
+        5 => "returned `pending`, which is not supported",
+        other => return Err(format!("{call} returned {other}, which is not a status of the FMI standard")),
     };
     Err(format!("the FMU {said} ({call})"))
 }
@@ -122,7 +122,7 @@ impl Instance {
         }
         match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::None => self.functions.instantiate()?,
-            InstanceState::Failed => return Err("cannot begin again".to_owned()),
+            InstanceState::Failed => return Err("cannot start another run after an error".to_owned()),
             InstanceState::Instantiated | InstanceState::Initialized if self.is_once_per_process => {
                 self.functions.reset()?
             }
@@ -141,7 +141,9 @@ impl Instance {
         let is_first = match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::Instantiated => true,
             InstanceState::Initialized => false,
-            InstanceState::None | InstanceState::Failed => return Err("is asked before a run has begun".to_owned()),
+            InstanceState::None | InstanceState::Failed => {
+                return Err("received a request for a decision before a run started".to_owned());
+            }
         };
         if is_first {
             self.functions.enter_initialization()?;

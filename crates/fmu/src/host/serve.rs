@@ -57,7 +57,7 @@ pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
             HostRequest::Hello { version: crumple, hello } => {
                 let HelloBody { step_s, inputs, history } = hello;
                 if crumple != 1 || history != 1 || inputs.len() != wiring.inputs.len() {
-                    return Err(format!("was made for other questions than {}", line.trim_end()));
+                    return Err(format!("does not support the request {}", line.trim_end()));
                 }
                 interval_s = Some(wiring.interval_s.unwrap_or(step_s));
                 let stated = wiring.interval_s.map_or_else(String::new, |own_s| format!(",\"interval_s\":{own_s}"));
@@ -71,9 +71,9 @@ pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
                 format!("{{\"id\":{id},\"ready\":true}}\n")
             }
             HostRequest::Decide { id, time_s, inputs: see } => {
-                let interval_s = interval_s.ok_or("is asked before it was greeted")?;
+                let interval_s = interval_s.ok_or("received a request for a decision before the request `hello`")?;
                 if see.len() != wiring.inputs.len() {
-                    return Err(format!("is shown {} numbers and wired to {}", see.len(), wiring.inputs.len()));
+                    return Err(format!("received {} values for {} inputs", see.len(), wiring.inputs.len()));
                 }
                 let answer = instance.decide(time_s, interval_s, &see)?;
                 let answer = serde_json::Number::from_f64(answer).ok_or("its output is not finite")?;

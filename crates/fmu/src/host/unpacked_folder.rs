@@ -48,7 +48,7 @@ impl UnpackedFolder {
                 return Ok(Self { folder, _lock: Some(lock) });
             }
         }
-        Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process removes new folders"))
+        Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process keeps removing new folders"))
     }
 
     #[cfg(not(unix))]

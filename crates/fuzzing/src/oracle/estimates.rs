@@ -38,9 +38,8 @@ pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
         let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
         let problem = match vehicles.get(sight.vehicle) {
             Some(vehicle) if estimates(vehicle) => bounds.find_problem(&sight.observation, &truth),
-            _ => {
-                (sight.observation != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.observation))
-            }
+            _ => (sight.observation != truth)
+                .then(|| format!("the estimate is {:?}, the truth is {truth:?}", sight.observation)),
         };
         finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
         finding.is_none()
@@ -105,13 +104,16 @@ impl EstimateBounds {
     fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
         let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
         if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_speed_mps) {
-            return Some(format!("it sees itself at {} m/s, the truth is {} m/s", seen.speed_mps, truth.speed_mps));
+            return Some(format!(
+                "its estimated speed is {} m/s, the truth is {} m/s",
+                seen.speed_mps, truth.speed_mps
+            ));
         }
         for (seen, truth) in [(seen.ahead, truth.ahead), (seen.behind, truth.behind)] {
             match (seen, truth) {
                 (None, None) => {}
                 (Some(seen), Some(truth)) if self.contains(&seen, &truth) => {}
-                (seen, truth) => return Some(format!("it sees {seen:?}, the truth is {truth:?}")),
+                (seen, truth) => return Some(format!("the estimate is {seen:?}, the truth is {truth:?}")),
             }
         }
         None

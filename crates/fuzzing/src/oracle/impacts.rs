@@ -37,7 +37,7 @@ pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
             let together = gap_m.abs() < CONTACT_TOLERANCE_M && front == behind;
             let is_after = *t > impact.contact.time_s + 1e-9;
             ensure(!is_after || together, Invariant::Sticking, || {
-                format!("vehicle {rear} at {t} s: {gap_m} m from what it hit, {behind} against {front} m/s")
+                format!("vehicle {rear} at {t} s: {gap_m} m from the vehicle that it hit, {behind} against {front} m/s")
             })?;
         }
     }
@@ -59,16 +59,16 @@ fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Invariant, String
     };
     let momentum = front_kg * front_mps + rear_kg * rear_mps;
     let kept = (momentum - (front_kg + rear_kg) * common_mps).abs() <= 1e-9 * momentum.max(1.0);
-    ensure(kept, Invariant::Momentum, || at("momentum is not kept"))?;
+    ensure(kept, Invariant::Momentum, || at("momentum changes"))?;
     let energy = front_kg * front_mps * front_mps + rear_kg * rear_mps * rear_mps;
     let left = (front_kg + rear_kg) * common_mps * common_mps;
-    ensure(left <= energy * (1.0 + 1e-12), Invariant::Energy, || at("energy is gained"))?;
+    ensure(left <= energy * (1.0 + 1e-12), Invariant::Energy, || at("energy increases"))?;
     let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
-    ensure(apart_mps <= 1e-9, Invariant::Momentum, || at("the impact speed is another"))?;
-    ensure(contact.impact_speed_mps >= -1e-9, Invariant::Continuity, || {
-        at("nobody drives into a faster vehicle ahead")
-    })?;
+    ensure(apart_mps <= 1e-9, Invariant::Momentum, || at("the impact speed differs"))?;
+    ensure(contact.impact_speed_mps >= -1e-9, Invariant::Continuity, || at("the vehicle hits a faster leader"))?;
     let gained = impact.delta_v_mps(contact.front_vehicle) - (common_mps - front_mps);
     let lost = impact.delta_v_mps(contact.rear_vehicle) - (rear_mps - common_mps);
-    ensure(gained.abs() < 1e-12 && lost.abs() < 1e-12, Invariant::Momentum, || at("a change of speed is told wrong"))
+    ensure(gained.abs() < 1e-12 && lost.abs() < 1e-12, Invariant::Momentum, || {
+        at("a reported change of speed is wrong")
+    })
 }

@@ -39,7 +39,7 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
         for vehicle in impact.first_involved..=impact.last_involved {
             let is_beside = impact.beside.contains(&vehicle);
             ensure(is_beside || is_there(vehicle), Invariant::Lanes, || {
-                format!("vehicle {vehicle} is hit beside the lane at {time_s} s")
+                format!("vehicle {vehicle} is hit outside the lane at {time_s} s")
             })?;
         }
     }
@@ -49,7 +49,7 @@ pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
         let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index).and_then(|ahead| ahead.min_gap_m);
         let [told_m, seen_m] = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
         ensure(told_m == seen_m || (told_m - seen_m).abs() < TOLERANCE, Invariant::Lanes, || {
-            format!("vehicle {index}: its smallest gap is {told_m} m, and {seen_m} m on its trace")
+            format!("vehicle {index}: the reported smallest gap is {told_m} m, that of the trace {seen_m} m")
         })?;
     }
     Ok(OracleOutcome::Holds)
@@ -118,7 +118,9 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
         let differs =
             left.position_m.iter().zip(&stayed.position_m).take(samples).position(|(one, other)| one != other);
         ensure(differs.is_none(), Invariant::Lanes, || {
-            format!("vehicle {vehicle} moves otherwise from sample {differs:?} on, for one behind it has left")
+            format!(
+                "vehicle {vehicle} moves differently from sample {differs:?} on, because a vehicle behind it has left"
+            )
         })?;
     }
     Ok(OracleOutcome::Holds)

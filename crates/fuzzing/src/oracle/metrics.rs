@@ -36,9 +36,11 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
         let held = track.acceleration_mps2.len().saturating_sub(usize::from(!result.impacts.is_empty() && !stops));
         let hardest_mps2 = track.acceleration_mps2.iter().take(held).fold(0.0_f64, |hardest, a| hardest.max(-a));
         let braked = summary.max_brake_mps2 == hardest_mps2;
-        story(braked, &|| format!("vehicle {index} braked at {hardest_mps2} m/s², told {}", summary.max_brake_mps2))?;
+        story(braked, &|| {
+            format!("vehicle {index} braked at {hardest_mps2} m/s², reported {}", summary.max_brake_mps2)
+        })?;
         let stopped = track.speed_mps.last() == Some(&0.0);
-        story(summary.stopped == stopped, &|| format!("vehicle {index} stands: {stopped}, told otherwise"))?;
+        story(summary.stopped == stopped, &|| format!("vehicle {index} stands: {stopped}, reported otherwise"))?;
         let pairs = trace.pairs(index);
         if pairs.is_empty() {
             continue;
@@ -49,18 +51,20 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
         let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
         story(below, &|| format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m"))?;
         let ends_m = gaps_m.last().copied().unwrap_or(f64::NAN);
-        story(min_gap_m >= 0.0, &|| format!("vehicle {index}: a smallest gap of {min_gap_m} m is told"))?;
+        story(min_gap_m >= 0.0, &|| format!("vehicle {index}: the reported smallest gap is {min_gap_m} m"))?;
         let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
         // A run ends at its first collision, the foremost of simultaneous ones; the others are not recorded.
         let at_once = stops && first.is_some() && !touches && ends_m.abs() < ROUNDING_M;
         if at_once {
             continue;
         }
-        story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} touches: {touches}, gap {min_gap_m} m"))?;
+        story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} collides: {touches}, gap {min_gap_m} m"))?;
         let through = !touches && sampled_m <= 0.0 && !is_grazing(result);
-        story(!through, &|| format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no contact"))?;
+        story(!through, &|| {
+            format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no collision")
+        })?;
         let in_contact = !touches || ends_m.abs() < ROUNDING_M;
-        story(in_contact, &|| format!("vehicle {index} touches, but is {ends_m} m away"))?;
+        story(in_contact, &|| format!("vehicle {index} collides, but ends with a gap of {ends_m} m"))?;
     }
     check_limits(question)?;
     check_contact_role(question)?;
@@ -109,5 +113,5 @@ fn check_contact_role(question: &OracleContext<'_>) -> Result<(), (Invariant, St
         ContactRole::IsHit => tested == (false, true),
         ContactRole::Bystander => tested == (false, false),
     };
-    ensure(agrees, Invariant::ContactRole, || format!("the contact is said to be {told:?}: {contact:?}"))
+    ensure(agrees, Invariant::ContactRole, || format!("the reported role in the collision is {told:?}: {contact:?}"))
 }

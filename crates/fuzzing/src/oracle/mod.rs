@@ -119,7 +119,7 @@ impl<'t> OracleContext<'t> {
     }
 
     fn trace(&self) -> Result<&Trace, (Invariant, String)> {
-        self.result.trace.as_ref().ok_or_else(|| (Invariant::MetricsAgree, "no trace was kept".to_owned()))
+        self.result.trace.as_ref().ok_or_else(|| (Invariant::MetricsAgree, "no trace was recorded".to_owned()))
     }
 }
 

@@ -25,7 +25,7 @@ pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let options = run.options().clone().with_dt_s(run.dt_s() / REFINEMENT as f64);
     let fine_run = Run::new(run.scenario(), options).map_err(|error| (Invariant::StepSize, error.to_string()))?;
     let fine = question.system.simulate(&fine_run, RecordingLevel::Trace);
-    let Some(fine_trace) = &fine.trace else { return Err((Invariant::StepSize, "no trace was kept".to_owned())) };
+    let Some(fine_trace) = &fine.trace else { return Err((Invariant::StepSize, "no trace was recorded".to_owned())) };
     check_held_accelerations(fine_trace, &fine, fine_run.substeps())
         .map_err(|finding| (Invariant::StepSize, finding))?;
     if is_grazing(coarse) || is_grazing(&fine) {

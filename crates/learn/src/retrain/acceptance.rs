@@ -176,22 +176,30 @@ impl fmt::Display for Acceptance {
 impl fmt::Display for RejectionReason {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Paper { scenarios } => write!(out, "new contact in {}", scenarios.join(", ")),
-            Self::Nominal { draws } => write!(out, "{} new contacts in draws of the paper's distribution", draws.len()),
-            Self::ValidationSet { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
+            Self::Paper { scenarios } => write!(out, "new collision in {}", scenarios.join(", ")),
+            Self::Nominal { draws } => {
+                write!(out, "{} new collisions in random scenarios of the paper's distribution", draws.len())
+            }
+            Self::ValidationSet { before, after } => {
+                write!(out, "{after} collisions in the validation set instead of {before}")
+            }
             Self::MoreCollisions { space, contacts: of } => {
                 let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
-                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {})", format_rounded(of.p_value(), 2))
+                write!(
+                    out,
+                    "{new} new collisions and {fixed} fixed in {space} (p = {})",
+                    format_rounded(of.p_value(), 2)
+                )
             }
             Self::LessUseful { space, drives: of } => {
                 let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
                 write!(
                     out,
-                    "in {space} of no use in {new} more drives and in {fixed} no longer (p = {})",
+                    "{new} drives no longer useful and {fixed} newly useful in {space} (p = {})",
                     format_rounded(of.p_value(), 2)
                 )
             }
-            Self::Unchanged => out.write_str("no checkpoint was better"),
+            Self::Unchanged => out.write_str("no checkpoint was better than the policy before the round"),
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
         }
     }

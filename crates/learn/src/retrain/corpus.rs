@@ -132,7 +132,7 @@ impl Corpus {
         let mut corpus = Self::empty(space, seed)?;
         if let Some(found) = read_json::<Self>(work, name)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
-                let problem = "draws of another space or seed".to_owned();
+                let problem = "the scenarios belong to another space or seed".to_owned();
                 return Err(RunFolderError::Damaged { path: work.path(name), problem }.into());
             }
             corpus = found;

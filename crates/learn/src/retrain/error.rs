@@ -24,7 +24,8 @@ pub enum RetrainError {
     Folder(String),
     /// Too few scenarios of the space are avoidable.
     #[error(
-        "of the first {draws} draws of the space `{space}` only {avoidable} could be avoided, and {wanted} are needed"
+        "only {avoidable} collisions are avoidable in the first {draws} random scenarios of the space `{space}`, and \
+         {wanted} are needed"
     )]
     TooFewAvoidable {
         /// Name of the space.
@@ -38,7 +39,8 @@ pub enum RetrainError {
     },
     /// Policy and preset disagree on observation or action, so the weights would have another meaning.
     #[error(
-        "the policy `{policy}` and the training preset `{preset}` differ in {what}: use a preset that says what the policy file does"
+        "the policy `{policy}` and the training preset `{preset}` differ in {what}: use a preset that matches the \
+         policy file"
     )]
     PolicyMismatch {
         /// The policy.

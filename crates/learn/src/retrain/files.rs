@@ -47,7 +47,7 @@ pub(super) fn write_json(work: &RunFolder, name: &str, value: &impl Serialize) -
 
 pub(super) fn read_json<T: DeserializeOwned>(work: &RunFolder, name: &str) -> Result<Option<T>, RetrainError> {
     let Some(bytes) = work.read(name)? else { return Ok(None) };
-    let problem = |error: serde_json::Error| format!("not what a retraining wrote: {error}");
+    let problem = |error: serde_json::Error| format!("differs from what a retraining writes: {error}");
     let damaged = |error| RunFolderError::Damaged { path: work.path(name), problem: problem(error) };
     Ok(serde_json::from_slice(&bytes).map(Some).map_err(damaged)?)
 }

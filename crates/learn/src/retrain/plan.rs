@@ -199,11 +199,11 @@ impl RetrainingPlan {
         let (header, environment) = (self.initial_policy.header(), &self.training.environment);
         let interval_s = f64::from(environment.action_repeat) * PAPER_STEP_S;
         let what = if header.observation != environment.observation.scaling() {
-            "what is seen, or how it is scaled"
+            "the observation or its scaling"
         } else if header.action != action_bounds(environment) {
             "the bounds of the acceleration"
         } else if header.decision_interval_s != interval_s {
-            "the time between decisions"
+            "the decision interval"
         } else {
             return Ok(());
         };

@@ -184,9 +184,10 @@ impl RetrainingReport {
         writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
             out,
-            "At most {rounds} round{} of {episodes} episodes (preset {}, seed {}): {:.0} % from the paper's distribution, of the \
-             others {:.0} % cases kept and the rest draws of the space. Each search: {budget} evaluations of `{}` and of each \
-             reference search, and {draws} draws. {}\n",
+            "At most {rounds} round{} of {episodes} episodes (preset {}, seed {}): {:.0} % of the episodes from the \
+             paper's distribution, {:.0} % of the others from collected cases, the rest random scenarios of the \
+             space. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
+             scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
             MarkdownCode(&self.preset),
             self.seed,
@@ -195,17 +196,18 @@ impl RetrainingReport {
             self.method,
             self.ending_sentence()
         )?;
-        out.push_str("## Judged on draws that had no part in it\n\n");
+        out.push_str("## Test set\n\n");
         self.write_test_set(out)?;
-        out.push_str("\n## Rounds\n\n![Contacts of every checkpoint](report.svg)\n\n");
+        out.push_str("\n## Rounds\n\n![Collisions of every checkpoint](report.svg)\n\n");
         self.write_rounds(out)?;
         writeln!(
             out,
-            "\nA change reads: contacts of the policy before the round → of the candidate (fixed, new). *Cases* are all avoidable \
-             scenarios kept up to the round, *kept aside* are {kept_aside} avoidable draws of the space, *paper-1..3* the paper's \
-             scenarios, each through the filter and with the true state, *paper's draws* {nominal} draws of its distribution. A \
-             round is accepted if nothing new fails in the last two columns, contacts kept aside do not rise, and the candidate is \
-             worse in no regression space beyond chance.\n"
+            "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
+             are all avoidable scenarios collected up to the round. The *validation set* has {kept_aside} avoidable \
+             random scenarios of the space. *paper-1..3* are the paper's scenarios, each through the filter and with \
+             the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round is accepted if \
+             there is no new failure in the last two columns, no more collisions in the validation set, and the \
+             candidate is not significantly worse in any regression space.\n"
         )?;
         self.write_regression(out)?;
         out.push_str("## Files\n\n| file | SHA-256 |\n|---|---|\n");
@@ -221,7 +223,8 @@ impl RetrainingReport {
         match &self.ending {
             RetrainingEnding::RoundsExhausted => format!("It ended with its last round: {made}."),
             RetrainingEnding::NothingFound { search } => format!(
-                "It ended because a search of {} evaluations and {} draws found nothing that could have been avoided: {made}.",
+                "It ended because a search of {} evaluations and {} random scenarios found no avoidable collision: \
+                 {made}.",
                 search.evaluations, search.draws
             ),
         }
@@ -231,7 +234,7 @@ impl RetrainingReport {
         let runs = self.test_draws;
         writeln!(
             out,
-            "| controller | contacts in {runs} | into the leader | from behind | rate | exact {:.0} % interval |",
+            "| controller | collisions in {runs} | into the leader | from behind | rate | exact {:.0} % interval |",
             100.0 * CONFIDENCE
         )?;
         out.push_str("|---|---|---|---|---|---|\n");
@@ -252,14 +255,21 @@ impl RetrainingReport {
         let PairedOutcomes { both, first_only, retrained_only, neither } = self.pairs;
         writeln!(
             out,
-            "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {retrained_only} are new; {neither} draws \
-             are safe with both. All draws could have been avoided by somebody."
+            "\nOf the first policy's collisions, {first_only} are fixed and {both} remain; {retrained_only} are new; \
+             {neither} scenarios have no collision with either policy. A collision is avoidable in every scenario."
         )?;
         match self.min_improvement_factor() {
             Some(factor) if factor > 1.0 => {
-                writeln!(out, "Contacts are at least {factor:.2} times rarer than with the first policy, at 95 %.")
+                writeln!(
+                    out,
+                    "Collisions are at least {factor:.2} times rarer than with the first policy, at a confidence \
+                     level of 95 %."
+                )
             }
-            Some(_) => writeln!(out, "Contacts are not shown to be rarer than with the first policy, at 95 %."),
+            Some(_) => writeln!(
+                out,
+                "Collisions are not shown to be rarer than with the first policy, at a confidence level of 95 %."
+            ),
             None => Ok(()),
         }
     }
@@ -271,10 +281,11 @@ impl RetrainingReport {
         }
         writeln!(
             out,
-            "## Regression spaces\n\nWorse beyond chance: McNemar's exact one-sided test on the same draws, p below {SIGNIFICANCE} for \
-             each space and column. A drive is of no use if it ends in contact, with braking harder than 4 m/s² where less than \
-             3 m/s² had a cause, or with the vehicle left behind; this counts where `idm` always is of use.\n\n\
-             | space | draws | contacts | of no use |\n|---|---|---|---|"
+            "## Regression spaces\n\nSignificantly worse: McNemar's exact one-sided test on the same random \
+             scenarios, p below {SIGNIFICANCE} for each space and column. A drive is not useful if it ends in a \
+             collision, has braking harder than 4 m/s² where less than 3 m/s² was justified, or leaves the vehicle \
+             behind; this counts where `idm` is always useful.\n\n| space | random scenarios | collisions | not \
+             useful |\n|---|---|---|---|"
         )?;
         for (was, is) in self.first_results.regression.iter().zip(&self.retrained_results.regression) {
             let told = |was: &[u64], is: &[u64]| {
@@ -296,8 +307,9 @@ impl RetrainingReport {
 
     fn write_rounds(&self, out: &mut String) -> std::fmt::Result {
         out.push_str(
-            "| round | found: distinct (avoidable, not, undecided) | draws touched (avoidable) | episodes (best after) | cases | kept \
-             aside | paper-1..3 | paper's draws | acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
+            "| round | found: distinct (avoidable, unavoidable, undecided) | random scenarios with collision \
+             (avoidable) | episodes (best after) | cases | validation set | paper-1..3 | paper's distribution | \
+             acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
             let RoundFindings {
@@ -310,7 +322,8 @@ impl RetrainingReport {
             } = &round.findings;
             writeln!(
                 out,
-                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} | {} | {} |",
+                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} \
+                 | {} | {} |",
                 round.round,
                 avoidable + unavoidable + undecided,
                 draws_avoidable.indices.len(),

@@ -132,7 +132,7 @@ impl Round {
         let name = round_path(self.round, CANDIDATE);
         let candidate = Policy::from_bytes(&work.read_required(&name)?)?;
         if self.candidate_sha256.as_ref() != Some(&candidate.digest()) {
-            let problem = format!("not the policy that {ROUND_RECORD} judges");
+            let problem = format!("differs from the policy of {ROUND_RECORD}");
             return Err(RunFolderError::Damaged { path: work.path(&name), problem }.into());
         }
         Ok(candidate)

@@ -50,7 +50,7 @@ impl RoundContext<'_> {
         let name = round_path(last.round, LEARNER);
         let mut trainer = taken_up(&name, &self.run_folder.read_required(&name)?, self.scenario_source(&self.cases)?)?;
         if trainer.episode() != from_episode {
-            let problem = format!("of episode {}, and its round ended with {from_episode}", trainer.episode());
+            let problem = format!("is from episode {}, and its round ended with {from_episode}", trainer.episode());
             return Err(RunFolderError::Damaged { path: self.run_folder.path(&name), problem }.into());
         }
         trainer.switch_source(source, episodes);

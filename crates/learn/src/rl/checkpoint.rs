@@ -158,7 +158,7 @@ impl Trainer {
     ) -> Result<Self, TrainingError> {
         let (_, container) = SafeTensors::read_metadata(bytes).map_err(checkpoint_error)?;
         let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
-        let text = text.ok_or_else(|| checkpoint_error("this is no checkpoint of a training"))?;
+        let text = text.ok_or_else(|| checkpoint_error("this is not a checkpoint of a training"))?;
         check_build(text)?;
         let mut header: CheckpointHeader = serde_json::from_str(text).map_err(checkpoint_error)?;
         let arrays = SafeTensors::deserialize(bytes).map_err(checkpoint_error)?;
@@ -166,23 +166,25 @@ impl Trainer {
         let mut found: Vec<_> = arrays.iter().map(|(name, view)| (name, view.data())).collect();
         found.sort_unstable_by_key(|(name, _)| *name);
         if header.digest(found.into_iter())? != written {
-            return Err(checkpoint_error("its content does not match its SHA-256: it is corrupt"));
+            return Err(checkpoint_error("its content does not match its SHA-256: the file is damaged"));
         }
         if header.seed != seed {
-            return Err(checkpoint_error(format!("it is of seed {}, not {seed}", header.seed)));
+            return Err(checkpoint_error(format!("it belongs to seed {}, not {seed}", header.seed)));
         }
         if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
-            return Err(checkpoint_error("it is of another configuration: only the number of episodes may differ"));
+            return Err(checkpoint_error(
+                "it belongs to another configuration: only the number of episodes may differ",
+            ));
         }
         let asked = source.identity()?;
         if header.scenarios != asked {
             let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
             let (found, asked) = (name(header.scenarios), name(asked));
-            return Err(checkpoint_error(format!("it is of a training on {found}, not on {asked}")));
+            return Err(checkpoint_error(format!("it belongs to a training on {found}, not on {asked}")));
         }
         if header.episode > config.episodes {
             let (done, asked) = (header.episode, config.episodes);
-            return Err(checkpoint_error(format!("{done} episodes are done already, more than the {asked} asked for")));
+            return Err(checkpoint_error(format!("{done} episodes are already done, more than the requested {asked}")));
         }
         let mut trainer = Self::with_source(config, seed, source);
         let mut adam_steps = header.adam_steps.into_iter();
@@ -191,12 +193,13 @@ impl Trainer {
             read_tensor_into(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
             read_tensor_into(&arrays, &format!("{name}.first"), &mut part.adam.first_moment)?;
             read_tensor_into(&arrays, &format!("{name}.second"), &mut part.adam.second_moment)?;
-            part.adam.steps = adam_steps.next().ok_or_else(|| checkpoint_error("an optimiser is missing"))?;
+            part.adam.steps =
+                adam_steps.next().ok_or_else(|| checkpoint_error("the state of an optimiser is missing"))?;
         }
         let replay = read_tensor(&arrays, "replay")?;
         trainer.replay =
             ReplayBuffer::from_raw_parts(config.replay.capacity, config.transition_layout(), header.stored, replay)
-                .ok_or_else(|| checkpoint_error("the replay memory has another size than the header says"))?;
+                .ok_or_else(|| checkpoint_error("the size of the replay memory differs from the header"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {
             let mut network = Network::zeros(&sizes);
@@ -242,7 +245,7 @@ fn read_tensor(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, Trainin
 fn read_tensor_into(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
     let values = read_tensor(arrays, name)?;
     if values.len() != out.len() {
-        return Err(checkpoint_error(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));
+        return Err(checkpoint_error(format!("`{name}` must have {} numbers, found {}", out.len(), values.len())));
     }
     out.copy_from_slice(&values);
     Ok(())

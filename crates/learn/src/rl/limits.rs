@@ -20,7 +20,7 @@ fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
     let (weight, [least, most]) = (f64::from(weight), PENALTY_RANGE);
     // Compare with the f32 rounding of the minimum, so that the minimum itself passes.
     if 0.0 < weight && weight < f64::from(least as f32) {
-        let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
+        let problem = format!("must be 0, for none, or between {least} and {most}");
         return Err(TrainingConfigError::Field { field: field.to_owned(), problem });
     }
     check_range(field, weight, [0.0, most])
@@ -39,7 +39,7 @@ impl TrainingConfig {
         if self.name.trim().is_empty() {
             return Err(TrainingConfigError::Field {
                 field: "name".to_owned(),
-                problem: "must say something".to_owned(),
+                problem: "must not be empty".to_owned(),
             });
         }
         check_range("episodes", self.episodes as f64, [1.0, 1e7])?;
@@ -80,7 +80,7 @@ impl TrainingConfig {
         let random = self.exploration.learning_starts_episode;
         if let Some(fall) = self.learning.lr_decay.as_ref().filter(|fall| fall.until_episode <= random) {
             let problem = format!(
-                "must be more than exploration.random_episodes, after which learning begins: more than {random}, found {}",
+                "must be above exploration.random_episodes, after which learning starts: above {random}, found {}",
                 fall.until_episode
             );
             return Err(TrainingConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
@@ -116,7 +116,7 @@ impl TrainingConfig {
             None => Ok(()),
             Some((field, _)) => {
                 let problem = format!(
-                    "training takes about {} MiB of memory, at most {} MiB",
+                    "training takes about {} MiB of memory, and at most {} MiB are allowed",
                     found >> 20,
                     MAX_MEMORY_BYTES >> 20
                 );

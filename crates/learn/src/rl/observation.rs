@@ -191,7 +191,8 @@ impl ObservationConfig {
     /// Refuses an observation without inputs, and an interval without a history.
     pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
         if self.history_every > 1 && self.history == 1 {
-            let problem = "says how far apart decisions are that are looked back on, and without a `history` of 2 or more there are none";
+            let problem =
+                "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
             let field = "environment.observation.history_every".to_owned();
             return Err(TrainingConfigError::Field { field, problem: problem.to_owned() });
         }
@@ -199,7 +200,10 @@ impl ObservationConfig {
             return Ok(());
         }
         let field = "environment.observation.inputs".to_owned();
-        Err(TrainingConfigError::Field { field, problem: "nothing is seen; name one input at least".to_owned() })
+        Err(TrainingConfigError::Field {
+            field,
+            problem: "the observation is empty; name at least one input".to_owned(),
+        })
     }
 }
 

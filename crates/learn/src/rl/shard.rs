@@ -72,7 +72,7 @@ impl TrainingShard {
         let path = folder.join(SHARD_FILE);
         match path.exists() {
             true if Self::read(folder)? == *self => Ok(()),
-            true => Err(damaged_error(&path, "there is another shard: use another --out").into()),
+            true => Err(damaged_error(&path, "the folder holds another shard: use another --out").into()),
             false => Ok(disk::write(&path, self.to_json()?).map_err(RunFolderError::from)?),
         }
     }
@@ -84,7 +84,8 @@ impl TrainingShard {
     pub fn read(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         let bytes = disk::read(&path, MAX_BYTES).map_err(RunFolderError::from)?;
-        let bytes = bytes.ok_or_else(|| damaged_error(&path, "the file is missing: not a shard of trainings"))?;
+        let bytes = bytes
+            .ok_or_else(|| damaged_error(&path, "the file is missing, so the folder is not a shard of trainings"))?;
         let read: Self = serde_json::from_slice(&bytes).map_err(|error| {
             let problem = format!("line {}, column {}: not as crumple writes it", error.line(), error.column());
             damaged_error(&path, &problem)
@@ -94,7 +95,7 @@ impl TrainingShard {
             return Err(damaged_error(&path, "not as it was written").into());
         }
         if read.seeds > MAX_SEEDS {
-            return Err(damaged_error(&path, "seeds: more than are trained").into());
+            return Err(damaged_error(&path, "seeds: exceed the allowed number").into());
         }
         read.seed_range().map_err(|error| damaged_error(&path, &error.to_string()))?;
         Ok(read)
@@ -164,7 +165,7 @@ impl MergedTrainings {
             let is_own = found.has_configuration(&training_identity(&self.config, seed)?)
                 && found.read(CONFIGURATION)? == shard.configuration;
             if !is_own {
-                let problem = "trained otherwise than the shard says, or with another seed";
+                let problem = "differs from the configuration or seed of the shard";
                 return Err(damaged_error(&place.join(CONFIGURATION), problem).into());
             }
             found.check()?;

@@ -169,7 +169,7 @@ pub fn unsuitability(scenario: &Scenario) -> Option<String> {
     let agents: Vec<usize> =
         vehicles.filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest).map(|(index, _)| index).collect();
     if agents != [EGO] {
-        return Some(format!("vehicle {EGO} and no other must be under test, found {agents:?}"));
+        return Some(format!("only vehicle {EGO} must be under test, found {agents:?}"));
     }
     if !scenario.keeps_lanes() {
         return Some("every vehicle must stay in the lane".to_owned());

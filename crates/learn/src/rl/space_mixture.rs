@@ -74,7 +74,8 @@ impl SpaceMixture {
             let problem =
                 |problem: String| TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem };
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
-            let first = space.draw(0, 0).map_err(|error| problem(format!("`{name}` cannot be drawn from: {error}")))?;
+            let first =
+                space.draw(0, 0).map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
             if let Some(reason) = unsuitability(&first) {
                 return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
             }
@@ -138,7 +139,7 @@ impl ScenarioSource for SpaceMixture {
 /// Checks the ranges of weights and factors, and that no space is listed twice, without reading a file.
 pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
-        let problem = format!("{MAX_SPACES} are the most, found {}", shares.len());
+        let problem = format!("must have at most {MAX_SPACES} spaces, found {}", shares.len());
         return Err(TrainingConfigError::Field { field: "spaces".to_owned(), problem });
     }
     for (index, TrainingSpace { space, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
@@ -197,7 +198,10 @@ mod tests {
             let found = refused(&[training_space("steady", 1.0), training_space("paper", weight)]);
             assert!(found.starts_with("spaces[1].weight: must be between 0.000001 and 1000000, found "), "{found}");
         }
-        assert!(refused(&vec![training_space("paper", 1.0); 33]).starts_with("spaces: 32 are the most, found 33"));
+        assert!(
+            refused(&vec![training_space("paper", 1.0); 33])
+                .starts_with("spaces: must have at most 32 spaces, found 33")
+        );
         for costs_times in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MAX_COST_MULTIPLIER] {
             let found = refused(&[TrainingSpace { cost_multiplier: costs_times, ..training_space("paper", 1.0) }]);
             assert!(found.starts_with("spaces[0].costs_times: must be between 0 and 10000, found "), "{found}");

@@ -33,8 +33,11 @@ const DIVERGENCE_FACTOR: f64 = 10.0;
 pub enum TrainingError {
     /// The networks hold numbers that are not finite, or values that no return can have.
     #[error(
-        "seed {seed} diverged in episode {episode}: critic loss {}, mean value {} (no value can exceed {}); lower the learning \
-         rates or scale the reward", format_rounded(*critic_loss, 4), format_rounded(*mean_value, 4), format_rounded(*largest_value, 4)
+        "seed {seed} diverged in episode {episode}: critic loss {}, mean value {} (no value can exceed {}); lower the \
+         learning rates or scale the reward",
+        format_rounded(*critic_loss, 4),
+        format_rounded(*mean_value, 4),
+        format_rounded(*largest_value, 4)
     )]
     Diverged {
         /// Seed of the training.
@@ -75,7 +78,7 @@ pub enum TrainingError {
     #[error("checkpoint: {0}")]
     Checkpoint(String),
     /// The identity of the scenario source cannot be encoded.
-    #[error("the scenarios of the training cannot be written down: {0}")]
+    #[error("the scenarios of the training cannot be written: {0}")]
     SourceEncoding(#[from] serde_json::Error),
     /// The configuration cannot be encoded.
     #[error("the configuration cannot be written as TOML: {0}")]

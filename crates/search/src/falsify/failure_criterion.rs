@@ -44,7 +44,7 @@ pub enum MetamorphicRelation {
 
 /// The error of a relation that cannot be parsed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no relation: there are larger-gap=M, in metres above 0, and more-friction=F, above 0 and below 1")]
+#[error("unknown relation `{0}`: use larger-gap=M, in metres above 0, or more-friction=F, above 0 and below 1")]
 pub struct UnknownRelation(String);
 
 const LARGER_GAP: &str = "larger-gap";
@@ -191,7 +191,7 @@ impl FailureCriterionRecord {
     #[must_use]
     pub(crate) fn describe(&self) -> String {
         match self {
-            Self::Differential { controller, .. } => format!("where `{controller}` holds"),
+            Self::Differential { controller, .. } => format!("where `{controller}` satisfies the specification"),
             Self::Metamorphic(relation) => format!("that do not occur {}", relation.describe_partner()),
         }
     }

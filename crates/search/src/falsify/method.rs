@@ -141,7 +141,7 @@ impl fmt::Debug for CustomMethod {
 
 /// The error of a name that is not that of a method.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no method `{name}`; there are: {}", Method::ALL.each_ref().map(Method::name).join(", "))]
+#[error("unknown search method `{name}`; the methods are: {}", Method::ALL.each_ref().map(Method::name).join(", "))]
 pub struct UnknownMethod {
     /// The name.
     pub name: String,
@@ -185,8 +185,8 @@ impl Method {
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
             Self::Annealing => "simulated annealing",
-            Self::Signals => "signals of few pieces with bang-bang moves",
-            Self::Sequential => "sequential convex programming on how the leader brakes, from the best simple points",
+            Self::Signals => "signals with few pieces and bang-bang moves",
+            Self::Sequential => "sequential convex programming of the leader's braking, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
             Self::Custom(_) => "a method of the program that uses the library",
         }

@@ -118,10 +118,10 @@ pub struct AttackResult {
 #[non_exhaustive]
 pub enum AttackError {
     /// The leader is not scripted, so no profile can be varied.
-    #[error("vehicle 0 does not follow a script, so it has no profile to vary")]
+    #[error("vehicle 0 does not follow a script, so it has no profile to vary: use a scenario with a scripted leader")]
     LeaderNotScripted,
     /// The order of vehicles changes, which the programs do not model.
-    #[error("vehicles enter or leave the lane: search such scenarios with falsify")]
+    #[error("vehicles enter or leave the lane: search such scenarios with `crumple falsify`")]
     LaneChanges,
     /// The envelope allows no braking.
     #[error("an envelope of {max_brake_mps2} m/s² and {jerk_mps3} m/s³ allows no braking")]
@@ -133,7 +133,7 @@ pub enum AttackError {
     },
     /// The scenario is too large for thousands of simulations.
     #[error(
-        "{vehicles} vehicles over {steps} steps are too much to attack: at most {MAX_VEHICLE_STEPS} vehicles times steps"
+        "{vehicles} vehicles over {steps} steps are too many: the limit is {MAX_VEHICLE_STEPS} vehicles times steps"
     )]
     TooLarge {
         /// Number of vehicles.
@@ -143,8 +143,8 @@ pub enum AttackError {
     },
     /// The simulations would take more than an hour.
     #[error(
-        "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: at most {MAX_TOTAL_VEHICLE_STEPS} vehicles \
-         times steps in all, so {} here",
+        "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: the limit is \
+         {MAX_TOTAL_VEHICLE_STEPS} vehicles times steps in all, which allows {} simulations",
         MAX_TOTAL_VEHICLE_STEPS / vehicles.saturating_mul(*steps).max(1)
     )]
     TooManySimulations {

@@ -45,12 +45,16 @@ impl EscapeKind {
     #[must_use]
     pub fn optimality_description(self) -> &'static str {
         match self {
-            Self::LargestGap => "the largest smallest gap found on this grid, whenever the brake behind fires",
+            Self::LargestGap => {
+                "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake"
+            }
             Self::Gentlest => {
-                "the gentlest of the programs that keeps half of their largest gap, for one firing of a latched brake behind"
+                "the smallest ∫a² with at least half of the largest gap, for one trigger time of the follower's \
+                 emergency brake"
             }
             Self::LeastJerk => {
-                "the smoothest of the programs that keeps half of their largest gap, for one firing of a latched brake behind"
+                "the smallest change of acceleration with at least half of the largest gap, for one trigger time of \
+                 the follower's emergency brake"
             }
         }
     }
@@ -70,8 +74,8 @@ pub enum AvoidError {
     },
     /// The scenario is too large to decide within minutes.
     #[error(
-        "{egos} vehicles under test over {steps} steps are too much to decide: at most {MAX_EGOS}, and {MAX_EGO_STEPS} vehicles times \
-         steps"
+        "{egos} vehicles under test over {steps} steps are too many: the limits are {MAX_EGOS} vehicles and \
+         {MAX_EGO_STEPS} vehicles times steps"
     )]
     TooLarge {
         /// Vehicles under test.

@@ -18,7 +18,8 @@ pub enum UndecidedReason {
     NoEgo,
     /// The vehicle behind those under test has another driver than the latched emergency brake.
     #[error(
-        "vehicle {vehicle} is driven by {driver}, and only a latched emergency brake without lag is modelled there"
+        "the controller of vehicle {vehicle} is {driver}, and the programs model only a latched emergency brake \
+         without lag there"
     )]
     Follower {
         /// Index of the vehicle.
@@ -39,13 +40,13 @@ pub enum UndecidedReason {
         vehicle: usize,
     },
     /// A vehicle under test does not execute commands at once; if it did, it might escape.
-    #[error("what decides is how late or sluggishly vehicle {vehicle} answers, which is not modelled")]
+    #[error("the result depends on the delay or lag of vehicle {vehicle}, which is not modelled")]
     EgoResponse {
         /// Index of the vehicle.
         vehicle: usize,
     },
     /// More vehicles under test than the checker accepts.
-    #[error("{egos} vehicles under test are too many for a certificate, which holds {most} at most")]
+    #[error("{egos} vehicles under test are too many for a certificate: it holds {most} at most")]
     TooManyVehicles {
         /// Number of vehicles under test.
         egos: usize,
@@ -53,7 +54,7 @@ pub enum UndecidedReason {
         most: usize,
     },
     /// Noise on an acceleration, which a proof would have to bound.
-    #[error("the acceleration of vehicle {vehicle} is noisy, and no proof covers that")]
+    #[error("the acceleration of vehicle {vehicle} is noisy, which no proof covers")]
     Noise {
         /// Index of the vehicle.
         vehicle: usize,
@@ -67,7 +68,7 @@ pub enum UndecidedReason {
         high_m: f64,
     },
     /// The simulation does not confirm an escape of the model.
-    #[error("an escape was found, but vehicles touch when it is replayed")]
+    #[error("an escape was found, but its replay has a collision")]
     Replay,
     /// The checker rejects a proof.
     #[error("a proof was found, but the checker rejects it: {why}")]
@@ -85,9 +86,12 @@ pub enum UndecidedReason {
 
 fn describe_undecided_gap(low_m: f64, high_m: f64) -> String {
     if low_m.is_finite() {
-        format!("the best smallest gap lies between {low_m:.6} and {high_m:.6} m, which decides nothing")
+        format!(
+            "the largest possible smallest gap lies between {low_m:.6} and {high_m:.6} m, which neither shows nor \
+             excludes an escape"
+        )
     } else {
-        format!("no escape was found, and all that is proved is that nobody keeps more than {high_m:.6} m")
+        format!("no escape was found, and the proof shows only that no controller keeps more than {high_m:.6} m")
     }
 }
 

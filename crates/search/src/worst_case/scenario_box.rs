@@ -47,15 +47,15 @@ pub enum ScenarioBoxError {
     Version(u32),
     /// The field cannot have a range.
     #[error(
-        "{field}: cannot have a range; there are vehicles[i].position_m and .speed_mps, and of a leader that brakes \
-         vehicles[0].driver.brake.rate_mps2 and .onset_s"
+        "{field}: this field cannot have a range; use vehicles[i].position_m or .speed_mps, or, for a leader that \
+         brakes, vehicles[0].driver.brake.rate_mps2 or .onset_s"
     )]
     UnsupportedField {
         /// Path of the field.
         field: String,
     },
     /// The ends are not two numbers in order.
-    #[error("{field}: {low} to {high} is not a range")]
+    #[error("{field}: {low} to {high} is not a range: both bounds must be finite and the lower one first")]
     InvalidRange {
         /// Path of the field.
         field: String,

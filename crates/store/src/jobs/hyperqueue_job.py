@@ -3,7 +3,7 @@
 
     python3 hyperqueue_job.py [--local N] [--server-dir DIR] [SHARD ...]
 
-Begin it where `crumple plan` was begun. What is done is not done again: run it until it ends with exit code 0. All machines need the
+Start it in the folder in which `crumple plan` was started. Finished work is kept: run it until it ends with exit code 0. All machines need the
 same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH). What is said while shard N is made
 lies beside this file, in `shard-N.out` and `shard-N.err`; once the shard is made both are removed.
 """

@@ -57,9 +57,9 @@ impl Jobs {
         let shards = ShellWord(&format!("{}/shards/", self.folder)).to_string();
         format!(
             "#!/bin/sh\n\
-             # Makes a shard of {of}: task.sh N. Begin it where `crumple plan` was begun. What is done is not done again.\n\
+             # Makes shard N of {of}: task.sh N. Start it where `crumple plan` was started. Finished work is kept.\n\
              set -eu\n\
-             shard=${{1:-${{HQ_TASK_ID:-${{SLURM_ARRAY_TASK_ID:?which shard of {of}?}}}}}}\n\
+             shard=${{1:-${{HQ_TASK_ID:-${{SLURM_ARRAY_TASK_ID:?give the number of a shard, 1 to {of}}}}}}}\n\
              RAYON_NUM_THREADS={cores}\n\
              export RAYON_NUM_THREADS\n\
              exec \"${{CRUMPLE:-crumple}}\" --quiet {words} \\\n  --shard \"$shard/{of}\" --out={shards}\"$shard\" --resume\n",

@@ -5,7 +5,7 @@
     python3 ray_job.py --address ADDRESS [SHARD ...]
 
 ADDRESS is `auto` for the cluster that this machine is of. No cluster is begun but with --local, and that one asks for no token and writes
-none. Begin it where `crumple plan` was begun. What is done is not done again: run it until it ends with exit code 0. All machines need the
+none. Start it in the folder in which `crumple plan` was started. Finished work is kept: run it until it ends with exit code 0. All machines need the
 same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH).
 """
 

@@ -87,7 +87,7 @@ impl CompletedRun {
         if self.manifest.whole_file_state(name).is_some_and(|state| state.max_bytes() > MAX_BYTES) {
             return Err(RunFolderError::damaged(
                 &path,
-                format!("longer than {MAX_BYTES} bytes, which no such file is"),
+                format!("longer than {MAX_BYTES} bytes, the limit for such a file"),
             ));
         }
         let bytes = self.manifest.read_contents(&self.folder, name)?;
@@ -103,9 +103,10 @@ impl CompletedRun {
         let text = self.read(name)?;
         match sha256(&text) == self.manifest.configuration_sha256 {
             true => Ok(text),
-            false => {
-                Err(RunFolderError::damaged(&self.folder.join(name), "the work beside it was configured otherwise"))
-            }
+            false => Err(RunFolderError::damaged(
+                &self.folder.join(name),
+                "the run in the same folder has a different configuration",
+            )),
         }
     }
 
@@ -141,11 +142,11 @@ impl CompletedRun {
             Some(there) if there == self.manifest => Ok(true),
             Some(there) if there.program.is_some() => Err(RunFolderError::damaged(
                 &path,
-                format!("the {} there is half done, and that in {own} is not", there.kind),
+                format!("the {} there is unfinished, and the one in {own} is complete", there.kind),
             )),
             Some(there) => Err(RunFolderError::damaged(
                 &path,
-                format!("the {} there came to something else than in {own}", there.kind),
+                format!("the {} there has a different result than the one in {own}", there.kind),
             )),
         }
     }

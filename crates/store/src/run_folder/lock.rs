@@ -56,7 +56,7 @@ fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK_FILE);
     let unusable = DiskError::at(&path);
     if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
-        let problem = "no plain file, as which crumple makes and locks it: remove it";
+        let problem = "is not a plain file, so crumple cannot lock it: remove it";
         return Err(unusable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
     let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;

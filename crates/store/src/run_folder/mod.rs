@@ -78,7 +78,7 @@ pub fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
 
 /// Message about a file that the manifest does not list.
 const UNLISTED_FILE_MESSAGE: &str =
-    "work.json knows no such file: it is left over from other work, or of version 0.1.0, or work.json was lost";
+    "work.json does not list this file: it belongs to another run or to version 0.1.0, or work.json was lost";
 
 /// An open run folder.
 #[derive(Debug)]
@@ -97,7 +97,7 @@ pub enum RunFolderError {
     #[error(transparent)]
     Disk(#[from] DiskError),
     /// The folder contains a run, and `resume` is false.
-    #[error("{} holds a {kind} already: use --resume, or another --out", folder.display())]
+    #[error("{} already holds a {kind}: use --resume or another --out", folder.display())]
     AlreadyExists {
         /// Path of the folder.
         folder: PathBuf,
@@ -105,7 +105,7 @@ pub enum RunFolderError {
         kind: String,
     },
     /// Another process uses the folder.
-    #[error("{}: another process works on the {kind} there", folder.display())]
+    #[error("{}: another process is working on the {kind} there", folder.display())]
     InUse {
         /// Path of the folder.
         folder: PathBuf,
@@ -113,7 +113,7 @@ pub enum RunFolderError {
         kind: String,
     },
     /// The folder contains a run of another kind.
-    #[error("{}: the work there is a {found}, and no {kind}", path.display())]
+    #[error("{}: the folder holds a {found}, not a {kind}", path.display())]
     OtherKind {
         /// Path of the manifest.
         path: PathBuf,
@@ -123,7 +123,7 @@ pub enum RunFolderError {
         kind: String,
     },
     /// The run has another configuration.
-    #[error("{}: the {kind} there was configured otherwise", path.display())]
+    #[error("{}: the {kind} there has a different configuration", path.display())]
     OtherConfiguration {
         /// Path of the configuration file.
         path: PathBuf,
@@ -203,8 +203,9 @@ impl RunFolder {
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = asked.configuration_file;
                 if found.check_file(folder, name).is_err() {
-                    let problem =
-                        format!("the `{name}` beside it is not the one that it knows: one of them is of other work");
+                    let problem = format!(
+                        "the `{name}` in the same folder does not match it: one of them belongs to another run"
+                    );
                     return Err(RunFolderError::damaged(&path, problem));
                 }
                 let found = found.read_contents(folder, name)?.unwrap_or_default();

@@ -57,7 +57,7 @@ impl Prefix {
         }
         Ok(match (left, digest.hexadecimal() == self.sha256) {
             (0, true) => Ok(()),
-            (0, false) => Err(format!("its first {} bytes are not as they were written", self.bytes)),
+            (0, false) => Err(format!("its first {} bytes have changed since they were written", self.bytes)),
             _ => Err(format!("shorter than the {} bytes that were written", self.bytes)),
         })
     }
@@ -94,7 +94,7 @@ impl FileState {
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
     match fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => {
-            Err(RunFolderError::damaged(path, "no file of its own: work is kept in plain files"))
+            Err(RunFolderError::damaged(path, "is not a plain file: crumple keeps results in plain files only"))
         }
         Ok(found) => Ok(Some(found.len())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
@@ -105,7 +105,9 @@ pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderErro
 /// Reads a regular file of at most `most` bytes; returns `None` if it does not exist.
 pub(super) fn read_regular_file(path: &Path, most: u64) -> Result<Option<Vec<u8>>, RunFolderError> {
     match regular_file_len(path)? {
-        Some(bytes) if bytes > most => Err(RunFolderError::damaged(path, "not as it was written: longer than it was")),
+        Some(bytes) if bytes > most => {
+            Err(RunFolderError::damaged(path, "has changed since it was written: it is longer"))
+        }
         Some(_) => Ok(disk::read(path, most)?),
         None => Ok(None),
     }

@@ -30,7 +30,7 @@ fn what_was_written_is_read_and_nothing_else_is() {
     assert_eq!(work.lock_manifest().file_names(), ["a.json", "deep/b.json"]);
     fs::write(work.path("c.json"), "left over").unwrap();
     let said = work.read("c.json").unwrap_err().to_string();
-    assert!(said.contains("c.json: work.json knows no such file"), "{said}");
+    assert!(said.contains("c.json: work.json does not list this file"), "{said}");
     assert!(matches!(RunFolder::open(folder.path(), OPTIONS), Err(RunFolderError::InUse { .. })));
 }
 
@@ -38,9 +38,9 @@ fn what_was_written_is_read_and_nothing_else_is() {
 fn another_folders_work_is_refused() {
     let folder = finished_folder();
     let open = |asked| RunFolder::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
-    assert!(open(RunFolderOptions { resume: false, ..OPTIONS }).contains("holds a count already"));
+    assert!(open(RunFolderOptions { resume: false, ..OPTIONS }).contains("already holds a count"));
     assert!(
-        open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training")
+        open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the folder holds a count, not a training")
     );
     assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
 }
@@ -189,7 +189,7 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
             (Some(name), error) => {
                 let said = error.unwrap().to_string();
                 assert!(
-                    said.starts_with(&format!("{}: work.json knows no such file", root.join(name).display())),
+                    said.starts_with(&format!("{}: work.json does not list this file", root.join(name).display())),
                     "{said}"
                 );
             }
@@ -277,7 +277,7 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     assert!(!unfinished.exists());
     fs::write(folder.path().join("parts/2"), "mine").unwrap();
     let said = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
-    assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
+    assert!(said.contains("parts/2: work.json does not list this file"), "{said}");
 }
 
 /// An incomplete run belongs to its build; any build may read a complete one.

@@ -123,7 +123,7 @@ pub struct ShardId {
 
 /// The error of a text or number that does not name a shard.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no shard: write I/N, shard I of N, with 1 <= I <= N <= {MAX_SHARDS}")]
+#[error("`{0}` is not a shard: write I/N, shard I of N, with 1 <= I <= N <= {MAX_SHARDS}")]
 pub struct InvalidShard(String);
 
 /// The error of more shards than parts.

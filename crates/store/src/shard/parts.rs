@@ -18,7 +18,7 @@ pub enum MergeError {
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
     /// A shard of another run.
-    #[error("{}: a shard of other work than {}: {field} differs", folder.display(), first.display())]
+    #[error("{}: this shard belongs to another run than {}: {field} differs", folder.display(), first.display())]
     Foreign {
         /// Folder of the shard.
         folder: PathBuf,
@@ -28,7 +28,7 @@ pub enum MergeError {
         field: String,
     },
     /// Two divisions of the run overlap.
-    #[error("{}: shard {shard} has done what shard {other_shard} in {} has done, too", folder.display(), other_folder.display())]
+    #[error("{}: shard {shard} repeats work of shard {other_shard} in {}", folder.display(), other_folder.display())]
     Overlapping {
         /// Folder of the shard.
         folder: PathBuf,
@@ -41,7 +41,7 @@ pub enum MergeError {
     },
     /// A repeated shard with different results: one of them is wrong.
     #[error(
-        "{}: shard {shard} came to something else in {}: one of them was not made by this configuration and build",
+        "{}: shard {shard} has a different result in {}: one of them was made by another configuration or build",
         folder.display(), other_folder.display()
     )]
     Contradicting {

@@ -48,7 +48,7 @@ pub struct BaselineUnlatched {
 
 impl BuiltIn for BaselineUnlatched {
     const NAME: &'static str = "baseline-unlatched";
-    const SUMMARY: &'static str = "the same, but the brake is released when TTC recovers";
+    const SUMMARY: &'static str = "like baseline, but releases the brake when TTC recovers";
     type Settings = AebSettings;
     type Driver = Self;
 

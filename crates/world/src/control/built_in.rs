@@ -121,7 +121,7 @@ with_controllers!(define);
 #[non_exhaustive]
 pub enum InvalidSetting {
     /// An unknown setting.
-    #[error("`{found}` is no setting of {controller}: {}", describe_known_settings(known))]
+    #[error("`{found}` is not a setting of {controller}: {}", describe_known_settings(known))]
     Unknown {
         /// The text found.
         found: String,

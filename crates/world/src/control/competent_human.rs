@@ -73,7 +73,8 @@ struct LeaderPrediction {
 
 impl BuiltIn for CompetentHuman {
     const NAME: &'static str = "competent-human";
-    const SUMMARY: &'static str = "reference driver after UN R157: brakes at 0.774 g from 0.75 s after the vehicle ahead brakes, cuts in within 2 s, or cuts out";
+    const SUMMARY: &'static str = "reference driver of UN R157: brakes at 0.774 g from 0.75 s after the vehicle ahead \
+    brakes, cuts in within 2 s, or cuts out";
     const ROLE: Role = Role::Reference;
     type Settings = CompetentHumanSettings;
     type Driver = Self;

@@ -28,7 +28,7 @@ pub struct ConstantBrake {
 
 impl BuiltIn for ConstantBrake {
     const NAME: &'static str = "constant-brake";
-    const SUMMARY: &'static str = "brake at 3.25 m/s² from 0.05 s after the vehicle ahead is seen to brake";
+    const SUMMARY: &'static str = "brakes at 3.25 m/s² from 0.05 s after it observes that the vehicle ahead brakes";
     type Settings = ConstantBrakeSettings;
     type Driver = Self;
 

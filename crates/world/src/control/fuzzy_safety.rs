@@ -105,7 +105,7 @@ pub struct FuzzySafety {
 impl BuiltIn for FuzzySafety {
     const NAME: &'static str = "fuzzy-safety";
     const SUMMARY: &'static str =
-        "reference driver after UN R157: the fuzzy safety model, which brakes early and as hard as the danger is";
+        "reference driver of UN R157: the fuzzy safety model, which brakes early and in proportion to the danger";
     const ROLE: Role = Role::Reference;
     type Settings = FuzzySafetySettings;
     type Driver = Self;

@@ -335,12 +335,12 @@ impl InputMapping {
             return Err((field, format!("must be a finite number, found {value}")));
         }
         match (self.quantity, self.constant) {
-            (None, None) => return Err(("", "says neither a quantity nor a constant".to_owned())),
+            (None, None) => return Err(("", "needs a quantity or a constant".to_owned())),
             (Some(_), Some(_)) => {
                 return Err((".constant", "an input is a quantity or a constant, not both".to_owned()));
             }
             (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
-                return Err((".absent", "is for what is seen of another vehicle".to_owned()));
+                return Err((".absent", "is allowed only for quantities of another vehicle".to_owned()));
             }
             (None, Some(_)) if self.absent.is_some() => {
                 return Err((".absent", "a constant is always there".to_owned()));

@@ -16,7 +16,7 @@ impl Controller for MatchLeader {
 
 impl BuiltIn for MatchLeader {
     const NAME: &'static str = "match-leader";
-    const SUMMARY: &'static str = "command the acceleration the vehicle ahead is seen to have";
+    const SUMMARY: &'static str = "commands the observed acceleration of the vehicle ahead";
     type Settings = NoSettings;
     type Driver = Self;
 

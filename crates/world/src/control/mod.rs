@@ -251,9 +251,9 @@ pub(crate) mod tests {
         assert_eq!(ControllerSpec::parse("no-such,ttc_s=1"), None);
         assert_eq!(
             problem("baseline,ttc=1"),
-            "`ttc=1` is no setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"
+            "`ttc=1` is not a setting of baseline: there are ttc_s, each with a number, as in `ttc_s=4`"
         );
-        assert_eq!(problem("match-leader,x"), "`x` is no setting of match-leader: it has none");
+        assert_eq!(problem("match-leader,x"), "`x` is not a setting of match-leader: it has none");
         assert_eq!(problem("baseline,ttc_s=1,ttc_s=2"), "baseline: ttc_s is given twice");
         for bad in ["baseline,ttc_s=NaN", "baseline,ttc_s=101", "baseline,ttc_s", "baseline,ttc_s=inf"] {
             assert!(problem(bad).starts_with("baseline: ttc_s must be a number from 0 to 100, found `"), "{bad}");

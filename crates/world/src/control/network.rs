@@ -34,18 +34,18 @@ impl NetworkController {
         mapping.check()?;
         let network = &file.network;
         if mapping.width() != network.inputs() {
-            let problem = format!("there are {}, and the network takes {} numbers", mapping.width(), network.inputs());
+            let problem = format!("there are {}, and the network has {} inputs", mapping.width(), network.inputs());
             let field = if mapping.history == 1 { "inputs" } else { "history" };
             return Err(InvalidMapping::new(field, problem));
         }
         let answer = match (mapping.output.answer, network.outputs()) {
             (Some(answer), answers) if answer >= answers => {
-                let problem = format!("must be below {answers}, the number of the network's answers");
+                let problem = format!("must be below {answers}, the number of outputs of the network");
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (None, answers) if answers > 1 => {
                 let problem =
-                    format!("is missing: the network has {answers} answers, and one of them has to be what drives");
+                    format!("is missing: the network has {answers} outputs; choose the one that is the command");
                 return Err(InvalidMapping::new("output.answer", problem));
             }
             (answer, _) => answer.unwrap_or_default(),
@@ -67,14 +67,13 @@ impl NetworkController {
     /// # Errors
     /// [`InvalidMapping`] if the network has other inputs, or not one answer from -1 to 1.
     pub(crate) fn with_native_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
-        const ASK: &str =
-            "write a controller file that says what it sees and what its answer means (docs/controllers.md)";
+        const ASK: &str = "write a controller file that describes its inputs and its output (docs/controllers.md)";
         let mapping = Mapping::native();
         let (inputs, outputs) = (file.network.inputs(), file.network.outputs());
         let refused = |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
         if inputs != mapping.width() || outputs != 1 {
             return refused(format!(
-                "it makes {outputs} of {inputs} numbers, where crumple's own policies make 1 of {}",
+                "inputs: {inputs}, outputs: {outputs}; without a controller file crumple expects {} inputs and 1 output",
                 mapping.width()
             ));
         }
@@ -82,13 +81,13 @@ impl NetworkController {
             && !(low >= -1.0 && high <= 1.0)
         {
             return refused(format!(
-                "its space of actions is {low} to {high}, where crumple's own policies answer with -1 to 1"
+                "its action space is {low} to {high}; without a controller file crumple expects -1 to 1"
             ));
         }
         let controller = Self::new(file, mapping)?;
         match controller.file.network.answer_ranges(&controller.mapping.limits()) {
             Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
-            _ => refused("nothing in it keeps its answer from -1 to 1, as tanh or a clip would".to_owned()),
+            _ => refused("its output is not limited to -1 to 1, for example by tanh or a clip".to_owned()),
         }
     }
 

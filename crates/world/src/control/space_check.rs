@@ -27,8 +27,8 @@ pub(super) fn check(mapping: &Mapping, saved: &SavedModel) -> Result<(), Invalid
     match action_range_mps2(&mapping.output, saved) {
         Some(((low, high), [least_mps2, most_mps2])) if least_mps2 >= high_mps2 || most_mps2 <= low_mps2 => {
             let problem = format!(
-                "leaves nothing of the model's actions of {low} to {high}, which mean {} to {} m/s² here, all beyond {low_mps2} \
-                 to {high_mps2}",
+                "excludes every action of the model: actions of {low} to {high} mean {} to {} m/s² here, outside \
+                    {low_mps2} to {high_mps2}",
                 format_rounded(least_mps2),
                 format_rounded(most_mps2)
             );
@@ -67,9 +67,8 @@ fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
     let named = all.get(..all.len().min(MAX_NAMED_INPUTS)).unwrap_or_default().join("; ");
     let others = all.len().saturating_sub(MAX_NAMED_INPUTS);
     let others = if others > 0 { format!("; and {others} more") } else { String::new() };
-    (!all.is_empty()).then(|| {
-        format!("in ordinary driving the model sees what its space of observations does not hold: {named}{others}")
-    })
+    (!all.is_empty())
+        .then(|| format!("in ordinary driving, inputs of the model leave its observation space: {named}{others}"))
 }
 
 fn output_warning(output: &OutputMapping, saved: &SavedModel) -> Option<String> {

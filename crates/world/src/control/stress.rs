@@ -14,7 +14,7 @@ pub struct FullThrottle {
 
 impl BuiltIn for FullThrottle {
     const NAME: &'static str = "full-throttle";
-    const SUMMARY: &'static str = "full acceleration at all times, to show what a shield is worth";
+    const SUMMARY: &'static str = "full acceleration at all times, to test a shield";
     const ROLE: Role = Role::Probe;
     type Settings = NoSettings;
     type Driver = Self;
@@ -39,7 +39,7 @@ pub struct RandomActions {
 
 impl BuiltIn for RandomActions {
     const NAME: &'static str = "random-actions";
-    const SUMMARY: &'static str = "a random action each step, for the same purpose";
+    const SUMMARY: &'static str = "a random action at each step, to test a shield";
     const ROLE: Role = Role::Probe;
     type Settings = NoSettings;
     type Driver = Self;

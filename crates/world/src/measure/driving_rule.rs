@@ -73,7 +73,7 @@ impl fmt::Display for DrivingRule {
 
 /// An error for a text that is not a driving rule.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no rule of conduct: there are {}", DrivingRule::EXAMPLES.join(", "))]
+#[error("`{text}` is not a driving rule: the rules are {}", DrivingRule::EXAMPLES.join(", "))]
 pub struct UnknownDrivingRule {
     /// Text of the rule.
     text: String,

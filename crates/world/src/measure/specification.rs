@@ -64,7 +64,7 @@ pub enum SpecificationError {
         known: Vec<String>,
     },
     /// A formula that refers to times after the end of the run.
-    #[error("the formula looks {horizon_s} s ahead, and runs last {duration_s} s")]
+    #[error("the formula needs {horizon_s} s, and runs last {duration_s} s")]
     HorizonTooLong {
         /// Horizon of the formula, in seconds.
         horizon_s: f64,

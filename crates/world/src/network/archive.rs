@@ -48,7 +48,7 @@ impl<'a> ByteReader<'a> {
     }
 
     fn expect_signature(&mut self, wanted: &[u8; 4]) -> Result<(), NetworkError> {
-        if self.take(4)? == wanted { Ok(()) } else { Err(damaged("a part of it is not where it should be")) }
+        if self.take(4)? == wanted { Ok(()) } else { Err(damaged("one of its parts is not at the stated position")) }
     }
 }
 
@@ -57,7 +57,7 @@ impl<'a> Archive<'a> {
         // The end record is searched from the end: a comment of at most 65 535 bytes may follow it.
         let earliest = bytes.len().saturating_sub(22 + 0xffff);
         let end = (earliest..bytes.len().saturating_sub(21)).rev().find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
-        let end = end.ok_or_else(|| damaged("it has no end: it may be cut off"))?;
+        let end = end.ok_or_else(|| damaged("it has no end record: the file may be cut off"))?;
         let mut record = ByteReader(&bytes[end..]);
         record.take(10)?;
         let (mut count, _size, mut start) = (record.read_uint(2)?, record.read_uint(4)?, record.read_uint(4)?);
@@ -101,7 +101,7 @@ impl<'a> Archive<'a> {
         }
         if member.method != 0 || member.is_encrypted {
             let problem =
-                format!("member `{name}` is compressed or encrypted; save the model anew, or zip it with `zip -0`");
+                format!("member `{name}` is compressed or encrypted; save the model again, or zip it with `zip -0`");
             return Err(NetworkError::Unsupported(problem));
         }
         let mut header = ByteReader::from_offset(self.bytes, member.header)?;
@@ -111,7 +111,7 @@ impl<'a> Archive<'a> {
         header.take((lengths[0] + lengths[1]) as usize)?;
         let contents = header.take(usize::try_from(member.size).unwrap_or(usize::MAX))?;
         if !member.is_checked.get() && crc32(contents) != member.crc {
-            return Err(damaged(format!("member `{name}` is not what its checksum says")));
+            return Err(damaged(format!("member `{name}` does not match its checksum")));
         }
         member.is_checked.set(true);
         Ok(contents)

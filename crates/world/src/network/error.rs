@@ -64,7 +64,7 @@ pub enum NetworkError {
         problem: String,
     },
     /// The network can overflow.
-    #[error("step {step} can overflow on inputs within their limits: its numbers are too large to drive with")]
+    #[error("step {step} can overflow for inputs within their limits: its parameters are too large")]
     Overflow {
         /// Index of the step, from 0.
         step: usize,

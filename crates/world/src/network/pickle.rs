@@ -198,7 +198,7 @@ impl<'a> Machine<'a> {
                         let global = Object::Global(module, name);
                         self.push(global)
                     }
-                    _ => Err(damaged("a name that is no text")),
+                    _ => Err(damaged("a name that is not text")),
                 }
             }
             // Records the call instead of executing it.
@@ -211,7 +211,7 @@ impl<'a> Machine<'a> {
                 let top = self.top()?;
                 match self.values.get_mut(top.0) {
                     Some(Object::Call(call)) => call.state = Some(state),
-                    _ => return Err(damaged("a state for what has none")),
+                    _ => return Err(damaged("a state for an object without one")),
                 }
                 Ok(())
             }
@@ -252,7 +252,7 @@ impl<'a> Machine<'a> {
                 let description = self.pop()?;
                 self.push(Object::PersistentId(description))
             }
-            other => Err(damaged(format!("the operation {other:#04x}, which is not followed"))),
+            other => Err(damaged(format!("the operation {other:#04x}, which is not supported"))),
         }
     }
 
@@ -333,7 +333,7 @@ impl<'a> Machine<'a> {
                 items.extend(pairs.iter().map(|[key, value]| (*key, *value)));
                 Ok(())
             }
-            _ => Err(damaged("entries for what is no dictionary")),
+            _ => Err(damaged("entries for an object that is not a dictionary")),
         }
     }
 
@@ -343,7 +343,7 @@ impl<'a> Machine<'a> {
             Some(Object::List(list)) => list.extend(members),
             // A subclass of list; no reader uses it.
             Some(Object::Call(_)) => {}
-            _ => return Err(damaged("members for what is no list")),
+            _ => return Err(damaged("members for an object that is not a list")),
         }
         Ok(())
     }

@@ -119,24 +119,24 @@ fn a_constant_is_spread_as_numpy_does_or_refused() {
 fn what_is_not_followed_is_refused_by_operator_and_node() {
     let w = || constant("w", &[2, 2], &[1.0; 4]);
     let one = |operator: &str, inputs: &[&str]| model(13, &[2], &[node(operator, inputs, "y", &[])], &[w()]);
-    assert_eq!(refusal(&one("Softmax", &["x"])), "node `softmax` (Softmax): this operator is not followed");
+    assert_eq!(refusal(&one("Softmax", &["x"])), "node `softmax` (Softmax): this operator is not supported");
     let said = refusal(&one("Mul", &["x", "x"]));
-    assert_eq!(said, "node `mul` (Mul): it does not take `x` once, so the graph is no straight chain");
+    assert_eq!(said, "node `mul` (Mul): it does not use `x` exactly once, so the graph is not a simple chain");
     let said = refusal(&one("MatMul", &["x", "z"]));
-    assert_eq!(said, "node `matmul` (MatMul): its input `z` is no constant, so the graph is no straight chain");
+    assert_eq!(said, "node `matmul` (MatMul): its input `z` is not a constant, so the graph is not a simple chain");
     let said = refusal(&one("Div", &["w", "x"]));
-    assert_eq!(said, "node `div` (Div): this operator is not followed");
+    assert_eq!(said, "node `div` (Div): this operator is not supported");
     let skip = [node("Relu", &["x"], "a", &[]), node("Tanh", &["x"], "y", &[])];
-    assert!(refusal(&model(13, &[2], &skip, &[])).contains("node `tanh` (Tanh): it does not take `a` once"));
+    assert!(refusal(&model(13, &[2], &skip, &[])).contains("node `tanh` (Tanh): it does not use `a` exactly once"));
     let said = refusal(&model(13, &[3], &[node("MatMul", &["x", "w"], "y", &[])], &[w()]));
     assert_eq!(said, "node `matmul` (MatMul): a matrix of 2 by 2 against numbers of shape [3]");
     let gemm = |shape: &[u8]| refusal(&model(13, shape, &[node("Gemm", &["x", "w"], "y", &[])], &[w()]));
     let said = gemm(&[2, 2]);
     assert!(said.contains("a matrix of 2 by 2 against 4 numbers: ") && said.contains("a batch of several"), "{said}");
     let said = gemm(&[1]);
-    assert!(said.contains("against 1 number: the axis of the numbers may have no fixed length"), "{said}");
+    assert!(said.contains("against 1 number: the axis of the features may have no fixed length"), "{said}");
     let unfinished = model(13, &[2], &[node("Relu", &["x"], "z", &[])], &[]);
-    assert_eq!(refusal(&unfinished), "the graph answers with `y`, and its chain ends in `z`");
+    assert_eq!(refusal(&unfinished), "the output of the graph is `y`, but its chain of nodes ends in `z`");
     assert!(refusal(&model(5, &[2], &[node("Relu", &["x"], "y", &[])], &[])).starts_with("opset 5 is too old"));
 }
 

@@ -103,7 +103,7 @@ impl Policy {
         // Checked before any allocation: a small file cannot claim a large network.
         let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
         if described.saturating_mul(4) > bytes.len() {
-            let problem = format!("describes a network of {described} numbers, more than the file holds");
+            let problem = format!("describes a network of {described} parameters, more than the file holds");
             return Err(PolicyError::Header(problem));
         }
         let mut network = Network::zeros(&sizes);

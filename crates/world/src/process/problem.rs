@@ -60,7 +60,7 @@ pub enum ProcessProblem {
         found: String,
     },
     /// The process expects another number of inputs.
-    #[error("wants {wanted} inputs, and is shown {shown}")]
+    #[error("expects {wanted} inputs, and crumple sends {shown}")]
     Inputs {
         /// Number of inputs that the process expects.
         wanted: u64,
@@ -76,7 +76,7 @@ pub enum ProcessProblem {
         asked: usize,
     },
     /// A reply that violates the protocol.
-    #[error("answered `{found}`, which is no answer: {reason}")]
+    #[error("answered `{found}`, which is not a valid answer: {reason}")]
     #[serde(rename = "no_answer")]
     InvalidReply {
         /// Beginning of the reply.
@@ -99,8 +99,8 @@ pub enum ProcessProblem {
     },
     /// The process declares itself deterministic, but is not.
     #[error(
-        "says that it is deterministic, and when it was asked the same twice, {} answered {first_mps2} m/s² and a fresh one \
-         {second_mps2} m/s²{}",
+        "declares that it is deterministic, but to the same observations {} answered {first_mps2} m/s² and a fresh \
+        one {second_mps2} m/s²{}",
         if *reused { "the process that had driven runs before" } else { "one fresh process" },
         if *reused { ": is its state cleared at reset?" } else { "" }
     )]
@@ -114,7 +114,7 @@ pub enum ProcessProblem {
         reused: bool,
     },
     /// The process declares itself non-deterministic, but its controller file does not.
-    #[error("says that it is not deterministic: its controller file has to say `deterministic = false`, too")]
+    #[error("declares that it is not deterministic: set `deterministic = false` in its controller file")]
     #[serde(rename = "undeclared")]
     UndeclaredNondeterminism,
     /// A decision interval that does not match the scenario.
@@ -126,7 +126,7 @@ pub enum ProcessProblem {
         wanted: String,
     },
     /// A handshake that differs from an earlier one of the same command.
-    #[error("introduced itself otherwise before")]
+    #[error("introduced itself differently before")]
     #[serde(rename = "changed")]
     HandshakeChanged,
     /// A file of the controller's identity that has changed.
@@ -164,7 +164,7 @@ impl fmt::Display for ProcessFailure {
         if self.stderr_tail.is_empty() {
             return Ok(());
         }
-        write!(out, "; it said last: {}", self.stderr_tail.join(" | "))
+        write!(out, "; its last output: {}", self.stderr_tail.join(" | "))
     }
 }
 

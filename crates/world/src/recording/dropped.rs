@@ -47,13 +47,13 @@ pub enum Omission {
         behind: usize,
     },
     /// A spacing column of a vehicle that is not recorded.
-    #[error("{column}: ignored, for one of the two vehicles it lies between has no speed column")]
+    #[error("{column}: ignored, because one of its two vehicles has no speed column")]
     SpacingWithoutVehicle {
         /// Name of the column.
         column: String,
     },
     /// A vehicle without a recorded neighbour.
-    #[error("vehicle {number}: left out, for no spacing to a vehicle ahead of it or behind it is recorded")]
+    #[error("vehicle {number}: left out, because no spacing to a vehicle ahead of it or behind it is recorded")]
     LoneVehicle {
         /// Number in the recording.
         number: usize,
@@ -141,7 +141,8 @@ pub enum Omission {
     },
     /// Overlapping vehicles of one lane, which are not linked.
     #[error(
-        "{count} times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then"
+        "{count} times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle \
+        then"
     )]
     Overlapping {
         /// Number of occurrences.
@@ -149,7 +150,8 @@ pub enum Omission {
     },
     /// Vehicles with unknown position or length.
     #[error(
-        "{count} times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then"
+        "{count} times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
+        it, or a vehicle beyond it, then"
     )]
     UnknownPosition {
         /// Number of occurrences.
@@ -213,7 +215,7 @@ fn have_no(first: &usize, last: &usize) -> String {
 fn consequence(place: &PlatoonPosition) -> &'static str {
     match place {
         PlatoonPosition::Front => "the platoon starts behind",
-        PlatoonPosition::Middle => "the platoon is split there, for the spacing across is unknown",
+        PlatoonPosition::Middle => "the platoon is split there, because the spacing is unknown",
         PlatoonPosition::Rear => "the platoon ends before",
     }
 }
@@ -231,13 +233,13 @@ pub enum EpisodeProblem {
         within_s: f64,
     },
     /// No vehicle recorded behind shortly before braking.
-    #[error("nobody is recorded behind it in the {within_s} s before")]
+    #[error("no vehicle is recorded behind it in the {within_s} s before")]
     NoVehicleBehind {
         /// Time searched, in seconds.
         within_s: f64,
     },
     /// A recorded speed that changes faster than any road vehicle's.
-    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle does", format_fixed(*found_mps2, 1))]
+    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle can do", format_fixed(*found_mps2, 1))]
     SpeedJump {
         /// Time of the change, in seconds of the recording.
         at_s: f64,

@@ -25,8 +25,9 @@ pub enum RecordingError {
     },
     /// A first line of neither built-in format.
     #[error(
-        "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events \
-         (which start with `event,time_s,gap_m,...`), both without quotation marks; of any other, a map says what is in it", path.display()
+        "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which \
+        start with `event,time_s,gap_m,...`), both without quotation marks; any other format needs a map that \
+        describes its columns", path.display()
     )]
     UnknownFormat {
         /// Path of the file.
@@ -141,7 +142,7 @@ pub enum ColumnProblem {
     #[error("named twice")]
     Repeated,
     /// No spacing between successive vehicles.
-    #[error("no such column lies between two `Speed` columns of successive numbers, so nobody follows anybody")]
+    #[error("no such column is between two `Speed` columns of successive numbers, so no vehicle follows another")]
     NoFollower,
 }
 
@@ -166,8 +167,8 @@ pub enum ValueProblem {
     Missing,
     /// A row that continues an event after rows of other events.
     #[error(
-        "event `{event}`, whose last row was line {last_line}, goes on here after rows of other events: sort the rows by event and then by \
-         time, or give different events different names"
+        "event `{event}`, whose last row was line {last_line}, continues here after rows of other events: sort the \
+        rows by event and then by time, or give different events different names"
     )]
     Interleaved {
         /// Name of the event.

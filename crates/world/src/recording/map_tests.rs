@@ -162,7 +162,7 @@ fn what_no_road_has_is_left_out_and_said() {
     let said = |by: &str| read_with(&text, by).dropped.iter().map(DroppedItem::to_string).collect::<Vec<_>>();
     let twice = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
     let overlap =
-        "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows nobody then";
+        "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle then";
     assert_eq!(said(TRACKS), [twice.to_owned(), format!("a.csv:4: 2 {overlap}")]);
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
     assert_eq!(said(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
@@ -212,7 +212,8 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
         first.segments()[0].iter().map(numbers).collect()
     };
     assert_eq!(behind(&read_with(&text(&whole), TRACKS)), [[2, 3], [2, 3], [2, 3]]);
-    let cannot = "times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then";
+    let cannot = "times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
+    it, or a vehicle beyond it, then";
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
     for (field, with, said) in [
         (1, "", "a.csv:7: y: 1 of 9 values are missing, the first one here"),
@@ -257,13 +258,14 @@ fn that_nobody_brakes_is_said_only_where_it_was_seen() {
     assert_eq!(pair(100, 50, "20"), "nobody brakes");
     assert_eq!(
         pair(1000, 50, "20"),
-        "a vehicle's speeds are 1.000 s apart, and at most 0.5 s are bridged: no braking can be seen"
+        "the speeds of a vehicle are 1.000 s apart, more than the limit of 0.5 s: crumple cannot find braking"
     );
     assert_eq!(
         pair(100, 9, "20"),
-        "no vehicle's speed is known for a whole second without a hole, 0.800 s at most: no braking can be seen"
+        "no vehicle has a known speed for a whole second without a gap in the data, 0.800 s at most: crumple cannot \
+            find braking"
     );
-    assert_eq!(pair(100, 50, ""), "no vehicle that may lead has a known speed, so that no braking can be seen");
+    assert_eq!(pair(100, 50, ""), "no vehicle that can be a leader has a known speed, so crumple cannot find braking");
     let slow = read_with("ms\tego\tclosing\trange\n0\t20\t0\t100\n1000\t20\t0\t100\n2000\t20\t0\t100\n", PAIRS);
     assert_eq!(preview(&slow).expect("speeds are known").step_s, Some(1.0));
 }
@@ -297,7 +299,7 @@ fn a_wrong_map_says_where() {
             PAIRS,
             ", from = \"front-to-front\"",
             "",
-            "8: layout.pairs.length_m: is of no use for spacings from bumper to bumper",
+            "8: layout.pairs.length_m: is not used for spacings from bumper to bumper: remove it",
         ),
         (PAIRS, length, "length_m = nan\n", "8: layout.pairs.length_m: must be from 0.1 to 100, found NaN"),
         (PAIRS, "follower_speed", "leaders_speed", "9: layout.pairs.leaders_speed: unknown field `leaders_speed`"),
@@ -306,24 +308,25 @@ fn a_wrong_map_says_where() {
         (TRACKS, "\"centre\"", "\"middle\"", "10: layout.tracks.position.of: unknown variant `middle`"),
         (TRACKS, "[layout.tracks]", "[layout.traces]", "7: layout"),
         (TRACKS, "vehicle = \"id\"\n", "", "7: layout.tracks: missing field `vehicle`"),
-        (TRACKS, "\"lane\"", "\"id\"", "9: layout.tracks.lane: `id` is the column of `layout.tracks.vehicle` already"),
+        (TRACKS, "\"lane\"", "\"id\"", "9: layout.tracks.lane: `id` is already the column of `layout.tracks.vehicle`"),
         (
             TRACKS,
             "{ column = \"v\"",
             "{ column = \"y\"",
-            "11: layout.tracks.speed.column: `y` is the column of `layout.tracks.position.column` already",
+            "11: layout.tracks.speed.column: `y` is already the column of `layout.tracks.position.column`",
         ),
         (
             TRACKS,
             "name = \"length\"",
             "name = \"frame\"",
-            "12: layout.tracks.length.column.name: `frame` is the column of `time.frames.column` already",
+            "12: layout.tracks.length.column.name: `frame` is already the column of `time.frames.column`",
         ),
         (
             PAIRS,
             "\"closing\"",
             "\"ego\"",
-            "10: layout.pairs.relative_speed.column: `ego` is the column of `layout.pairs.follower_speed.column` already",
+            "10: layout.pairs.relative_speed.column: `ego` is already the column of \
+                `layout.pairs.follower_speed.column`",
         ),
         (TRACKS, "lines_before", "interpolate_s = 3.0\nlines_before", "4: interpolate_s: must be from 0 to 2, found 3"),
     ];

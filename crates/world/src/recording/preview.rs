@@ -55,18 +55,20 @@ impl fmt::Display for HardestBrakingResult {
                     "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
                 )
             }
-            Self::NoBraking => out.write_str("nobody brakes"),
+            Self::NoBraking => out.write_str("no vehicle brakes"),
             Self::NoSpeed => {
-                out.write_str("no vehicle that may lead has a known speed, so that no braking can be seen")
+                out.write_str("no vehicle that can be a leader has a known speed, so crumple cannot find braking")
             }
             Self::SamplesTooFarApart { step_s } => write!(
                 out,
-                "a vehicle's speeds are {step_s:.3} s apart, and at most {} s are bridged: no braking can be seen",
+                "the speeds of a vehicle are {step_s:.3} s apart, more than the limit of {} s: crumple cannot find \
+                    braking",
                 MAX_HOLE_MS as f64 / 1000.0
             ),
             Self::TooShort { longest_s } => write!(
                 out,
-                "no vehicle's speed is known for a whole second without a hole, {longest_s:.3} s at most: no braking can be seen"
+                "no vehicle has a known speed for a whole second without a gap in the data, {longest_s:.3} s at most: \
+                    crumple cannot find braking"
             ),
         }
     }

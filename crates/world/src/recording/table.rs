@@ -35,7 +35,7 @@ impl<R: Read> Read for LineLimitReader<R> {
         for &byte in into.iter().take(count) {
             self.since_line_feed = if byte == b'\n' { 0 } else { self.since_line_feed + 1 };
             if self.since_line_feed > MAX_LINE_BYTES {
-                let message = format!("a line of more than {MAX_LINE_BYTES} bytes is no row of numbers");
+                let message = format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers");
                 return Err(io::Error::new(io::ErrorKind::InvalidData, message));
             }
         }

@@ -73,11 +73,11 @@ fn holes_in_the_numbering_split_the_platoon() {
     assert_eq!(recording.platoons[1].vehicles()[1].speed_mps(), [Some(4.0), Some(4.0)]);
     let expected = [
         "a.csv:6: vehicle 1 has no speed column: the platoon starts behind",
-        "a.csv:6: vehicle 4 has no speed column: the platoon is split there, for the spacing across is unknown",
+        "a.csv:6: vehicle 4 has no speed column: the platoon is split there, because the spacing is unknown",
         "a.csv:6: IVS6: no such column, so the platoon is split between vehicles 6 and 7",
-        "a.csv:6: IVS3: ignored, for one of the two vehicles it lies between has no speed column",
-        "a.csv:6: IVS7: ignored, for one of the two vehicles it lies between has no speed column",
-        "a.csv:6: vehicle 7: left out, for no spacing to a vehicle ahead of it or behind it is recorded",
+        "a.csv:6: IVS3: ignored, because one of its two vehicles has no speed column",
+        "a.csv:6: IVS7: ignored, because one of its two vehicles has no speed column",
+        "a.csv:6: vehicle 7: left out, because no spacing to a vehicle ahead of it or behind it is recorded",
     ];
     assert_eq!(dropped_of(&text), expected);
 }
@@ -130,7 +130,8 @@ fn unusable_files_name_line_and_column() {
         (format!("{EVENTS}1,0.0,5,1,0,1\n,0.1,5,1,0,1\n"), "a.csv:3: event: must not be empty"),
         (
             format!("{EVENTS}1,0.0,5,1,0,1\n2,0.0,5,1,0,1\n1,0.1,5,1,0,1\n"),
-            "a.csv:4: event: event `1`, whose last row was line 2, goes on here after rows of other events: sort the rows by event",
+            "a.csv:4: event: event `1`, whose last row was line 2, continues here after rows of other events: sort the \
+                rows by event",
         ),
         (format!("{EVENTS}1,0.0,5,1\n"), "a.csv:2: relative_speed_mps: 4 fields in a row of 6"),
         (EVENTS.replace("event", "\"event\""), "a.csv:1: `\"event\"`: neither an OpenACC"),
@@ -325,7 +326,7 @@ fn a_leap_of_the_speed_is_no_braking() {
     let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First);
     assert_eq!(found.episodes, []);
     let said = found.dropped[0].to_string();
-    assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle does"), "{said}");
+    assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle can do"), "{said}");
     // A hole of half a second is bridged; a longer one ends the run, and the last speed is held.
     let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
     assert_eq!(only_episode(&read_text(&bridged).expect("readable")).time_s.last(), Some(&15.0));

@@ -237,10 +237,12 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
     match (trace, beside) {
         (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
-            "it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"
+            "its data shows that it was trained with VecNormalize (`{beside}` seems to have the statistics)"
         )),
-        (VecNormalizeUse::Behind, None) => Some("it was trained behind VecNormalize, as its own data tells".to_owned()),
-        (_, Some(beside)) => Some(format!("beside it lies `{beside}`, so what it saw in training was normalised")),
+        (VecNormalizeUse::Behind, None) => Some("its data shows that it was trained with VecNormalize".to_owned()),
+        (_, Some(beside)) => {
+            Some(format!("`{beside}` is in the same folder, so its observations were normalised in training"))
+        }
         (_, None) => None,
     }
 }
@@ -335,10 +337,10 @@ impl ControllerFile {
         let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
         let command = self.command.clone().map(|words| ("command", "a command", ControllerFileSource::Command(words)));
         let mut said = [network, fmu, command].into_iter().flatten();
-        let problem = "there is neither a `network`, nor an `fmu`, nor a `command`";
+        let problem = "one of `network`, `fmu` and `command` is required";
         let (field, what, drives) = said.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
         if let Some((other, ..)) = said.next() {
-            return Err(InvalidMapping::new(other, format!("there is `{field}` already, and one of them drives")));
+            return Err(InvalidMapping::new(other, format!("`{field}` is given already: keep one of them")));
         }
         let (is_network, is_fmu) = (field == "network", field == "fmu");
         let input = self.inputs.iter().flatten().position(|input| input.variable.is_some());

@@ -76,7 +76,7 @@ impl FileDriver {
         let Some(identity) = controller.identity() else {
             // Without an identity, the scenario does not determine its runs.
             return Err(unusable(format!(
-                "{} states no identity: the driver of a scenario has to list its `files`, and be deterministic",
+                "{} has no identity: the driver of a scenario must list its `files` and be deterministic",
                 path.display()
             )));
         };
@@ -210,7 +210,9 @@ impl<'de> Deserialize<'de> for Driver {
                 let driver = DriverForm::deserialize(de::value::MapAccessDeserializer::new(&mut map))?;
                 match map.next_key::<String>()? {
                     None => Ok(driver),
-                    Some(second) => Err(de::Error::custom(format!("a vehicle has one driver, `{second}` is a second"))),
+                    Some(second) => {
+                        Err(de::Error::custom(format!("a vehicle has one driver: remove the second one, `{second}`")))
+                    }
                 }
             }
         }

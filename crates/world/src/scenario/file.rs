@@ -241,11 +241,13 @@ pub fn raw_toml_value<'t>(text: &'t str, field: &str) -> Option<&'t str> {
 /// Rewrites messages of serde and toml in terms of the file.
 fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
     match message {
-        "wanted exactly 1 element, more than 1 element" => "several kinds are given, and one is wanted".into(),
+        "wanted exactly 1 element, more than 1 element" => {
+            "several kinds are given, and exactly one is required".into()
+        }
         "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
         "integer number overflowed" => "a whole number this large must be written with a point or an exponent".into(),
         "invalid type: unit variant, expected newtype variant" => {
-            "a name alone is not enough: its settings belong into a table".into()
+            "a name alone is not enough: its settings belong in a table".into()
         }
         // Serde appends this for an item without settings.
         other => other.strip_suffix(", there are no fields").unwrap_or(other).into(),

@@ -101,10 +101,13 @@ pub enum FieldProblem {
         found: f64,
     },
     /// A delay, lag or jerk limit of a scripted vehicle.
-    #[error("has no place on a vehicle that follows a script: put the delay into the script")]
+    #[error("is not allowed on a vehicle that follows a script: put the delay into the script")]
     DelayedScript,
     /// A lane change of a vehicle that is not scripted.
-    #[error("has no place on a vehicle that is driven by `{driver}`: only one that follows a script may change lanes")]
+    #[error(
+        "is not allowed on a vehicle that is driven by `{driver}`: only a vehicle that follows a script may change \
+        lanes"
+    )]
     LaneChangeNotScripted {
         /// Name of the driver.
         driver: &'static str,

@@ -42,8 +42,8 @@ const EXEC_PREFIX: &str = "exec:";
 pub enum UnknownController {
     /// Neither a built-in name nor a file.
     #[error(
-        "there is no controller `{name}`: there are {built_in_names}, files of policies, networks and controllers, \
-         commands after `exec:`, and `shield:` before any of them"
+        "there is no controller `{name}`: use {built_in_names}, a policy, network or controller file, or a command \
+        after `exec:`; each may follow `shield:`"
     )]
     UnknownName {
         /// The requested name.
@@ -61,8 +61,8 @@ pub enum UnknownController {
     },
     /// A wrong setting of a shield.
     #[error(
-        "`{setting}` is no setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each with a \
-         number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
+        "`{setting}` is not a setting of a shield: the settings are ahead, gap-error, speed-error and \
+        ahead-speed-error, each with a number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
     )]
     ShieldSetting {
         /// The setting.
@@ -72,15 +72,15 @@ pub enum UnknownController {
     #[error("at most {MAX_SHIELDS} shields may stand before a controller")]
     TooManyShields,
     /// A command with invalid quoting.
-    #[error("`{command}` is no command: a quotation mark or a backslash has nothing after it")]
+    #[error("`{command}` is not a valid command: a quotation mark is not closed, or a backslash is last")]
     CommandSyntax {
         /// The command.
         command: String,
     },
     /// A file that is not a controller.
     #[error(
-        "{path} is no controller, but {what}: a program is asked as `exec:{command}`, or by a controller file, F.toml, with \
-         `command` (docs/controllers.md){hint}"
+        "{path} is {what}, not a controller: run a program with `exec:{command}`, or with a controller file, F.toml, \
+        that has a `command` (docs/controllers.md){hint}"
     )]
     NotAController {
         /// The file.
@@ -116,7 +116,7 @@ pub enum UnknownController {
 
 /// A controller that contradicted itself or cannot be started any more, so that its results are not reproducible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the controller `{controller}` was refused on the way, and nothing that was found with it counts: {failure}")]
+#[error("the controller `{controller}` failed during the command, so its results are invalid: {failure}")]
 pub struct RefusedController {
     /// Name of the controller.
     pub controller: String,
@@ -331,9 +331,9 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     let (what, hint) = if !is_regular_file(&path) {
         return None;
     } else if is_one_of(&LIBRARIES) {
-        ("a shared library", "; a library as an FMU, F.fmu")
+        ("a shared library", "; export a library as an FMU, F.fmu")
     } else if is_one_of(&SOURCES) {
-        ("a source text", "; a model as an FMU, F.fmu, or a network, F.onnx")
+        ("source code", "; export a model as an FMU, F.fmu, or a network, F.onnx")
     } else if extension.is_none() {
         ("a file without an extension", "")
     } else {

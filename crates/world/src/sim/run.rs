@@ -115,7 +115,7 @@ pub enum RunError {
         missing: &'static str,
     },
     /// A shield gives no guarantee for a vehicle under test.
-    #[error("a shield cannot vouch for vehicle {vehicle}: {refusal}")]
+    #[error("a shield cannot protect vehicle {vehicle}: {refusal}")]
     Shield {
         /// Index of the vehicle.
         vehicle: usize,

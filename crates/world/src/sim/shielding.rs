@@ -24,14 +24,15 @@ pub enum ShieldRefusal {
     #[error("vehicles enter or leave the lane, which the kernel does not cover")]
     LaneChanges,
     /// Noise on the own acceleration may cancel the brake.
-    #[error("noise on its acceleration may take away all of its brake, {brake_mps2} m/s² on this road")]
+    #[error("noise on its acceleration can be as large as its maximum braking, {brake_mps2} m/s² on this road")]
     Noise {
         /// Maximum deceleration on this road, in m/s².
         brake_mps2: f64,
     },
     /// The error of the Kalman filter is unbounded if measurements may be lost.
     #[error(
-        "its sensors lose measurements, so the error of what it sees has no bound: give bounds, as in `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
+        "its sensors lose measurements, so the error of its observations has no bound: give bounds, as in \
+        `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
     )]
     Dropout,
     /// Rounding may decrease the gap by more than the margin covers.

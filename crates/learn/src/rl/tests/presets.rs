@@ -149,7 +149,7 @@ fn what_contradicts_itself_is_named() {
             "replay.capacity: holds 127 transitions, less than learning.batch",
         ),
         (fast, "capacity = 100000", "capacity = 100000000", "replay.capacity: training takes about "),
-        (&nothing_seen, "limit = 4.0", "limit = 4.0", "environment.observation.inputs: nothing is seen"),
+        (&nothing_seen, "limit = 4.0", "limit = 4.0", "environment.observation.inputs: the observation is empty"),
         (
             fast,
             "actor_rate = 1e-4",
@@ -185,13 +185,13 @@ fn what_contradicts_itself_is_named() {
             road,
             "limit = 6.0",
             "history_every = 5\nlimit = 6.0",
-            "environment.observation.history_every: says how far apart",
+            "environment.observation.history_every: is the interval between past decisions",
         ),
         (
             all,
             "rates_fall = { until_episode = 1000",
             "rates_fall = { until_episode = 200",
-            "learning.rates_fall.until_episode: must be more than exploration.random_episodes",
+            "learning.rates_fall.until_episode: must be above exploration.random_episodes",
         ),
         (road, "space = \"high-risk\"", "space = \"traffic\"", "spaces[1].space: `traffic` is named twice"),
         (
@@ -210,7 +210,8 @@ fn what_contradicts_itself_is_named() {
         let said = parse_error(&text.replacen(from, to, 1)).expect(to);
         let (_, rest) = said.split_once(": ").unwrap();
         assert!(rest.starts_with(expected), "{said}");
-        let line = if expected.contains("nothing is seen") { "[environment.observation.inputs]" } else { from };
+        let line =
+            if expected.contains("the observation is empty") { "[environment.observation.inputs]" } else { from };
         let at = text.lines().position(|found| found.contains(line)).unwrap() + 1;
         assert!(said.starts_with(&format!("own.toml:{at}: ")), "{said}, line {at}");
     }

@@ -107,7 +107,7 @@ fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
         Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperSource)),
         Trainer::from_checkpoint(&bytes, &config, 1, source("paper-2")),
     ] {
-        assert!(refused.err().unwrap().to_string().contains("it is of a training on a share of 0.5"));
+        assert!(refused.err().unwrap().to_string().contains("it belongs to a training on a share of 0.5"));
     }
     let mut unsuited = Trainer::with_source(&config, 1, source("paper-3"));
     let error = (0..12).find_map(|_| unsuited.run_episode().err()).unwrap();

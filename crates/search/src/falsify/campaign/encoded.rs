@@ -16,7 +16,7 @@ pub(in crate::falsify) mod verdict {
         let verdict = read.as_ref().map(journal::decode).filter(|verdict| !verdict.robustness.is_nan());
         // Reject bytes that are not written back identically, such as an unknown braking level or class.
         let is_whole = |verdict: &RunVerdict| super::to_hex(&journal::encode(verdict)) == text;
-        verdict.filter(is_whole).ok_or_else(|| de::Error::custom("not a verdict"))
+        verdict.filter(is_whole).ok_or_else(|| de::Error::custom("expected an encoded verdict"))
     }
 }
 
@@ -32,7 +32,7 @@ pub(super) mod cells {
     pub(in crate::falsify) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<bool>, D::Error> {
         let (length, text) = <(usize, String)>::deserialize(from)?;
         let bytes = super::parse_hex(&text).filter(|bytes| bytes.len() == length.div_ceil(8));
-        let bytes = bytes.ok_or_else(|| de::Error::custom("not so many cells"))?;
+        let bytes = bytes.ok_or_else(|| de::Error::custom("the number of cells differs from the stated number"))?;
         let cells = bytes.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1 == 1));
         Ok(cells.take(length).collect())
     }

@@ -82,10 +82,10 @@ impl FailureKind {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
             Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
             Self::Violation { has_contact: false } => {
-                return "the specification is violated without a contact".to_owned();
+                return "the specification is violated without a collision".to_owned();
             }
             Self::Violation { has_contact: true } => {
-                return "the specification is violated, and vehicles touch".to_owned();
+                return "the specification is violated with a collision".to_owned();
             }
             Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
                 (front_vehicle, rear_vehicle, ego_braking, rear_class)

@@ -147,7 +147,7 @@ impl MergedCampaign {
             return match work.read_required(SUMMARY_FILE)? == summary.to_json()?.into_bytes() {
                 true => Ok(summary),
                 false => {
-                    let problem = "there is a campaign of the same configuration that came to something else";
+                    let problem = "the folder holds a campaign of the same configuration with other results";
                     Err(RunFolderError::damaged(&work.path(SUMMARY_FILE), problem).into())
                 }
             };

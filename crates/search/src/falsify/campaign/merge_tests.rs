@@ -202,7 +202,7 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     let b = make(&campaign(Method::Halton, 2), 2, 2, "b");
     assert!(refused(&b).ends_with("campaign.seed differs"), "{}", refused(&b));
     let c = make(&own, 1, 3, "c");
-    assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
+    assert!(refused(&c).contains("shard 1/3 repeats work of shard 1/2"), "{}", refused(&c));
     let error = own.run_shard(ShardId::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &Quiet);
     assert!(error.unwrap_err().to_string().contains("there are 40 evaluations of each method"));
     // Any change of a file is detected, and the error names the file.
@@ -264,32 +264,35 @@ fn findings_that_cannot_be_are_refused() {
     type FindingsMutation = fn(&mut Value);
     let changes: [(FindingsMutation, &str); 11] = [
         (|_| (), ""),
-        (|found| found["examined"] = json!([]), "examined: not the failures"),
-        (|found| drop(found["examined"].as_array_mut().unwrap().pop()), "examined: not the failures"),
-        (|found| found["examined"][0]["values"][0] = json!(1e9), "is none, or of another space"),
-        (|found| found["kinds"][0]["severest"]["values"][0] = json!(1e9), "kinds: not failures of this campaign"),
-        (|found| found["front"][0]["values"][0] = json!(-1e9), "front: not failures of this campaign"),
-        (|found| found["front"] = json!([]), "front: not failures of this campaign"),
+        (|found| found["examined"] = json!([]), "examined: differ from the failures"),
+        (|found| drop(found["examined"].as_array_mut().unwrap().pop()), "examined: differ from the failures"),
+        (|found| found["examined"][0]["values"][0] = json!(1e9), "is not a failure, or belongs to another space"),
+        (
+            |found| found["kinds"][0]["severest"]["values"][0] = json!(1e9),
+            "kinds: contain failures of another campaign",
+        ),
+        (|found| found["front"][0]["values"][0] = json!(-1e9), "front: contains failures of another campaign"),
+        (|found| found["front"] = json!([]), "front: contains failures of another campaign"),
         (
             |found| {
                 let first = found["kinds"][0]["by_method"][0].clone();
                 let most = json!([first[0], u64::MAX, first[2]]);
                 found["kinds"][0]["by_method"] = json!([first, most, most]);
             },
-            "kinds: not counted in this part",
+            "kinds: counts are inconsistent with this part",
         ),
         (
             |found| found["methods"][0]["failures"] = json!(found["methods"][0]["failures"].as_u64().unwrap() + 1),
-            "kinds: not the failures that",
+            "kinds: differ from the failures that",
         ),
         (
             |found| {
                 let twice = found["kinds"][0].clone();
                 found["kinds"].as_array_mut().unwrap().push(twice);
             },
-            "kinds: one of them twice",
+            "kinds: a kind is listed twice",
         ),
-        (|found| found["methods"][0]["evaluations"] = json!(u64::MAX), "methods: not what this part"),
+        (|found| found["methods"][0]["evaluations"] = json!(u64::MAX), "methods: inconsistent with this part"),
     ];
     let genuine = root.path().join("genuine");
     campaign.run_shard(shard, &genuine, false, &Quiet).unwrap();

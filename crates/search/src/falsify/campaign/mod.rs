@@ -103,14 +103,15 @@ pub enum CampaignError {
     Specification(#[from] SpecificationError),
     /// The controller has no identity, so a campaign with it cannot be resumed.
     #[error(
-        "the controller `{0}` states no identity: a campaign with it cannot be resumed; begin it anew, without --resume, in another --out"
+        "the controller `{0}` states no identity, so its campaign cannot be resumed; start again without --resume, \
+         with another --out"
     )]
     NoIdentity(String),
     /// The controller has no identity, so shards with it cannot be merged.
-    #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
+    #[error("the controller `{0}` states no identity, so crumple cannot check that shards belong together")]
     NoIdentityInShards(String),
     /// The method of a divided campaign is not built in.
-    #[error("the search method `{0}` is not built in: its campaign cannot be divided into shards")]
+    #[error("the search method `{0}` is not built in, so its campaign cannot be divided into shards")]
     CustomMethodInShards(String),
     /// The search method proposed no points, or points outside the unit cube.
     #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
@@ -122,7 +123,7 @@ pub enum CampaignError {
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
     /// A controller is compared with itself.
-    #[error("`{0}` is set against itself: what the one fails the other fails as well")]
+    #[error("the controller `{0}` is compared with itself: choose another controller to compare with")]
     ComparedWithItself(String),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]

@@ -23,7 +23,7 @@ pub enum SearchObjective {
 
 /// The error of a name that is not that of an objective.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no aim `{name}`; there are: {}", SearchObjective::ALL.map(SearchObjective::name).join(", "))]
+#[error("unknown aim `{name}`; the aims are: {}", SearchObjective::ALL.map(SearchObjective::name).join(", "))]
 pub struct UnknownObjective {
     /// The name.
     pub name: String,

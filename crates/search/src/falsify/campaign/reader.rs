@@ -65,7 +65,7 @@ impl CampaignReader {
         };
         let (text, stage) = match run_folder::read_state(folder)? {
             RunState::Missing => {
-                return Err(CampaignError::Folder(format!("{}: no campaign has begun there", folder.display())));
+                return Err(CampaignError::Folder(format!("{}: the folder holds no campaign", folder.display())));
             }
             RunState::InProgress(kind) if kind == CAMPAIGN_KIND => {
                 let path = folder.join(CONFIGURATION_FILE);
@@ -128,7 +128,7 @@ impl CampaignReader {
                 let now = Self::open(&self.folder)?;
                 if now.config.record != self.config.record {
                     return Err(CampaignError::Folder(format!(
-                        "{}: another campaign is there now",
+                        "{}: the folder holds another campaign now",
                         self.folder.display()
                     )));
                 }

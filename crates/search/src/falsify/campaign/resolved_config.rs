@@ -32,20 +32,20 @@ impl ResolvedConfig {
 
     pub(super) fn from_shard_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
         if record.sharding.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
-            return Err("not a campaign that can be divided".to_owned());
+            return Err("not a campaign that can be divided into shards".to_owned());
         }
         Self::from_record(record, nondeterministic)
     }
 
     pub(super) fn from_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
-            return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
+            return Err(format!("version: {} is not supported: this release reads {CAMPAIGN_VERSION}", record.version));
         }
         // The record contains the space with its base scenario, so no folder is searched.
         let space =
             ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
-            return Err("space: not as crumple writes it".to_owned());
+            return Err("space: differs from what crumple writes for this space".to_owned());
         }
         let text = record.specification.clone();
         let specification =

@@ -155,7 +155,7 @@ impl CampaignRun<'_> {
             if let Some(silent) = &mut reached.other_unanswered {
                 let because =
                     self.campaign.evaluator().partner_failure_reason(&self.config.space.scenario(&silent.values)?);
-                silent.because = because.unwrap_or_else(|| "it answers when it is asked again".to_owned());
+                silent.because = because.unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
             }
         }
         self.campaign.ensure_all_trusted()

@@ -191,13 +191,13 @@ impl FindingsFile {
         let is_sound = self.methods.iter().map(|reached| &reached.method).eq(&methods)
             && self.methods.iter().all(|reached| reached.is_consistent_with(part, dimension));
         if !is_sound {
-            return Err("methods: not what this part of the budget comes to".to_owned());
+            return Err("methods: inconsistent with this part of the budget".to_owned());
         }
         let mut failures = Failures::new(terms.specification.clone());
         for row in self.kinds {
             let kind = row.into_group(terms, &methods, part)?;
             if failures.groups.iter().any(|known| known.kind == kind.kind) {
-                return Err("kinds: one of them twice".to_owned());
+                return Err("kinds: a kind is listed twice".to_owned());
             }
             failures.groups.push(kind);
         }
@@ -206,21 +206,21 @@ impl FindingsFile {
             let by_method = || failures.groups.iter().flat_map(|kind| &kind.by_method).filter(|(by, ..)| by == method);
             let counted = by_method().map(|(_, count, _)| *count).fold(0, u64::saturating_add);
             if counted != *failed || by_method().map(|(.., first)| *first).min() != *first {
-                return Err(format!("kinds: not the failures that {method} has found"));
+                return Err(format!("kinds: differ from the failures that {method} found"));
             }
         }
         let best = self.methods.iter().map(|reached| reached.best).fold(f64::INFINITY, f64::min);
         let severest =
             failures.groups.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
         if !failures.groups.is_empty() && best != severest {
-            return Err("kinds: without the severest failure".to_owned());
+            return Err("kinds: the severest failure is missing".to_owned());
         }
         let is_failure = |found: &FailureCandidate| {
             let kind = found.checked_kind(terms, &methods, part);
             kind.is_some_and(|kind| failures.groups.iter().any(|known| known.kind == kind))
         };
         if self.front.is_empty() != failures.groups.is_empty() || !self.front.iter().all(is_failure) {
-            return Err("front: not failures of this campaign".to_owned());
+            return Err("front: contains failures of another campaign".to_owned());
         }
         failures.front = ParetoFront::from_failures(self.front);
         let picks = failures.examination_candidates(usize::MAX);
@@ -232,7 +232,7 @@ impl FindingsFile {
         looked_at.sort_by_key(order);
         wanted.sort_by_key(order);
         if looked_at != wanted {
-            return Err("examined: not the failures that are looked at closely".to_owned());
+            return Err("examined: differ from the failures that crumple examines".to_owned());
         }
         let examined = self.examined.into_iter().map(|row| row.into_examined(terms)).collect::<Result<_, _>>()?;
         Ok((CampaignFindings { method_results: self.methods, failures }, examined))
@@ -244,7 +244,7 @@ impl FailureGroupRecord {
         let Self { by_method, first, severest, likeliest } = self;
         let [kind, others @ ..] = [&first, &severest, &likeliest].map(|found| found.checked_kind(terms, methods, part));
         let Some(kind) = kind.filter(|kind| others.iter().all(|other| other == &Some(*kind))) else {
-            return Err("kinds: not failures of this campaign".to_owned());
+            return Err("kinds: contain failures of another campaign".to_owned());
         };
         let order = |method: &Method| methods.iter().position(|known| known == method);
         let is_made = |(_, count, first): &(Method, u64, u64)| {
@@ -259,7 +259,7 @@ impl FailureGroupRecord {
             [&first, &likeliest].iter().all(|found| found.verdict.robustness >= severest.verdict.robustness);
         match is_counted && is_severest {
             true => Ok(FailureGroup { kind, by_method, first, severest, likeliest }),
-            false => Err("kinds: not counted in this part of the budget".to_owned()),
+            false => Err("kinds: counts are inconsistent with this part of the budget".to_owned()),
         }
     }
 }

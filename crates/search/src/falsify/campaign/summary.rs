@@ -91,7 +91,7 @@ fn default_objective() -> String {
 impl Sharding {
     fn write(&self, out: &mut String, method: &str) -> std::fmt::Result {
         if self.searches > 1 {
-            writeln!(out, "  put together of {} searches by {method}, each by a seed of its own", self.searches)?;
+            writeln!(out, "  combined from {} searches by {method}, each with a different seed", self.searches)?;
         }
         if let (Some(of), false) = (self.of_shards, self.missing_shards.is_empty()) {
             writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", format_ranges(&self.missing_shards))?;
@@ -100,7 +100,7 @@ impl Sharding {
                 writeln!(out, "  INCOMPLETE: evaluations {first} to {last} of each method are missing")?;
             }
             if let Some(more @ 1..) = self.missing_evaluations.len().checked_sub(MAX_SHOWN_RANGES) {
-                writeln!(out, "  and {more} ranges more, in summary.json")?;
+                writeln!(out, "  and {more} more ranges, in summary.json")?;
             }
         }
         Ok(())
@@ -234,11 +234,11 @@ impl CampaignSummary {
         if all < 2 {
             return Ok(());
         }
-        writeln!(out, "\n  severity against likelihood: {all} failures that no other one beats in both")?;
+        writeln!(out, "\n  Pareto front of severity and likelihood: {all} failures")?;
         writeln!(
             out,
-            "  {:>10} {:>12} {:>13} {:>9}  {:<22} what happens",
-            "robustness", "impact m/s", "ln likelihood", "departure", "evaluation"
+            "  {:>10} {:>12} {:>13} {:>9}  {:<22} kind of failure",
+            "robustness", "impact m/s", "ln likelihood", "distance", "evaluation"
         )?;
         let shown = all.min(MAX_SHOWN_FRONT_POINTS);
         for point in (0..shown).filter_map(|place| self.front.get(place * last / (shown - 1))) {
@@ -267,7 +267,7 @@ impl CampaignSummary {
         for method in &self.methods {
             if let Some(silent) = &method.other_unanswered {
                 let words = silent.describe(method.evaluations);
-                writeln!(out, "  NOT JUDGED: {who} {words} ({}); these do not count as failures", method.method)?;
+                writeln!(out, "  NOT COMPARED: {who} {words} ({}); these do not count as failures", method.method)?;
             }
         }
         Ok(())
@@ -280,7 +280,7 @@ impl CampaignSummary {
                 let partner = relation.describe_partner();
                 writeln!(
                     out,
-                    "  NOT COMPARED: of {alone} of {evaluations} evaluations there is no scenario {partner} ({method})"
+                    "  NOT COMPARED: {alone} of {evaluations} evaluations have no valid scenario {partner} ({method})"
                 )?;
             }
         }
@@ -298,15 +298,15 @@ impl CampaignSummary {
             self.seed
         )?;
         if self.objective != SearchObjective::default().name() {
-            writeln!(out, "  the search was after the {} failures", self.objective)?;
+            writeln!(out, "  objective of the search: the {} failures", self.objective)?;
         }
         if let Some(contrast) = &self.failure_criterion {
-            writeln!(out, "  failures count {}", TerminalText(&contrast.describe()))?;
+            writeln!(out, "  the search counts only failures {}", TerminalText(&contrast.describe()))?;
         }
         if self.nondeterministic {
             writeln!(
                 out,
-                "  the controller says that it is not deterministic: the same campaign may find something else"
+                "  the controller declares that it is not deterministic: the same campaign may have other results"
             )?;
         }
         if let Some(divided) = &self.sharding {
@@ -317,18 +317,19 @@ impl CampaignSummary {
             writeln!(out, "  FALSIFIED: {} distinct {failures}", self.counterexamples.len())?;
             let silent = match self.counterexamples.iter().filter(|one| one.because.is_some()).count() {
                 0 => String::new(),
-                silent => format!("; of {silent} it was not asked, since the controller gave no answer"),
+                silent => format!("; {silent} not analysed, because the controller gave no answer"),
             };
             if let Some(AvoidabilitySummary { avoidable, unavoidable, undecided, avoidable_percent }) =
                 self.avoidability
             {
                 writeln!(
                     out,
-                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, {undecided} undecided{silent}"
+                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, \
+                     {undecided} undecided{silent}"
                 )?;
             }
         } else {
-            writeln!(out, "  no failure found; that is no proof that there is none")?;
+            writeln!(out, "  no failure found; this does not prove that none exists")?;
         }
         writeln!(
             out,
@@ -348,7 +349,7 @@ impl CampaignSummary {
         self.write_without_partner(out)?;
         self.write_unanswered(out)?;
         if !self.failures.is_empty() {
-            writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
+            writeln!(out, "\n  kinds of failures, and the evaluation at which each method found them first")?;
             for kind in &self.failures {
                 let by: Vec<_> = kind.by_method.iter().map(|by| format!("{} {}", by.method, by.first)).collect();
                 writeln!(out, "  {:>9} x  {}  [{}]", kind.count, kind.kind, by.join(", "))?;
@@ -358,7 +359,7 @@ impl CampaignSummary {
             }
         }
         if !self.counterexamples.is_empty() {
-            writeln!(out, "\n  distinct failures, shrunk, the severest first")?;
+            writeln!(out, "\n  distinct failures, shrunk, severest first")?;
             for found in &self.counterexamples {
                 found.write(out, self.specification != Specification::NO_CONTACT)?;
             }
@@ -369,7 +370,8 @@ impl CampaignSummary {
             let failing: usize = self.regions.iter().map(|region| region.failing).sum();
             writeln!(
                 out,
-                "\n  where failures lie, as shares of the space by its ranges: {failing} of {points} points of the reference searches fail"
+                "\n  regions with failures, as shares of the ranges of the space: {failing} of {points} points of the \
+                 reference searches fail"
             )?;
             let safest = self.regions.len() - 1;
             let shown = |index: &usize| *index < MAX_SHOWN_REGIONS || *index == safest;
@@ -393,7 +395,7 @@ impl CampaignSummary {
                 let regions = if hidden.len() == 1 { "region" } else { "regions" };
                 writeln!(
                     out,
-                    "  {} {regions} between these, in summary.json, with {failing} of {points} points failing",
+                    "  {} more {regions} in summary.json, in which {failing} of {points} points fail",
                     hidden.len()
                 )?;
             }
@@ -404,7 +406,7 @@ impl CampaignSummary {
         let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
         writeln!(
             out,
-            "\n  tenths of single parameters and of pairs tried: {method} by {}, {} with the reference searches",
+            "\n  coverage of tenths of single parameters and of pairs: {method} by {}, {} with the reference searches",
             self.method,
             covered(&self.coverage.with_reference_searches)
         )

@@ -120,7 +120,7 @@ pub(super) fn decode_part(
 ) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
-        return Err(damaged("an earlier crumple wrote this log, in a format that crumple no longer reads"));
+        return Err(damaged("an earlier release wrote this log, in a format that this release does not read"));
     }
     let columns = columns(&terms.space);
     let header: usize = columns.iter().map(|column| column.len() + 3).sum();
@@ -129,7 +129,7 @@ pub(super) fn decode_part(
     let mut table = csv::Reader::from_reader(GzDecoder::new(part).take(most as u64));
     let unreadable = |error: csv::Error| damaged(&error.to_string());
     if table.headers().map_err(unreadable)? != columns {
-        return Err(damaged("the columns are not those of the campaign's space"));
+        return Err(damaged("the columns differ from the parameters of the campaign's space"));
     }
     let parameters: Vec<_> = terms.space.coordinate_parameters().collect();
     let (mut record, mut rows) = (StringRecord::new(), Vec::new());

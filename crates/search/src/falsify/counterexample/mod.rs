@@ -116,7 +116,7 @@ impl Counterexample {
         writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
         let delta = self.max_delta_v_mps.map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
         let involved = match self.vehicles_involved {
-            0 => "no vehicle touched".to_owned(),
+            0 => "no vehicle collided".to_owned(),
             many => format!("{many} vehicles involved"),
         };
         let runs = if self.found_at == 1 { "run" } else { "runs" };
@@ -135,6 +135,6 @@ impl Counterexample {
         let changed: Vec<_> = self.changed.iter().map(show).collect();
         let changed =
             if changed.is_empty() { "nothing: the nominal scenario fails".to_owned() } else { changed.join(", ") };
-        writeln!(out, "      not nominal: {changed}")
+        writeln!(out, "      differs from nominal: {changed}")
     }
 }

@@ -109,7 +109,7 @@ impl ExaminedFailureRecord {
                     escape: self.escape.as_deref().map(scenario).transpose()?,
                 },
             }),
-            _ => Err(format!("{place} is none, or of another space")),
+            _ => Err(format!("{place} is not a failure, or belongs to another space")),
         }
     }
 }

@@ -90,7 +90,7 @@ impl ProcessSetup {
             ));
         }
         if words.iter().any(|word| word.contains('\0')) {
-            return Err(InvalidMapping::new("command", "a word of a command holds no NUL"));
+            return Err(InvalidMapping::new("command", "a word of a command must not contain a NUL character"));
         }
         if self.files.len() > MAX_FILES {
             return Err(InvalidMapping::new(
@@ -437,7 +437,7 @@ impl Drop for ProcessController {
 fn file_sha256(path: &Path) -> io::Result<String> {
     let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
     if !path.metadata()?.is_file() {
-        return Err(refused("is no ordinary file"));
+        return Err(refused("is not a regular file"));
     }
     let mut file = File::open(path)?.take(MAX_FILE_BYTES + 1);
     let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);

@@ -19,7 +19,8 @@ pub struct StartPermission(());
 /// Refusal to start a program, or to load an FMU, that only a file names.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{location}: crumple starts no program, and loads no FMU, that only a file names: add --allow-external if you trust the file"
+    "{location}: a file names a program or an FMU, and crumple does not run it without permission: add \
+    --allow-external if you trust the file"
 )]
 pub struct StartRefusal {
     /// Place that names the program: file, line and field, or the name itself.

@@ -70,7 +70,7 @@ pub enum FormulaError {
         found: f64,
     },
     /// A comparison without a signal.
-    #[error("a comparison needs a signal, and here none is left")]
+    #[error("a comparison needs a signal, and this one has none")]
     NoSignal,
     /// A window that starts before now, or ends before its start.
     #[error("a window must have 0 <= start <= end, found [{from_s},{to_s}]")]
@@ -233,7 +233,8 @@ impl Formula {
         let (no, are) = if parts.len() == 1 { ("has no", "is") } else { ("have no", "are") };
         (!parts.is_empty()).then(|| {
             format!(
-                "{} {no} temporal operator (`always`, `eventually`, `until`) and {are} judged at the first instant only; the formula was read as `{self}`",
+                "{} {no} temporal operator (`always`, `eventually`, `until`) and {are} evaluated at the first instant \
+                    only; the formula was read as `{self}`",
                 parts.join(" and ")
             )
         })

@@ -15,11 +15,11 @@ pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkErro
     let given: Vec<_> = inputs.into_iter().filter(|(name, _)| !constants.contains_key(name)).collect();
     let [(input, shape)] = given.as_slice() else {
         let names: Vec<_> = given.iter().map(|(name, _)| name.as_str()).collect();
-        let problem = format!("the graph has {} inputs ({}), and one is wanted", names.len(), names.join(", "));
+        let problem = format!("the graph has {} inputs ({}), and crumple supports one", names.len(), names.join(", "));
         return Err(NetworkError::Unsupported(problem));
     };
     let Some(shape) = shape.clone() else {
-        return Err(NetworkError::Unsupported(format!("the graph does not say the shape of its input `{input}`")));
+        return Err(NetworkError::Unsupported(format!("the graph does not state the shape of its input `{input}`")));
     };
     let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
     let Some(count) = count.filter(|&count| count <= MAX_LAYER_WIDTH) else {
@@ -35,11 +35,12 @@ pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkErro
     match outputs.as_slice() {
         [output] if *output == chain.current => FeedForward::new(count, chain.steps),
         [output] => Err(NetworkError::Unsupported(format!(
-            "the graph answers with `{output}`, and its chain ends in `{}`",
+            "the output of the graph is `{output}`, but its chain of nodes ends in `{}`",
             chain.current
         ))),
         more => {
-            let problem = format!("the graph has {} answers ({}), and one is wanted", more.len(), more.join(", "));
+            let problem =
+                format!("the graph has {} outputs ({}), and crumple supports one", more.len(), more.join(", "));
             Err(NetworkError::Unsupported(problem))
         }
     }
@@ -59,7 +60,7 @@ struct Chain {
 fn mismatch_hint(taken: usize, count: usize) -> &'static str {
     match (taken, count) {
         (2.., 1) => {
-            ": the axis of the numbers may have no fixed length; export with one, and let the batch alone be dynamic"
+            ": the axis of the features may have no fixed length; export it with one, and make only the batch dynamic"
         }
         (1.., _) if count > taken && count.is_multiple_of(taken) => {
             ": the network may have been exported with a batch of several; export with a batch of 1, or a dynamic one"
@@ -76,10 +77,10 @@ enum Constant {
 impl Chain {
     fn apply_node(&mut self, node: OnnxNode) -> Result<(), String> {
         if !is_default_domain(&node.domain) {
-            return Err(format!("the operators of `{}` are not followed", node.domain));
+            return Err(format!("the operators of `{}` are not supported", node.domain));
         }
         let [output] = node.outputs.as_slice() else {
-            return Err(format!("it has {} answers, and one is wanted", node.outputs.len()));
+            return Err(format!("it has {} outputs, and crumple supports one", node.outputs.len()));
         };
         let output = output.clone();
         if node.operator == "Constant" {
@@ -96,7 +97,7 @@ impl Chain {
             return Err(format!("the network has more than {MAX_STEPS} steps"));
         }
         if node.inputs.iter().filter(|name| **name == self.current).count() != 1 {
-            return Err(format!("it does not take `{}` once, so the graph is no straight chain", self.current));
+            return Err(format!("it does not use `{}` exactly once, so the graph is not a simple chain", self.current));
         }
         match node.operator.as_str() {
             "Gemm" => self.gemm(&node)?,
@@ -123,10 +124,10 @@ impl Chain {
             "Identity" => {}
             // Single and double precision: all computations use single.
             "Cast" if matches!(integer_attribute(&node, "to"), Some(1 | 11)) => {}
-            "Cast" => return Err("only casts to single and double precision are followed".to_owned()),
+            "Cast" => return Err("only casts to single and double precision are supported".to_owned()),
             "Flatten" => self.shape = vec![1, self.element_count()],
             "Reshape" => self.reshape(&node)?,
-            _ => return Err("this operator is not followed".to_owned()),
+            _ => return Err("this operator is not supported".to_owned()),
         }
         self.current = output;
         Ok(())
@@ -143,7 +144,9 @@ impl Chain {
     fn constant(&self, node: &OnnxNode, place: usize) -> Result<Rc<OnnxTensor>, String> {
         let name = node.inputs.get(place).filter(|name| !name.is_empty()).ok_or("it lacks an input")?;
         let constant = self.constants.get(name);
-        constant.cloned().ok_or_else(|| format!("its input `{name}` is no constant, so the graph is no straight chain"))
+        constant
+            .cloned()
+            .ok_or_else(|| format!("its input `{name}` is not a constant, so the graph is not a simple chain"))
     }
 
     fn constant_operand(&self, node: &OnnxNode) -> Result<Constant, String> {
@@ -271,7 +274,7 @@ impl Chain {
             || node.attributes.contains_key("auto_pad")
             || node.inputs.first() != Some(&self.current)
         {
-            return Err("only a kernel over the whole input, without padding, is followed".to_owned());
+            return Err("only a kernel over the whole input, without padding, is supported".to_owned());
         }
         let [outputs, inputs] = matrix_shape(&constant.shape)?;
         let numbers = constant.floats()?;

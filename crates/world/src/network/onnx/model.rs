@@ -62,7 +62,7 @@ impl OnnxTensor {
     pub(super) fn floats(&self) -> Result<&[f32], String> {
         match &self.data {
             TensorData::Float(numbers) => Ok(numbers),
-            TensorData::Integer(_) => Err("holds whole numbers where a network's numbers are wanted".to_owned()),
+            TensorData::Integer(_) => Err("holds integers where floating-point numbers are expected".to_owned()),
             TensorData::Unsupported(why) => Err(why.clone()),
         }
     }
@@ -83,7 +83,7 @@ impl OnnxModel {
                 _ => {}
             }
         }
-        let opset = opset.ok_or_else(|| damaged("it does not say its opset"))?;
+        let opset = opset.ok_or_else(|| damaged("it does not state its opset"))?;
         let graph = graph.ok_or_else(|| damaged("it holds no graph"))?;
         let mut model =
             Self { opset, nodes: Vec::new(), constants: HashMap::new(), inputs: Vec::new(), outputs: Vec::new() };
@@ -106,14 +106,14 @@ impl OnnxModel {
                 12 => model.outputs.push(parse_value_info(value.bytes()?)?.0),
                 15 => {
                     return Err(NetworkError::Unsupported(
-                        "the graph has a sparse constant, which is not read".to_owned(),
+                        "the graph has a sparse constant, which is not supported".to_owned(),
                     ));
                 }
                 _ => {}
             }
             let parts = [model.nodes.len(), model.constants.len(), model.inputs.len(), model.outputs.len()];
             if parts.iter().any(|&parts| parts > MAX_PARTS) {
-                let problem = format!("the graph has more than {MAX_PARTS} nodes, constants, inputs or answers");
+                let problem = format!("the graph has more than {MAX_PARTS} nodes, constants, inputs or outputs");
                 return Err(NetworkError::Unsupported(problem));
             }
         }
@@ -156,7 +156,7 @@ impl OnnxNode {
                 _ => {}
             }
             if node.inputs.len().max(node.outputs.len()).max(node.attributes.len()) > MAX_PARTS {
-                return Err(damaged(format!("a node of more than {MAX_PARTS} inputs, answers or attributes")));
+                return Err(damaged(format!("a node of more than {MAX_PARTS} inputs, outputs or attributes")));
             }
         }
         Ok(node)
@@ -202,11 +202,13 @@ fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
     let shape = shape.filter(|shape| shape.len() <= MAX_DIMENSIONS);
     let count = shape.as_ref().and_then(|shape| shape.iter().try_fold(1_usize, |count, &dim| count.checked_mul(dim)));
     let (Some(shape), Some(count)) = (shape, count) else {
-        return Err(damaged(format!("constant `{name}` has a shape that there is not")));
+        return Err(damaged(format!("constant `{name}` has an invalid shape")));
     };
     let numbers = match (kind, raw) {
         _ if is_elsewhere => TensorData::Unsupported(
-            "lies in another file, which is not read: save all in one (PyTorch: external_data=False)".to_owned(),
+            "is stored in another file, which is not supported: save the model in one file (PyTorch: \
+                external_data=False)"
+                .to_owned(),
         ),
         (1, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::floats)?),
         (11, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::doubles)?),

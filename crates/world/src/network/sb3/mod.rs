@@ -43,7 +43,8 @@ struct Data {
 const REQUIRED_FIELDS: [&str; 3] = ["policy_class", "observation_space", "action_space"];
 
 /// Hint appended when a model kind is not supported.
-pub(super) const PROCESS_HINT: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
+pub(super) const PROCESS_HINT: &str = "a program that loads the model and calls `predict` can be the controller \
+    instead (`exec:`, docs/controllers.md, Processes)";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ActorKind {
@@ -76,7 +77,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
     let settings: serde_json::Map<String, Value> = serde_json::from_slice(data).map_err(wrong)?;
     if let Some(missing) = REQUIRED_FIELDS.into_iter().find(|needed| !settings.contains_key(*needed)) {
         return unsupported(format!(
-            "it was saved without its `{missing}`, which says what it sees or answers: save it without `exclude` of that"
+            "it was saved without `{missing}`, which describes its inputs or outputs: save it without excluding that \
+                field"
         ));
     }
     let data = Data::deserialize(&settings).map_err(wrong)?;
@@ -88,7 +90,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
     if let Some(NetworkStep::Linear(last)) = steps.iter().rev().find(|step| matches!(step, NetworkStep::Linear(_)))
         && last.biases.len() != actions.low.len()
     {
-        let problem = format!("its actor has {} answers for {} actions", last.biases.len(), actions.low.len());
+        let problem = format!("its actor has {} outputs for {} actions", last.biases.len(), actions.low.len());
         return Err(NetworkError::damaged("model", problem));
     }
     steps.extend(actor.output_steps(&data, actions.clone()));
@@ -108,14 +110,14 @@ impl ActorKind {
         let bytes = space::serialized_bytes(class, "policy_class")?;
         let pickle = Pickle::read(&bytes)?;
         let Some((module, name)) = pickle.global(pickle.top) else {
-            return unsupported_with_hint("its policy is a class of its own, which is not followed");
+            return unsupported_with_hint("its policy is a custom class, which is not supported");
         };
         match (module, name) {
             ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok((Self::OnPolicy, "ActorCriticPolicy")),
             ("stable_baselines3.sac.policies", "SACPolicy") => Ok((Self::SoftActorCritic, "SACPolicy")),
             ("stable_baselines3.td3.policies", "TD3Policy") => Ok((Self::Deterministic, "TD3Policy")),
             _ => unsupported_with_hint(format_args!(
-                "its policy `{}.{}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are",
+                "its policy `{}.{}` is not supported: crumple reads PPO, A2C, SAC, TD3 and DDPG with MlpPolicy",
                 sanitized(module),
                 sanitized(name)
             )),
@@ -127,7 +129,7 @@ impl ActorKind {
         let told = &data.policy_kwargs;
         let class = told.get("features_extractor_class").and_then(Value::as_str);
         if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
-            return unsupported_with_hint("it has a features extractor of its own, which is not followed");
+            return unsupported_with_hint("it has a custom features extractor, which is not supported");
         }
         let activation = activation(told, self)?;
         let mut steps = Vec::new();
@@ -167,11 +169,7 @@ impl ActorKind {
                 }
             }
         }
-        if steps.is_empty() {
-            unsupported_with_hint("its policy has no layers of the names that are known")
-        } else {
-            Ok(steps)
-        }
+        if steps.is_empty() { unsupported_with_hint("its policy has no layers with known names") } else { Ok(steps) }
     }
 
     /// Builds the steps from the answer to the action space.
@@ -218,7 +216,7 @@ fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, Net
         "Identity" => return Ok(None),
         _ => {
             return unsupported_with_hint(format_args!(
-                "its activation function `{}` is not followed",
+                "its activation function `{}` is not supported",
                 sanitized(name)
             ));
         }

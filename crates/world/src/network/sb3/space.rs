@@ -42,11 +42,11 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
     let call = pickle.call(pickle.top);
     let class = call.and_then(|call| pickle.global(call.callee));
     let (Some(call), Some((module, name))) = (call, class) else {
-        return unsupported(format!("its {field} is not one of Gymnasium's"));
+        return unsupported(format!("its {field} is not a space of Gymnasium"));
     };
     if !(module.ends_with("spaces.box") && name == "Box") {
         return unsupported(format!(
-            "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed; {}",
+            "its {field} is `{}`, and crumple supports only Box with a fixed size; {}",
             sanitized(name),
             super::PROCESS_HINT
         ));
@@ -58,7 +58,7 @@ pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkEr
     };
     let (low, high) = (bound("low")?, bound("high")?);
     if low.len() != high.len() || low.is_empty() || !low.iter().zip(&high).all(|(low, high)| low < high) {
-        return Err(NetworkError::damaged("member `data`", format!("{field} has bounds that do not fit each other")));
+        return Err(NetworkError::damaged("member `data`", format!("{field} has bounds that contradict each other")));
     }
     Ok(BoxSpace { low, high })
 }

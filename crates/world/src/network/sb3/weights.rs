@@ -49,7 +49,7 @@ impl<'a> Weights<'a> {
         let name = archive.only_member_with_suffix("/data.pkl")?.to_owned();
         let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
         if archive.has_member_with_suffix("/byteorder") && archive.member(&format!("{folder}byteorder"))? != b"little" {
-            return Err(NetworkError::Unsupported("its numbers begin with their highest byte".to_owned()));
+            return Err(NetworkError::Unsupported("its numbers are big-endian, which is not supported".to_owned()));
         }
         let pickle = Pickle::read(archive.member(&name)?)?;
         if pickle.entries(pickle.top).is_none() {
@@ -81,8 +81,7 @@ impl<'a> Weights<'a> {
         if found == 2 * layers.len() {
             Ok(layers)
         } else {
-            let problem =
-                format!("`{name}` holds other layers than fully connected ones with activations between them");
+            let problem = format!("`{name}` has layers that are neither fully connected nor activations");
             Err(NetworkError::Unsupported(problem))
         }
     }
@@ -91,7 +90,7 @@ impl<'a> Weights<'a> {
         let (shape, by_output) = self.tensor(&format!("{name}.weight"))?;
         let (bias_shape, biases) = self.tensor(&format!("{name}.bias"))?;
         let ([outputs, inputs], [bias_count]) = (shape.as_slice(), bias_shape.as_slice()) else {
-            return Err(damaged(format!("`{name}` is no fully connected layer")));
+            return Err(damaged(format!("`{name}` is not a fully connected layer")));
         };
         if outputs != bias_count {
             return Err(damaged(format!("`{name}` has {bias_count} biases for {outputs} outputs")));
@@ -104,7 +103,7 @@ impl<'a> Weights<'a> {
     fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), NetworkError> {
         let missing = || damaged(format!("it has no tensor `{name}`"));
         let id = self.pickle.entry(self.pickle.top, name).ok_or_else(missing)?;
-        let tensor = self.tensor_layout(id).ok_or_else(|| damaged(format!("`{name}` is no tensor")))?;
+        let tensor = self.tensor_layout(id).ok_or_else(|| damaged(format!("`{name}` is not a tensor")))?;
         let [_, kind, key, ..] = tensor.storage else { return Err(damaged(format!("`{name}` lies nowhere"))) };
         let size = match self.pickle.global(*kind) {
             Some(("torch", "FloatStorage")) => 4,

@@ -38,7 +38,7 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     let columns = spec.columns();
     for (index, (field, column)) in columns.iter().enumerate() {
         if let Some((other, _)) = columns.iter().take(index).find(|(_, known)| known == column) {
-            return wrong(field, format!("`{column}` is the column of `{other}` already"));
+            return wrong(field, format!("`{column}` is already the column of `{other}`"));
         }
     }
     Ok(())
@@ -136,7 +136,7 @@ fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<()
             Err((layout.to_owned(), "length_m: is needed for spacings from front to front".to_owned()))
         }
         (Spacing::BumperToBumper, Some(_)) => {
-            Err((field, "is of no use for spacings from bumper to bumper".to_owned()))
+            Err((field, "is not used for spacings from bumper to bumper: remove it".to_owned()))
         }
         (Spacing::FrontToFront, Some(length_m)) => check_range(&field, length_m, [0.1, 100.0]),
         (Spacing::BumperToBumper, None) => Ok(()),

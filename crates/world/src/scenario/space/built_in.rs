@@ -7,13 +7,17 @@ use crate::scenario::file::FileError;
 
 /// Name, one-line description and text of every built-in space.
 pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
-    ("paper", "the distribution the paper trains on: small spreads about scenarios 1 and 2", PAPER),
-    ("high-risk", "speeds, gaps, lead braking, load, grip, reaction and sensors all over their ranges", HIGH_RISK),
-    ("traffic", "everyday driving in which nobody need brake hard: what a controller is of use for", TRAFFIC),
+    ("paper", "training distribution of the paper: small variations of scenarios 1 and 2", PAPER),
+    (
+        "high-risk",
+        "whole ranges of speeds, gaps, leader braking, load, friction, reaction time and sensor noise",
+        HIGH_RISK,
+    ),
+    ("traffic", "everyday driving without hard braking, to measure the usefulness of a controller", TRAFFIC),
     ("standing", "a standing vehicle ahead, 2 to 12 s away at 10 to 130 km/h", STANDING),
     ("slower", "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away", SLOWER),
-    ("alone", "nobody behind, and a leader that brakes down to any share of its speed", ALONE),
-    ("assisted", "the emergencies of high-risk, with a follower that drives idm or acc-aeb", ASSISTED),
+    ("alone", "no follower, and a leader that brakes to any fraction of its speed", ALONE),
+    ("assisted", "the emergencies of high-risk, with a follower that idm or acc-aeb drives", ASSISTED),
     ("steady", "a leader that never brakes, 15 to 100 m ahead, and any follower", STEADY),
 ];
 

@@ -202,7 +202,7 @@ impl ScenarioSpace {
         if let Some(value) = nominal.iter().find(is_off) {
             let found = format_compact(*value);
             let problem = match marginal {
-                CoordinateMarginal::Choice { .. } => format!("{found} is none of the values of the distribution"),
+                CoordinateMarginal::Choice { .. } => format!("{found} is not a value of the distribution"),
                 _ => format!(
                     "must be from {} to {}, found {found}",
                     format_compact(marginal.low()),

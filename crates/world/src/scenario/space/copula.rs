@@ -117,10 +117,16 @@ impl GaussianCopula {
                 return reject(at(index), format!("there is no parameter `{name}`"));
             };
             if parameter.target.kind() != ValueKind::Number {
-                return reject(at(index), format!("`{name}` is a class or a driver, and only numbers can depend"));
+                return reject(
+                    at(index),
+                    format!("`{name}` is a class or a driver, and only numbers can be correlated"),
+                );
             }
             if parameter.coordinates().len() != 1 {
-                return reject(at(index), format!("`{name}` is a signal, and only what has one value can depend"));
+                return reject(
+                    at(index),
+                    format!("`{name}` is a signal, and only parameters with one value can be correlated"),
+                );
             }
             if coordinates.contains(&parameter.coordinates().start) {
                 return reject(at(index), format!("`{name}` is named twice"));

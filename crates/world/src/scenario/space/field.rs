@@ -69,7 +69,7 @@ impl ParameterField {
         if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(known, ..)| *known == path) {
             return Ok(Self::new_scalar(FieldTarget::Scenario(*access), unit, path));
         }
-        let unknown = || format!("there is no field `{path}` that may vary");
+        let unknown = || format!("no field `{path}` may vary");
         let (index, rest) = path
             .strip_prefix("vehicles[")
             .and_then(|rest| rest.split_once("]."))
@@ -97,11 +97,11 @@ impl ParameterField {
             "driver" => {
                 let name = vehicle.driver.name();
                 return Err(format!(
-                    "vehicle {index} of the base scenario is driven by `{name}`, no built-in controller"
+                    "vehicle {index} of the base scenario is driven by `{name}`, which is not a built-in controller"
                 ));
             }
             "gap_m" | "time_gap_s" | "closing_time_s" if index == 0 => {
-                return Err("nobody is ahead of vehicle 0".to_owned());
+                return Err("no vehicle is ahead of vehicle 0".to_owned());
             }
             "gap_m" => return Ok(field(FieldTarget::Gap(index), "m", 1, sets(&["position_m"]))),
             "time_gap_s" => return Ok(field(FieldTarget::TimeGap(index), "s", 1, sets(&["position_m"]))),

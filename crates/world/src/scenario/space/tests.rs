@@ -262,7 +262,7 @@ fn mistakes_name_line_and_field() {
             gap.replace("\"m\"", "\"ft\""),
             "s.toml:7: parameters[0].unit: the unit of `vehicles[1].gap_m` is `m`, found `ft`",
         ),
-        (gap.replace("gap_m", "gap"), "s.toml:6: parameters[0].field: there is no field `vehicles[1].gap`"),
+        (gap.replace("gap_m", "gap"), "s.toml:6: parameters[0].field: no field `vehicles[1].gap` may vary"),
         (
             gap.replace("s[1]", "s[9]"),
             "s.toml:6: parameters[0].field: there is no vehicles[9]: the base scenario has 3 vehicles",
@@ -285,7 +285,8 @@ fn mistakes_name_line_and_field() {
         ),
         (
             parameter("vehicles[1].driver", "", "distribution.choice = { values = [\"idm\"] }"),
-            "s.toml:6: parameters[0].field: vehicle 1 of the base scenario is driven by `under-test`, no built-in controller",
+            "s.toml:6: parameters[0].field: vehicle 1 of the base scenario is driven by `under-test`, which is not a \
+                built-in controller",
         ),
         (
             parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"light\"] }"),

@@ -34,8 +34,8 @@ impl JournalEntry {
             Self::Damaged => Err(RunFolderError::damaged(
                 path,
                 format!(
-                    "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
-                     another --out",
+                    "record {} is damaged, its checksum does not match: this campaign cannot be resumed; remove its \
+                     folder, or use another --out",
                     index + 1
                 ),
             )),

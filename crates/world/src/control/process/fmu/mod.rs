@@ -34,8 +34,8 @@ pub enum FmuProblem {
     Fmu(#[from] crumple_fmu::FmuError),
     /// The program that runs FMUs is missing.
     #[error(
-        "needs the program `crumple-fmu`, which is installed with crumple and was found neither beside it nor on the path; \
-         the variable CRUMPLE_FMU may say where it is"
+        "needs the program `crumple-fmu`, which is installed with crumple but was found neither in the same folder nor \
+        on the path; set the variable CRUMPLE_FMU to its path"
     )]
     MissingHost,
     /// A build without controller processes.

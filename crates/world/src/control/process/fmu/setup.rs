@@ -39,7 +39,7 @@ impl ProcessSetup {
             let variable = find_variable(description, Causality::Parameter, name).map_err(invalid)?;
             let value = convert_parameter(*value, variable).map_err(invalid)?;
             if !variable.kind.accepts(value) {
-                let problem = format!("{value} is no value of a parameter that is {}", variable.kind.name());
+                let problem = format!("{value} is not a value of a parameter that is {}", variable.kind.name());
                 return Err(invalid(problem).into());
             }
             say("parameter", format!("{name}={value}"));
@@ -71,8 +71,9 @@ fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, I
             let named = ObservedQuantity::from_name(name).map(InputMapping::unscaled);
             named.ok_or_else(|| {
                 format!(
-                    "its input `{name}` is called like nothing that can be seen: a controller file, F.toml with `fmu`, wires inputs of other \
-                     names by `[[inputs]]` with `quantity` and `variable` (docs/controllers.md); the quantities are {}",
+                    "its input `{name}` has not the name of a quantity: write a controller file, F.toml with `fmu`, \
+                        that connects such inputs by `[[inputs]]` with `quantity` and `variable` \
+                        (docs/controllers.md); the quantities are {}",
                     ObservedQuantity::names().collect::<Vec<_>>().join(", ")
                 )
             })

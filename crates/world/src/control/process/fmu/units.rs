@@ -40,7 +40,10 @@ pub(super) fn convert_output(output: OutputMapping, variable: &Variable) -> Resu
         return Ok(output);
     }
     if output.squash.is_some() {
-        return Err(format!("{}, and `squash` is for answers without a unit to convert", variable_with_unit(variable)));
+        return Err(format!(
+            "{}, and `squash` is allowed only for outputs without a unit",
+            variable_with_unit(variable)
+        ));
     }
     check_scale(variable, dimension, scale)?;
     Ok(OutputMapping {
