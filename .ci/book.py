@@ -10,6 +10,7 @@ from pathlib import Path
 
 REPOSITORY = "https://github.com/crumple-rs/crumple/blob/main/"
 SCHEMAS = ["crates", "corpora"]
+GENERATED = (Path("docs/reference/commands.md"), Path("docs/reference/formats.md"))
 
 
 def gather(program, folder):
@@ -43,7 +44,7 @@ def links():
                 continue
             path = page.parent / target if target else page
             count += 1
-            is_generated = path.resolve() in (Path("docs/reference/commands.md").resolve(), Path("docs/reference/formats.md").resolve())
+            is_generated = path.resolve() in map(Path.resolve, GENERATED)
             if not (path.exists() or is_generated) or part and path.suffix == ".md" and path.exists() and part not in anchors(path):
                 broken.append(f"{page}: {link}")
     if broken:
@@ -60,7 +61,7 @@ def with_links(text, place):
             return link[0]
         path = (place.parent / target).resolve()
         inside = path.relative_to(Path.cwd())
-        is_made = inside in (Path("docs/reference/commands.md"), Path("docs/reference/formats.md"))
+        is_made = inside in GENERATED
         if not path.exists() and not is_made:
             sys.exit(f"{place}: the link to {target} leads nowhere")
         if inside.parts[0] == "docs":

@@ -1,8 +1,7 @@
-//! Figures of README.md against their sources.
+//! Measured results of README.md and two other pages against their sources.
 
 use std::fs;
 use std::path::Path;
-#[cfg(unix)]
 use std::process::Command;
 
 /// A row of the table of figures.
@@ -14,6 +13,8 @@ struct Row {
 
 /// The source of the numbers in a row.
 enum Source {
+    /// Its command, which takes about a second; numbers follow these texts.
+    Printed(&'static [&'static str]),
     /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
     Report(&'static [(&'static str, &'static str)]),
     /// Command, which takes longer.
@@ -23,7 +24,7 @@ enum Source {
 }
 
 /// The source of each row, which begins with the text beside it.
-const SOURCES: [(&str, Source); 4] = [
+const SOURCES: [(&str, Source); 8] = [
     (
         "collisions in 1000",
         Source::Report(&[
@@ -40,16 +41,28 @@ const SOURCES: [(&str, Source); 4] = [
     ),
     ("splitting on four problems", Source::Slow(known_probabilities)),
     ("one vehicle-step", Source::Machine),
+    ("first collision", Source::Printed(&["COLLISION at "])),
+    ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
+    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
+    ("Chasing Cars", Source::Slow(chasing_cars)),
 ];
+
+/// The pages with a table of measured results.
+const PAGES: [&str; 3] = ["README.md", "reports/paper.md", "docs/comparison.md"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
 fn rows() -> Vec<Row> {
-    let text = fs::read_to_string(root().join("README.md")).unwrap();
+    PAGES.iter().flat_map(|page| rows_of(page)).collect()
+}
+
+/// Returns the rows of the table of measured results on a page.
+fn rows_of(page: &str) -> Vec<Row> {
+    let text = fs::read_to_string(root().join(page)).unwrap();
     let (_, table) = text.split_once("\n## Measured results\n").unwrap();
-    let (table, _) = table.split_once("\n## ").unwrap();
+    let table = table.split("\n## ").next().unwrap();
     let row = |line: &str| {
         let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
             panic!("{line}")
@@ -101,7 +114,13 @@ fn known_probabilities(printed: &str) -> Vec<f64> {
     vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
 }
 
-#[cfg(unix)]
+/// Returns the mean number of evaluations of each problem by `auto`.
+fn chasing_cars(printed: &str) -> Vec<f64> {
+    let means =
+        printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
+    means.filter_map(|line| numbers(line).last().copied()).collect()
+}
+
 fn run(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
@@ -125,7 +144,8 @@ fn figures_are_those_of_their_commands() {
     let rows = rows();
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
-        let printed: Vec<f64> = match source(&row) {
+        let printed = match source(&row) {
+            Source::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
             Source::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
@@ -133,7 +153,7 @@ fn figures_are_those_of_their_commands() {
                 };
                 places.iter().filter_map(number).collect()
             }
-            Source::Slow(_) | Source::Machine => continue,
+            Source::Printed(_) | Source::Slow(_) | Source::Machine => continue,
         };
         assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
     }
