@@ -162,7 +162,7 @@ fn print_measurements(
             );
             match space {
                 EMERGENCY_SPACE => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
-                TRAFFIC => mark.jerk_mps3 = rms_jerk_mps3,
+                TRAFFIC_SPACE => mark.jerk_mps3 = rms_jerk_mps3,
                 _ => {}
             }
         }

@@ -72,10 +72,10 @@ impl DoctorReport {
             "crumple {version} on {system}, {processor}, vector registers of {register_bits} bits, {threads} threads\n"
         );
         match &self.program_sha256 {
-            Some(identity) => drop(writeln!(text, "  this program is {identity}")),
-            None => {
-                drop(writeln!(text, "  crumple cannot read its program file, so it cannot resume interrupted work"))
+            Some(identity) => {
+                let _ = writeln!(text, "  this program is {identity}");
             }
+            None => text.push_str("  crumple cannot read its program file, so it cannot resume interrupted work\n"),
         }
         if !fused_multiply_add {
             text += "  this processor has no fused multiply-add: networks are slower, with the same results\n";

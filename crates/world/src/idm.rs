@@ -36,7 +36,7 @@ pub struct Idm {
 
 impl Idm {
     /// Returns the parameters as an array, for code that stores many models as one array per parameter.
-    pub(crate) fn to_array(&self) -> [f64; 5] {
+    pub(crate) fn to_array(self) -> [f64; 5] {
         [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
     }
 

@@ -75,6 +75,7 @@ impl Resamples {
         Some([*lows.get(from_end)?, *highs.get(highs.len().checked_sub(place)?)?])
     }
 
+    /// Returns the number of resamples.
     #[must_use]
     pub fn count(&self) -> u32 {
         self.sorted_bounds[0].len() as u32

@@ -3,14 +3,14 @@
 //! A round of [`RetrainingPlan::run`]:
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a fixed budget searches the present policy
-//!   for counterexamples; random scenarios of the space are simulated too. Without an avoidable one the retraining
-//!   ends.
+//!    for counterexamples; random scenarios of the space are simulated too. Without an avoidable one the retraining
+//!    ends.
 //! 2. **Selection of cases.** Distinct counterexamples and random scenarios that ended in a collision become cases if
-//!   they are avoidable: a witness passes them, or [`crumple_search::worst_case::avoid()`] finds an escape.
+//!    they are avoidable: a witness passes them, or [`crumple_search::worst_case::avoid()`] finds an escape.
 //! 3. **Training.** The learner continues on a mixture of the paper's distribution, random scenarios of the space, and
-//!   all cases so far. Its best checkpoint on the selection set is the candidate.
+//!    all cases so far. Its best checkpoint on the selection set is the candidate.
 //! 4. **Acceptance.** The candidate is simulated in the paper's scenarios, its distribution, the validation set and the
-//!   regression spaces. [`decide_acceptance`] accepts it if it is not worse.
+//!    regression spaces. [`decide_acceptance`] accepts it if it is not worse.
 //!
 //! The scenarios for training, selection of checkpoints, validation, regression and test are disjoint. The test set is
 //! drawn last and decides nothing. The learner continues after a rejection; the candidate does not.

@@ -21,7 +21,7 @@ impl LinearScale {
 
     /// Returns the pixel coordinate of `value`; NaN is at the start.
     #[must_use]
-    pub(crate) fn to_px(&self, value: f64) -> f64 {
+    pub(crate) fn to_px(self, value: f64) -> f64 {
         let value = if value.is_nan() { self.domain.0 } else { value };
         let share = (value - self.domain.0) / (self.domain.1 - self.domain.0);
         let px = self.range.0 + share * (self.range.1 - self.range.0);

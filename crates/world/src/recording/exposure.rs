@@ -93,7 +93,7 @@ fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::{MinBrake, episodes, read};
+    use crate::recording::{MinBrake, read};
     use std::fmt::Write;
     use std::path::Path;
 

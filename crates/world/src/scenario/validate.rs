@@ -223,8 +223,8 @@ impl<'a> FieldPath<'a> {
         Self { parent: Some(self), step: FieldPathStep::Index(index) }
     }
 
-    fn to_path(&self) -> String {
-        let before = self.parent.map(Self::to_path).unwrap_or_default();
+    fn full_path(&self) -> String {
+        let before = self.parent.map(Self::full_path).unwrap_or_default();
         match self.step {
             FieldPathStep::Field(field) if before.is_empty() => field.to_owned(),
             FieldPathStep::Field(field) => format!("{before}.{field}"),
@@ -233,7 +233,7 @@ impl<'a> FieldPath<'a> {
     }
 
     fn reject<T>(&self, problem: FieldProblem) -> Result<T, InvalidField> {
-        Err(InvalidField { field: self.to_path(), problem })
+        Err(InvalidField { field: self.full_path(), problem })
     }
 
     fn check_number(&self, found: f64, range: AllowedRange) -> Result<(), InvalidField> {

@@ -118,7 +118,6 @@ impl CounterexampleFile {
 
 #[cfg(test)]
 mod tests {
-    use super::super::benchmark;
     use super::*;
     use crate::falsify::Method;
 
