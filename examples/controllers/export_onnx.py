@@ -16,7 +16,7 @@ OFFSET = torch.tensor([16.0, 16.0, 12.5, 12.5, 12.5, 0.0, 0.0, 0.0])
 SCALE = torch.tensor([16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0])
 
 
-def law(seen):
+def target_command(seen):
     """What the network is to imitate: keep 5 m and 1.5 s, mind the speed ahead; -1 is -7.5 m/s², 1 is 3 m/s²."""
     x = seen * SCALE + OFFSET
     wanted = 0.3 * (x[:, 0] - 5.0 - 1.5 * x[:, 3]) + 1.0 * (x[:, 2] - x[:, 3]) + 0.6 * x[:, 5]
@@ -28,7 +28,7 @@ network = nn.Sequential(nn.Linear(8, 32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(
 optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
 for _ in range(2000):
     seen = torch.rand(512, 8) * torch.tensor([5.0, 5.0, 2, 2, 2, 2, 2, 2]) - 1.0
-    loss = (network(seen) - law(seen)).pow(2).mean()
+    loss = (network(seen) - target_command(seen)).pow(2).mean()
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()

@@ -41,7 +41,7 @@ struct SpaceTotals {
     unnecessary: u64,
     beyond_firm: u64,
     firm: u64,
-    left_behind: u64,
+    fell_behind: u64,
     squares: [f64; 2],
     progress: Vec<f64>,
     time_gap_s: Vec<f64>,
@@ -154,7 +154,7 @@ fn print_measurements(
                 sums.unnecessary,
                 sums.beyond_firm,
                 sums.firm,
-                sums.left_behind,
+                sums.fell_behind,
                 (sums.squares[0] / n).sqrt(),
                 mean(&sums.progress),
                 mean(&sums.time_gap_s),
@@ -243,7 +243,7 @@ fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Resu
             sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
             sums.induced_braking_mps2.extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
             let Some(following) = useful.following else { continue };
-            sums.left_behind += u64::from(following.left_behind);
+            sums.fell_behind += u64::from(following.fell_behind);
             sums.progress.extend(following.progress);
             sums.time_gap_s.extend(following.mean_time_gap_s);
         }

@@ -100,7 +100,7 @@ fn compare_with_searches() {
                 .expect("a scripted leader");
             let own = hunted.attack.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = UnitCube::new([KNOTS]).expect("not empty");
-            let told = plain.clone().with_leader_coordinates(0..KNOTS);
+            let enlarged = plain.clone().with_leader_coordinates(0..KNOTS);
             let least = |method: &Method, cube: &UnitCube, times: usize| {
                 let budget = times * hunted.evaluations;
                 let least = mildest_of_search(method, cube, seed, &scenario, &options, envelope, budget);
@@ -110,7 +110,7 @@ fn compare_with_searches() {
                 "| {name} | {seed} | {own:.3} | {} | {} | {} | {} | {} | {} |",
                 hunted.evaluations,
                 least(&Method::Auto, &plain, 1),
-                least(&Method::Auto, &told, 1),
+                least(&Method::Auto, &enlarged, 1),
                 least(&Method::CmaEs, &plain, 1),
                 least(&Method::Uniform, &plain, 1),
                 least(&Method::Auto, &plain, 10),

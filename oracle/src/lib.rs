@@ -197,7 +197,7 @@ impl ReferenceLearner {
             let (loss, values) = self.critic_loss(&self.critics[index], &rows, &td_targets)?;
             self.critics[index].optimiser.backward_step(&loss)?;
             if index == 0 {
-                losses = Losses { critic: number(loss)?, mean_value: number(values.mean_all()?)? };
+                losses = Losses { critic_loss: number(loss)?, mean_value: number(values.mean_all()?)? };
             }
         }
         self.updates += 1;

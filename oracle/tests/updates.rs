@@ -80,7 +80,7 @@ proptest! {
             let batch = batch(seed ^ index, count, privileged);
             let found = learner.update(&batch, &mut noise);
             let expected = oracle.update(&batch, &mut oracle_noise).unwrap();
-            prop_assert!((found.critic - expected.critic).abs() <= 2e-2 * expected.critic.max(0.01));
+            prop_assert!((found.critic_loss - expected.critic_loss).abs() <= 2e-2 * expected.critic_loss.max(0.01));
         }
         let expected = oracle.parameters().unwrap();
         let parts = std::iter::once(&learner.actor).chain(&learner.critics);

@@ -108,7 +108,7 @@ pub(crate) fn assess(
     if against.is_none() && plan.needs_earlier_assessment() {
         return Err(wrong(&"the gate `nothing-worse` needs an earlier assessment: against"));
     }
-    let store = match evidence {
+    let cache = match evidence {
         None => EvidenceCache::disabled(),
         Some(folder) => {
             let identity = program::identity().map_err(|error| wrong(&error))?;
@@ -117,7 +117,7 @@ pub(crate) fn assess(
     };
     let runs = plan.runs();
     let assessment = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        report::assess(&plan, &store, against.as_ref(), &|state: &RunProgress| say((state.done, runs, 0)))
+        report::assess(&plan, &cache, against.as_ref(), &|state: &RunProgress| say((state.done, runs, 0)))
     })?;
     Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
 }

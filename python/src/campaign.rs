@@ -36,7 +36,7 @@ pub(crate) fn falsify<'py>(
     let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Campaign, &error.to_string());
     let space = space.0.clone();
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
-    let contrast = match beside {
+    let criterion = match beside {
         (None, None) => None,
         (Some(other), None) => Some(FailureCriterion::Differential(controller::resolve_controller(&other, &stop)?)),
         (None, Some(relation)) => {
@@ -45,7 +45,7 @@ pub(crate) fn falsify<'py>(
         (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
     };
     let campaign = Campaign {
-        failure_criterion: contrast,
+        failure_criterion: criterion,
         controller: controller::resolve_controller(controller, &stop)?,
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         space,

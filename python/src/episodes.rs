@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crumple_learn::rl::{
-    EpisodeConfig, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode, action_bounds, unsuitability,
+    EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode, action_bounds, unsuitability,
 };
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE_LEN;
@@ -41,7 +41,7 @@ enum Autoreset {
 /// Source and configuration of the episodes.
 struct EpisodeTask {
     source: Arc<dyn ScenarioSource>,
-    config: Arc<EpisodeConfig>,
+    config: Arc<EpisodeConstants>,
     autoreset: Autoreset,
 }
 
@@ -55,8 +55,8 @@ impl EpisodeTask {
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.config.environment().estimator);
         let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
-        let terms = self.config.for_episode(self.source.as_ref(), seed, index);
-        Ok((scenario, TrainingEpisode::new(&run, &terms)))
+        let constants = self.config.for_episode(self.source.as_ref(), seed, index);
+        Ok((scenario, TrainingEpisode::new(&run, &constants)))
     }
 }
 
@@ -176,8 +176,8 @@ impl Episodes {
         let known =
             [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
         let autoreset = parse_choice("autoreset", autoreset, &known)?;
-        let terms = EpisodeConfig::new(environment, config.learning.discount);
-        let task = EpisodeTask { source, config: terms, autoreset };
+        let constants = EpisodeConstants::new(environment, config.learning.discount);
+        let task = EpisodeTask { source, config: constants, autoreset };
         task.new_episode(0, 0).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?;
         let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })

@@ -83,14 +83,14 @@ pub(crate) fn run_interruptible<T: Send>(
     }
     let pool = threads::pool()?;
     let _under_way = ActiveWork::register(stop);
-    let (said, heard) = mpsc::channel::<ProgressCounts>();
+    let (text, heard) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
         thread::scope(|scope| {
             let worker = scope.spawn(move || {
                 pool.install(move || {
                     work(&|state| {
                         // After an exception the channel has no receiver.
-                        let _ = said.send(state);
+                        let _ = text.send(state);
                         if stop.is_set() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
                     })
                 })

@@ -34,9 +34,9 @@ pub(crate) fn rate<'py>(
 ) -> PyResult<RateResult<'py>> {
     let stop = StopFlag::default();
     let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Rate, &error.to_string());
-    let against = against.map(|against| controller::resolve_controller(against, &stop)).transpose()?;
+    let second_controller = against.map(|against| controller::resolve_controller(against, &stop)).transpose()?;
     let plan = RatePlan::new(RateConfig {
-        against,
+        second_controller,
         seed,
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         confidence,

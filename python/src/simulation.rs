@@ -179,7 +179,7 @@ impl Simulation {
         if specification.recording_level() == RecordingLevel::Trace {
             simulated.trace = Some(self.native_trace(py)?);
         }
-        specification.judge(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
+        specification.evaluate(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
     }
 
     /// Draws position, speed and gap over time.

@@ -37,10 +37,10 @@ pub(crate) fn worst_case<'py>(
     let estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
     let aim = parse_choice("aim", aim, &AttackObjective::ALL.map(|aim| (aim.name(), aim)))?;
     let scenario = scenario.0.clone();
-    let usual = Envelope::from_scenario(&scenario);
+    let typical = Envelope::from_scenario(&scenario);
     let envelope = Envelope {
-        max_brake_mps2: max_brake_mps2.unwrap_or(usual.max_brake_mps2),
-        jerk_mps3: jerk_mps3.unwrap_or(usual.jerk_mps3),
+        max_brake_mps2: max_brake_mps2.unwrap_or(typical.max_brake_mps2),
+        jerk_mps3: jerk_mps3.unwrap_or(typical.jerk_mps3),
     };
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let result = run_interruptible(py, &stop, progress.as_ref(), |say| {

@@ -34,8 +34,8 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
             && let Some(controller) = driver.controller()
         {
             let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
-            let said = |error| CliError::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
-            named.try_start().map_err(said)?;
+            let message = |error| CliError::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
+            named.try_start().map_err(message)?;
         }
     }
     Ok(scenario)

@@ -12,8 +12,8 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, BuildInfo, ComparisonError, EarlierAssessment, EvidenceCache, MergedEvidence, REPORT_FOLDERS,
-    REPORT_KIND, assess, gather_shard,
+    AssessmentPlan, ComparisonError, EarlierAssessment, EvidenceCache, MergedEvidence, REPORT_FOLDERS, REPORT_KIND,
+    RunInfo, assess, gather_shard,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -96,8 +96,8 @@ impl Assess {
             None => AssessmentPlan::built_in(),
             Some(path) => {
                 let plan = AssessmentPlan::load(path)?;
-                let doubts = plan.controllers().iter().flat_map(args::controller_notes);
-                doubts.for_each(|doubt| output::note(&doubt, quiet));
+                let undecided = plan.controllers().iter().flat_map(args::controller_notes);
+                undecided.for_each(|doubt| output::note(&doubt, quiet));
                 plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
             }
@@ -129,7 +129,7 @@ impl Assess {
         let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
             .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
-        let store = EvidenceCache::open(&kept, identity, self.fresh)?;
+        let cache = EvidenceCache::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
             let note = format!(
                 "note: `{}` states no identity, so the next assessment cannot reuse this evidence",
@@ -138,29 +138,29 @@ impl Assess {
             output::note(&note, quiet);
         }
         let bar = progress::run_bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &store, against.as_ref(), &progress::bar_observer(&bar))?;
-        let assessment = assessment.with_build_info(build_info(source, identity, begun.elapsed()));
+        let assessment = assess(&plan, &cache, against.as_ref(), &progress::bar_observer(&bar))?;
+        let assessment = assessment.with_run_info(run_info(source, identity, begun.elapsed()));
         bar.finish_and_clear();
         folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
-        let (pieces, reused) = store.reuse_counts();
+        let (pieces, reused) = cache.reuse_counts();
         let again =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were reused") };
-        for path in store.damaged_files() {
+        for path in cache.damaged_files() {
             output::note(&format!("note: {} was damaged, and its evidence was computed again", path.display()), quiet);
         }
         let page = self.out.join("assessment.html");
         output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
-        let mut said = assessment.first_page.to_plain_text();
+        let mut message = assessment.first_page.to_plain_text();
         if let Some(comparison) = &assessment.comparison {
-            said += &format!("{}\n", comparison.describe());
+            message += &format!("{}\n", comparison.describe());
         }
-        said += &assessment.first_page.gates_to_plain_text();
+        message += &assessment.first_page.gates_to_plain_text();
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
-        let printed = output::print_result(self.format, &assessment.summary, || said);
+        let printed = output::print_result(self.format, &assessment.summary, || message);
         let gate = match failed.as_slice() {
             [] => Ok(()),
             gates => {
-                let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.because)).collect();
+                let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.reason)).collect();
                 Err(CliError::Gate(lines.join("; ")))
             }
         };
@@ -179,9 +179,9 @@ impl Assess {
         let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         let pieces = gathered?;
-        let said = "`crumple merge` combines the shards";
+        let message = "`crumple merge` combines the shards";
         let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
-        let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n");
+        let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {message}\n");
         output::print_result(self.format, &gathered, words)
     }
 }
@@ -262,8 +262,8 @@ fn git_commit(folder: &Path) -> Option<String> {
         command.arg("-C").arg(folder).args(no_programs.iter().chain(arguments));
         // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
         command.env("GIT_OPTIONAL_LOCKS", "0").env("GIT_NO_LAZY_FETCH", "1").env("GIT_ALLOW_PROTOCOL", "none");
-        let said = command.output().ok()?;
-        said.status.success().then(|| String::from_utf8_lossy(&said.stdout).trim().to_owned())
+        let message = command.output().ok()?;
+        message.status.success().then(|| String::from_utf8_lossy(&message.stdout).trim().to_owned())
     };
     let commit = git(&["rev-parse", "HEAD"])?;
     // `git status` starts the filters that the configuration of a repository names.
@@ -275,14 +275,14 @@ fn git_commit(folder: &Path) -> Option<String> {
     Some(commit + if is_clean { "" } else { " with changes" })
 }
 
-fn build_info(folder: &Path, program_sha256: &str, took: Duration) -> BuildInfo {
+fn run_info(folder: &Path, program_sha256: &str, took: Duration) -> RunInfo {
     let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;
         Some(format!(", {}", line.split_once(':')?.1.trim()))
     });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let (system, processor) = (std::env::consts::OS, std::env::consts::ARCH);
-    BuildInfo {
+    RunInfo {
         at: utc::rfc_3339(SystemTime::now()),
         commit: git_commit(folder),
         program_sha256: program_sha256.to_owned(),

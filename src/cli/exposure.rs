@@ -23,8 +23,8 @@ pub(super) fn format_rate(rate: &RatePerExposure) -> String {
 fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     let RatePerExposure {
         episodes,
-        left_out,
-        clusters: waves,
+        undescribed_brakings,
+        clusters,
         hours,
         kilometres,
         confidence,
@@ -35,11 +35,11 @@ fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
     let percent = 100.0 * confidence;
     writeln!(
         out,
-        "on the road: {episodes} episodes in {waves} waves were observed in {hours:.3} h and {kilometres:.1} km of \
+        "on the road: {episodes} episodes in {clusters} waves were observed in {hours:.3} h and {kilometres:.1} km of \
          following:"
     )?;
-    if *left_out > 0 {
-        let all = episodes + left_out;
+    if *undescribed_brakings > 0 {
+        let all = episodes + undescribed_brakings;
         writeln!(
             out,
             "  {episodes} of {all} brakings could be used; rates per hour and per 1000 km count all {all} and assume \

@@ -82,8 +82,8 @@ pub(super) struct Falsify {
     /// Count only failures in scenarios that this other controller passes
     #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
-    /// Count only failures that vanish in an easier scenario: `larger-gap=M` (all vehicles ahead start M metres further
-    /// away) or `more-friction=F`
+    /// Count only failures that a harder scenario avoids: `larger-gap=M` (vehicles ahead start M metres nearer) or
+    /// `more-friction=F` (friction lower by F)
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test

@@ -144,14 +144,14 @@ fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> 
     let EpisodeSample {
         exposure, extraction: taken, exclusions: left_out, sizes, most_out_of_range: outside_by, ..
     } = sample;
-    let waves = cluster_count(sample);
-    writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
+    let clusters = cluster_count(sample);
+    writeln!(out, "{} braking episodes in {clusters} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
     for source in &exposure.sources {
         let (name, hours, kilometres) = (TerminalText(&source.name), source.hours, source.kilometres);
         writeln!(out, "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following", source.episodes)?;
     }
-    if exposure.left_out > 0 {
-        let all = exposure.episodes + exposure.left_out;
+    if exposure.undescribed_brakings > 0 {
+        let all = exposure.episodes + exposure.undescribed_brakings;
         writeln!(out, "  of {all} brakings in these hours {} could be used", exposure.episodes)?;
     }
     let left_out = left_out.sentences(taken.vehicles);

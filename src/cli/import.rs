@@ -171,16 +171,16 @@ impl Import {
             samples,
             time_s: [from_s, to_s],
             step_s,
-            speed_mps: [slow, usual, fast],
+            speed_mps: [slow, typical, fast],
             ..
         } = seen;
         let mut text = format!("{}: {}\n", TerminalText(&name), recording.format.name());
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=
             &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
-        text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {usual:.2}\n");
+        text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {typical:.2}\n");
         text += &match seen.gap_m {
-            Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
+            Some([near, typical, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {typical:.2}\n"),
             None => "  no vehicle follows another\n".to_owned(),
         };
         text += &format!("  {}\n", TerminalText(&seen.hardest.to_string()));

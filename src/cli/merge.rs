@@ -277,7 +277,7 @@ impl Merge {
                 printed,
             );
         };
-        let said = verify::certificate_verdict(&path, &certificate)?;
+        let message = verify::certificate_verdict(&path, &certificate)?;
         let exposed = merged.rate_per_exposure()?;
         match format {
             OutputFormat::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
@@ -285,7 +285,7 @@ impl Merge {
                 let tally = merged.tally().unwrap_or_default();
                 let exposed = exposed.map(|rate| exposure::format_rate(&rate)).unwrap_or_default();
                 let counted = verify::tally_line(merged.record().is_comparison(), &tally);
-                output::print_coloured(OutputFormat::Text, &format!("{counted}{said}{exposed}"))
+                output::print_coloured(OutputFormat::Text, &format!("{counted}{message}{exposed}"))
             }
         }
     }

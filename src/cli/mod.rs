@@ -49,6 +49,7 @@ mod verify;
 mod worst_case;
 
 use std::ffi::OsString;
+use std::fmt::Write;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -64,6 +65,19 @@ Exit codes:
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
+
+/// Subcommands by task, in the order of `--help`.
+const TASKS: &[(&str, &[&str])] = &[
+    ("Report on controllers", &["assess", "suite", "benchmark"]),
+    ("Simulate and view", &["simulate", "explore", "export"]),
+    ("Search for collisions", &["falsify", "worst-case", "avoid", "check"]),
+    ("Prove", &["verify"]),
+    ("Train", &["train", "retrain"]),
+    ("Use recorded data", &["import", "fit"]),
+    ("Divide work among machines", &["plan", "merge", "fsck"]),
+    ("Look up", &["list", "show", "describe", "doctor"]),
+    ("Set up the shell", &["completions", "man"]),
+];
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
@@ -173,7 +187,25 @@ fn allows_external(arguments: &[OsString]) -> bool {
 }
 
 fn build_command() -> clap::Command {
-    Cli::command().mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
+    let command = Cli::command();
+    let template = format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{}\nOptions:\n{{options}}{{after-help}}",
+        list_by_task(&command)
+    );
+    command.help_template(template).mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
+}
+
+/// Returns the subcommands with their descriptions, under the headings of [`TASKS`].
+fn list_by_task(command: &clap::Command) -> String {
+    let mut text = String::new();
+    for (task, names) in TASKS {
+        let _ = writeln!(text, "\n{task}:");
+        for name in *names {
+            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
+            let _ = writeln!(text, "  {name:<12} {}", about.map(ToString::to_string).unwrap_or_default());
+        }
+    }
+    text
 }
 
 /// Lets options take negative numbers, so that errors name the value instead of an unknown option.
@@ -197,6 +229,17 @@ mod tests {
     #[test]
     fn the_command_line_is_well_formed() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn help_lists_every_subcommand_once() {
+        let mut listed: Vec<&str> = TASKS.iter().flat_map(|(_, names)| *names).copied().collect();
+        let command = Cli::command();
+        let mut defined: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+        listed.sort_unstable();
+        defined.sort_unstable();
+        assert_eq!(listed, defined);
+        assert!(list_by_task(&command).lines().all(|line| line.len() <= 100), "{}", list_by_task(&command));
     }
 
     #[test]

@@ -92,8 +92,8 @@ pub(super) fn run_shard(
         bar.finish_and_clear();
         repeated?;
     }
-    let said = "`crumple merge` combines the shards";
-    let words = || format!("{}: shard {shard}; {said}\n", folder.display());
+    let message = "`crumple merge` combines the shards";
+    let words = || format!("{}: shard {shard}; {message}\n", folder.display());
     output::print_result(format, &ShardReport { folder, shard }, words)
 }
 

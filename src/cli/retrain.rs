@@ -19,7 +19,7 @@ use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// Retrain a policy: search for failures, train on the avoidable ones, accept only results without regressions
+/// Retrain a policy on avoidable failures that a search finds; accept no regression
 #[derive(Args)]
 #[command(after_long_help = "\
 Each round searches for collisions of the policy and keeps the avoidable ones. It then trains the policy on these, \
@@ -66,8 +66,8 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
     draws: u64,
     /// Avoidable random scenarios of the validation set, which accepts or rejects a round: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().validation_draws, value_parser = value_parser!(u64).range(1..=1_000_000))]
-    kept_aside: u64,
+    #[arg(long = "kept-aside", value_name = "N", default_value_t = RetrainingSettings::default().validation_draws, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    validation_draws: u64,
     /// Random scenarios of the paper's distribution in the validation set: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
     nominal: u64,
@@ -79,8 +79,8 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
     regression_draws: u64,
     /// Avoidable random scenarios of the test set, which evaluates the result: 1 to 10 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().test_draws, value_parser = value_parser!(u64).range(1..=10_000_000))]
-    judge: u64,
+    #[arg(long = "judge", value_name = "N", default_value_t = RetrainingSettings::default().test_draws, value_parser = value_parser!(u64).range(1..=10_000_000))]
+    test_draws: u64,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
     seed: u64,
@@ -118,10 +118,10 @@ impl Retrain {
                 episodes: self.episodes,
                 budget: self.budget,
                 draws: self.draws,
-                validation_draws: self.kept_aside,
+                validation_draws: self.validation_draws,
                 nominal: self.nominal,
                 regression: regression_draws,
-                test_draws: self.judge,
+                test_draws: self.test_draws,
                 ..RetrainingSettings::default()
             },
             render_svg: render_report_figure,

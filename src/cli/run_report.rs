@@ -33,8 +33,8 @@ pub(super) struct RunReport<'a> {
     #[serde(rename = "braking_without_cause")]
     pub(super) unnecessary_braking: Vec<UnnecessaryBrakingReport>,
     /// Vehicles under test that are far slower than their leader at the end.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub(super) left_behind: Vec<usize>,
+    #[serde(rename = "left_behind", skip_serializing_if = "Vec::is_empty")]
+    pub(super) fell_behind: Vec<usize>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) specifications: Vec<SpecificationResult>,
 }
@@ -106,7 +106,7 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
             ));
         }
     }
-    for vehicle in &report.left_behind {
+    for vehicle in &report.fell_behind {
         line(format!("  vehicle {vehicle} is left behind by its leader"));
     }
     for SpecificationResult { specification, satisfied, robustness } in &report.specifications {
@@ -114,8 +114,8 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
         line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
     }
     for index in 0..report.vehicles.len() {
-        if let Some(said) = shield_line(report.interventions, index) {
-            line(said);
+        if let Some(message) = shield_line(report.interventions, index) {
+            line(message);
         }
     }
     line(format!(
@@ -184,12 +184,12 @@ pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult
     under_test.filter_map(of).collect()
 }
 
-pub(super) fn left_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
+pub(super) fn fell_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let is_left = |vehicle: &usize| {
         let found =
             UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
-        scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
+        scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.fell_behind)
     };
     (0..trace.vehicles.len()).filter(is_left).collect()
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::run_report::{RunReport, SpecificationResult, describe, lane_changes, left_behind, unnecessary_braking};
+use super::run_report::{RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking};
 use super::{CliError, args, feature, value_enums};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement};
 use crumple_report::export;
@@ -188,10 +188,10 @@ impl Simulate {
     /// Renders all output of one run, so that its trace can be dropped.
     fn render(&self, run: &Run, simulated: &SimulationResult, is_one_of_many: bool) -> Result<RenderedRun, CliError> {
         let report = self.report(run, simulated)?;
-        let violated = report.specifications.iter().any(|judged| !judged.satisfied);
-        let judged = &report.unnecessary_braking;
-        let brakes_with_cause = !judged.is_empty() && judged.iter().all(|one| one.braking.is_empty());
-        let is_useful = brakes_with_cause && report.left_behind.is_empty();
+        let violated = report.specifications.iter().any(|evaluated| !evaluated.satisfied);
+        let evaluated = &report.unnecessary_braking;
+        let brakes_with_cause = !evaluated.is_empty() && evaluated.iter().all(|one| one.braking.is_empty());
+        let is_useful = brakes_with_cause && report.fell_behind.is_empty();
         let text = match self.format {
             OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
             OutputFormat::Text => describe(&report, run.scenario()),
@@ -277,7 +277,7 @@ impl Simulate {
             lane_changes: lane_changes(scenario, result),
             interventions: &result.interventions,
             unnecessary_braking: unnecessary_braking(scenario, result),
-            left_behind: left_behind(scenario, result),
+            fell_behind: fell_behind(scenario, result),
             specifications: self
                 .check_specifications(scenario)
                 .map_err(|error| CliError::Input(format!("--spec: {error}")))?,
@@ -287,7 +287,7 @@ impl Simulate {
     /// Evaluates the specifications; those that need the same kind of run share one.
     fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<SpecificationResult>, SpecificationError> {
         let mut runs: Vec<(Run, RecordingLevel, SimulationResult)> = Vec::new();
-        let judge = |text: &String| {
+        let evaluate = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
             let (keep, after_contact) = (specification.recording_level(), specification.after_contact());
             let known = |(run, kept, _): &_| (*kept, Run::options(run).after_contact) == (keep, after_contact);
@@ -300,11 +300,11 @@ impl Simulate {
                     runs.len() - 1
                 }
             };
-            let verdict = specification.judge(&runs[index].0, &runs[index].2)?;
+            let verdict = specification.evaluate(&runs[index].0, &runs[index].2)?;
             let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
             Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness })
         };
-        self.spec.iter().map(judge).collect()
+        self.spec.iter().map(evaluate).collect()
     }
 
     fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {

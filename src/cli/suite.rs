@@ -20,7 +20,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
-/// Run tests modelled on regulations: suites of clauses, parameter grids, verdicts and margins
+/// Run suites of tests that are modelled on regulations
 #[derive(Args)]
 pub(super) struct SuiteCommand {
     #[command(subcommand)]

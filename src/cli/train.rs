@@ -191,12 +191,12 @@ impl Train {
             return CliError::Input(format!("--space: {error}"));
         };
         let index = field.strip_prefix("spaces[").and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
-        let said = error.to_string();
-        let said = said.strip_prefix(&format!("{field}: ")).unwrap_or(&said);
+        let message = error.to_string();
+        let message = message.strip_prefix(&format!("{field}: ")).unwrap_or(&message);
         let weight = if field.ends_with(".weight") { "the weight " } else { "" };
         match index.and_then(|index| self.space.get(index)) {
-            Some(share) => CliError::Input(format!("--space {}: {weight}{said}", share.space)),
-            None => CliError::Input(format!("--space: {said}")),
+            Some(share) => CliError::Input(format!("--space {}: {weight}{message}", share.space)),
+            None => CliError::Input(format!("--space: {message}")),
         }
     }
 
@@ -339,7 +339,7 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     );
     for result in results {
         let Some(found) = &result.evaluation else { continue };
-        let paper = found.paper_safe.map(|safe| if safe { "safe" } else { "CONTACT" });
+        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "CONTACT" });
         let held_out = match found.ranking_contacts {
             Some(contacts) => format!("{contacts}/{ranking_draws}"),
             None => format!("{:.0} % safe", 100.0 * found.safe_share),

@@ -185,7 +185,7 @@ impl RateCommand {
         }
         let (is_comparison, out) = (self.against.is_some(), self.out_folder());
         let plan = RatePlan::new(RateConfig {
-            against: self.against,
+            second_controller: self.against,
             seed: self.seed,
             estimator: self.estimator,
             confidence: self.confidence,
@@ -196,23 +196,24 @@ impl RateCommand {
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("the counts so far are in {}", out.display());
-        let go_on = || interrupt::set_exit_message(format!("{kept}: the same command with --resume continues"), quiet);
+        let note_resume =
+            || interrupt::set_exit_message(format!("{kept}: the same command with --resume continues"), quiet);
         if let Some(shard) = self.shard {
             let mut part = plan.register_shard_in(shard, &out, self.resume)?;
             registered();
-            go_on();
+            note_resume();
             let bar = progress::run_bar("counting", part.run_count(), quiet);
             let done = part.count(&progress::bar_observer(&bar));
             bar.finish_and_clear();
             done?;
-            let said = format!("{}: shard {shard}; `crumple merge` combines the shards\n", out.display());
+            let message = format!("{}: shard {shard}; `crumple merge` combines the shards\n", out.display());
             let report = CountReport { shard: Some(shard), ..CountReport::new(part.tally(), &out) };
-            let words = || format!("{}{said}", tally_line(is_comparison, part.tally()));
+            let words = || format!("{}{message}", tally_line(is_comparison, part.tally()));
             return output::print_result(self.format, &report, words);
         }
         let mut count = plan.register_in(&out, self.resume)?;
         registered();
-        go_on();
+        note_resume();
         let bar = progress::run_bar("counting", runs, quiet);
         let certificate = count.certify(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
         bar.finish_and_clear();
@@ -227,13 +228,13 @@ impl RateCommand {
             }
             Err(error) => return Err(error.into()),
         };
-        let said = certificate_verdict(&path, &certificate)?;
+        let message = certificate_verdict(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
         let exposed = plan.rate_per_exposure(count.tally(), &progress::bar_observer(&bar));
         bar.finish_and_clear();
         let exposed = exposed.map_err(CliError::input)?;
         let on_the_road = exposed.as_ref().map(exposure::format_rate).unwrap_or_default();
-        let words = || format!("{}{said}{on_the_road}", tally_line(is_comparison, count.tally()));
+        let words = || format!("{}{message}{on_the_road}", tally_line(is_comparison, count.tally()));
         let report = CountReport {
             certificate: Some(&path),
             // The checker accepted it above.
@@ -339,7 +340,7 @@ impl<'a> CountReport<'a> {
             failures: tally.failures,
             only_first_failed: tally.only_first_failed,
             only_second_failed: tally.only_second_failed,
-            unanswered: tally.unanswered(),
+            unanswered: tally.missing_answers(),
             certificate: None,
             rate_at_most: None,
             confidence: None,

@@ -34,12 +34,12 @@ pub(crate) fn run(config: AssessConfig, folder: &Path) -> AssessmentReport {
         .expect("runs")
 }
 
-fn standings(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
+fn statuses(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
     assessment.summary.claims.iter().flat_map(|row| &row.statuses).collect()
 }
 
 fn rate_strength(assessment: &AssessmentReport, place: usize) -> &Strength {
-    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("at most")).expect("claimed");
+    let row = assessment.summary.claims.iter().find(|row| row.claim.contains("rate at most")).expect("claimed");
     &row.statuses[place].strength
 }
 
@@ -54,7 +54,7 @@ fn count_certificate(
 ) -> Certificate {
     let find = |name: &str| NamedController::find(name, folder).expect("known");
     let config = RateConfig {
-        against: against.map(find),
+        second_controller: against.map(find),
         seed: 9,
         estimator,
         confidence: 0.999,
@@ -116,10 +116,10 @@ fn foreign_certificates_change_no_claim() {
         with.certificates = Some(vec![path]);
         let with = run(with, folder.path());
         let strengths =
-            |of: &AssessmentReport| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
+            |of: &AssessmentReport| statuses(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
         let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
-        let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { because } if !because.is_empty());
+        let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { reason } if !reason.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
     let genuine = folder.path().join("genuine.json");
@@ -151,7 +151,10 @@ fn names_prove_nothing() {
     let is_claimed = |place: usize| rows.iter().filter(|row| row.claims[place].is_some()).count();
     assert_eq!([0, 1, 2, 3, 4, 5].map(is_claimed), [0, 0, 0, 1, 1, 1]);
     let words = &rows[1].claim;
-    assert!(words.contains("harder than 0.1 m/s², while its filter is off by no more than the shield"), "{words}");
+    assert!(
+        words.contains("harder than 0.1 m/s², while its estimation error stays within the bounds of the shield"),
+        "{words}"
+    );
     for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of initial states")) {
         assert_eq!(row.statuses[1], row.statuses[2], "the copy is that policy");
         assert!(matches!(row.statuses[3].strength, Strength::Untried), "before a shield it is another controller");
@@ -228,8 +231,8 @@ fn every_command_of_a_report_runs_in_its_folder() {
     let (name, contents) = files.iter().find(counterexample).expect("it fails somewhere");
     fs::write(report.join(name), [contents, b"# edited\n".as_slice()].concat()).expect("writes");
     let looked = Command::new(program).args(["fsck", "."]).current_dir(&report).output().expect("runs");
-    let said = String::from_utf8_lossy(&looked.stdout);
-    assert!(looked.status.code() == Some(1) && said.contains(name.as_str()), "{said}");
+    let message = String::from_utf8_lossy(&looked.stdout);
+    assert!(looked.status.code() == Some(1) && message.contains(name.as_str()), "{message}");
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 
@@ -239,9 +242,12 @@ fn a_saved_model_is_named_with_its_algorithm() {
     let mut asked = config(&["a2c.toml", "acc.toml"]);
     (asked.draws, asked.everyday_draws) = (0, 0);
     let found = run(asked, &folder);
-    let told: Vec<_> = found.summary.named.iter().map(|named| named.what.as_str()).take(2).collect();
-    assert!(told[0].starts_with("a network from outside (A2C of Stable-Baselines3) with layers "), "{told:?}");
-    assert!(told[1].starts_with("a network from outside with layers "), "{told:?}");
+    let explanations: Vec<_> = found.summary.named.iter().map(|named| named.explanation.as_str()).take(2).collect();
+    assert!(
+        explanations[0].starts_with("external network (A2C of Stable-Baselines3) with layers "),
+        "{explanations:?}"
+    );
+    assert!(explanations[1].starts_with("external network with layers "), "{explanations:?}");
 }
 
 /// A custom space may have another name in the configuration than in its file.
@@ -302,8 +308,8 @@ fn gates_on_spaces_look_at_random_scenarios() {
     let gates = &found.summary.gates;
     let holds: Vec<_> = gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, false, false, true], "{gates:#?}");
-    assert!(gates[1].because.ends_with("of 20 random scenarios collide"), "{}", gates[1].because);
-    assert!(gates[3].because.ends_with("of 40 random scenarios collide"), "{}", gates[3].because);
+    assert!(gates[1].reason.ends_with("of 20 random scenarios collide"), "{}", gates[1].reason);
+    assert!(gates[3].reason.ends_with("of 40 random scenarios collide"), "{}", gates[3].reason);
 
     // The gates end the first page on a terminal, and are in both forms of the report.
     assert!(
@@ -318,12 +324,12 @@ fn gates_on_spaces_look_at_random_scenarios() {
     let claims = found.to_markdown().find("## Claims").expect("a part");
     assert!(found.to_markdown().find("2 of 5 gates hold.") < Some(claims), "on the first page");
 
-    for (space, said) in
+    for (space, message) in
         [("standing", "gates[0].space: `standing` is neither among"), ("traffic", "needs `everyday_draws`")]
     {
         (asked.everyday_draws, asked.gates) = (0, vec![in_space("idm", space)]);
         let refused = AssessmentPlan::new(asked.clone(), [], folder.path()).expect_err("refused").to_string();
-        assert!(refused.contains(said), "{refused}");
+        assert!(refused.contains(message), "{refused}");
     }
 }
 
@@ -367,28 +373,28 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
     let (controller, than) = ("idm".to_owned(), "full-throttle".to_owned());
     asked.gates = vec![AssessmentGate::RateNotAbove { controller, than, space: None }];
     let found = run(asked, folder.path());
-    let said = |row: &str| -> Vec<&Strength> {
+    let message = |row: &str| -> Vec<&Strength> {
         let rows = found.summary.claims.iter().filter(|known| known.claim.starts_with(row));
-        rows.flat_map(|row| row.statuses.iter().map(|standing| &standing.strength)).collect()
+        rows.flat_map(|row| row.statuses.iter().map(|status| &status.strength)).collect()
     };
-    for row in ["no contact in", "no contact that a search", "no contact anywhere", "fewer failures"] {
-        assert!(said(row).iter().all(|strength| **strength == Strength::Untried), "{row}: {:?}", said(row));
+    for row in ["no collision in", "no collision anywhere", "fewer failures"] {
+        assert!(message(row).iter().all(|strength| **strength == Strength::Untried), "{row}: {:?}", message(row));
     }
     let undecided = |strength: &&&Strength| matches!(strength, Strength::Undecided { .. });
-    assert_eq!(said("contact in at most").iter().filter(undecided).count(), 3);
+    assert_eq!(message("collision rate at most").iter().filter(undecided).count(), 3);
     let refuted = |strength: &&&Strength| matches!(strength, Strength::Refuted { failures: 40, runs: 40 });
-    assert_eq!(said("no contact among the others").iter().filter(refuted).count(), 3);
-    assert!(!found.summary.gates[0].holds, "{}", found.summary.gates[0].because);
+    assert_eq!(message("no collision of other vehicles").iter().filter(refuted).count(), 3);
+    assert!(!found.summary.gates[0].holds, "{}", found.summary.gates[0].reason);
 }
 
 /// Refused before the first run, with file and field.
 #[test]
-fn what_would_mislead_is_refused_before_the_work() {
+fn misleading_configurations_are_refused_at_the_start() {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("nobody.toml"), third_party_crash_space([STILL, " = \"idm\"", BRAKES, STILL]))
         .expect("writes");
     let begin = "version = 1\ncontrollers = [\"idm\", \"baseline\"]\npaper = false\n";
-    for (rest, said) in [
+    for (rest, message) in [
         ("distributions = [\"nobody.toml\"]\n", "a.toml:4: distributions[0]: nobody.toml: no vehicle is under test"),
         ("distributions = [\"gone.toml\"]\n", "a.toml:4: distributions[0]: "),
         ("[[gates]]\nrequire = \"proofs-accepted\"\ncontroler = \"idm\"\n", "controler"),
@@ -405,19 +411,19 @@ fn what_would_mislead_is_refused_before_the_work() {
             "needs `everyday_draws`",
         ),
         ("[search]\nrules = [\"no brakes\"]\n", "a.toml:5: search.rules[0]: in high-risk: "),
-        ("[search]\nrules = [\"no contact\"]\n", "search.rules[0]: contacts are searched for anyway"),
+        ("[search]\nrules = [\"no contact\"]\n", "search.rules[0]: the search always looks for collisions"),
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
         let refused = AssessmentPlan::load(&path).expect_err("refused").to_string();
-        assert!(refused.contains(said), "{rest}: {refused}");
+        assert!(refused.contains(message), "{rest}: {refused}");
     }
 }
 
 /// A specification that a controller violates and a reference driver satisfies is reported, with a file that reproduces
 /// it.
 #[test]
-fn rules_are_searched_for_and_what_breaks_them_is_kept() {
+fn searches_cover_driving_rules_and_keep_violations() {
     let mut config = config(&["idm", "constant-brake"]);
     (config.draws, config.everyday_draws) = (0, 0);
     (config.search.spaces, config.search.budget) = (Some(vec!["high-risk".to_owned()]), 20);
@@ -436,15 +442,12 @@ fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     let scenario = file::from_toml(std::str::from_utf8(text).expect("text"), Path::new("worst")).expect("a scenario");
     let rule = Specification::parse(rules[0], &scenario).expect("a rule");
     let controller = NamedController::find("constant-brake", Path::new("")).expect("built in").kind;
-    let judged = rule.judge_scenario(&scenario, RunOptions::new(controller)).expect("runs");
-    assert!((judged.robustness - worst.robustness.value()).abs() < 1e-3 && judged.is_violation());
+    let evaluated = rule.evaluate_scenario(&scenario, RunOptions::new(controller)).expect("runs");
+    assert!((evaluated.robustness - worst.robustness.value()).abs() < 1e-3 && evaluated.is_violation());
     let row = |claim: &str| assessment.summary.claims.iter().find(|row| row.claim.starts_with(claim)).expect("claimed");
-    assert!(row("no braking without cause that a search").statuses[1].describe().contains("60"));
+    assert!(row("no unnecessary braking in a search").statuses[1].describe().contains("60"));
     assert!(
-        row("always (v1.speed_mps")
-            .statuses
-            .iter()
-            .all(|standing| matches!(standing.strength, Strength::Tested { .. }))
+        row("always (v1.speed_mps").statuses.iter().all(|status| matches!(status.strength, Strength::Tested { .. }))
     );
 }
 
@@ -469,11 +472,11 @@ fn a_count_in_vain_is_not_outweighed() {
     asked.certificates = Some(vec![path]);
     let found = run(asked, folder.path());
     let row = found.summary.claims.iter().find(|row| row.claim.contains("fewer failures") && row.part == "proofs");
-    let standing = &row.expect("claimed").statuses[1];
-    assert!(matches!(standing.strength, Strength::NotShownByCounting { runs: 4000, .. }), "{standing:?}");
+    let status = &row.expect("claimed").statuses[1];
+    assert!(matches!(status.strength, Strength::NotShownByCounting { runs: 4000, .. }), "{status:?}");
     assert!(
-        matches!(standing.secondary[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
-        "{standing:?}"
+        matches!(status.secondary[..], [ref one] if matches!(one.strength, Strength::Counted { .. })),
+        "{status:?}"
     );
 }
 
@@ -496,7 +499,7 @@ fn a_recording_is_assessed_as_its_episodes() {
         (traffic.scenarios.len(), found.summary.gates[0].holds),
         (2, true),
         "each car that brakes leads one: {}",
-        found.summary.gates[0].because
+        found.summary.gates[0].reason
     );
     assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));
     let refused = with("recordings = [\"gone.csv\"]\n").expect_err("refused");

@@ -61,12 +61,12 @@ fn strength() -> impl Strategy<Value = Strength> {
         (1..3_u64).prop_map(move |runs| Strength::NotShownByCounting { confidence_percent, runs }),
         (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared { own, other, runs: 9 }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
-        Just(Strength::Falsified { failures: 2, avoidable: 1, because: None }),
+        Just(Strength::Falsified { failures: 2, avoidable: 1, reason: None }),
         (any::<bool>(), 0..2_u64).prop_map(|(refutes, failures)| Strength::Unanswered {
             unanswered: 3,
             failures,
             runs: 9,
-            because: "at 1.00 s, it is gone".to_owned(),
+            reason: "at 1.00 s, it is gone".to_owned(),
             refutes,
         }),
         Just(Strength::PartlyProved { share_percent: Rounded::new(40.0) }),
@@ -91,12 +91,12 @@ fn evidence() -> impl Strategy<Value = Evidence> {
 }
 
 /// Levels of a claim: refuted, no evidence, tested, holds often, always.
-fn strength_level(said: &Value) -> u8 {
-    match said["strength"].as_str().expect("a strength") {
+fn strength_level(text: &Value) -> u8 {
+    match text["strength"].as_str().expect("a strength") {
         "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
-        "unanswered" if said["refutes"] == true || said["failures"].as_u64() > Some(0) => 0,
-        "compared" if said["own"].as_u64() > said["other"].as_u64() => 0,
-        "compared" if said["own"].as_u64() < said["other"].as_u64() => 2,
+        "unanswered" if text["refutes"] == true || text["failures"].as_u64() > Some(0) => 0,
+        "compared" if text["own"].as_u64() > text["other"].as_u64() => 0,
+        "compared" if text["own"].as_u64() < text["other"].as_u64() => 2,
         "tested" => 2,
         "bounded" | "counted" | "proved_in" => 3,
         "proved" => 4,
@@ -228,13 +228,13 @@ proptest! {
     fn no_claim_is_stronger_than_its_evidence(evidence in prop::collection::vec(evidence(), 0..7), claim in claim()) {
         let ledger = Ledger::new(evidence);
         let json = serde_json::to_value(&ledger).unwrap();
-        let standing = ledger.claim_status(&claim);
-        let shown = strength_level(&serde_json::to_value(&standing).unwrap());
+        let status = ledger.claim_status(&claim);
+        let shown = strength_level(&serde_json::to_value(&status).unwrap());
         let allowed = allowed_level(json.as_array().unwrap(), &serde_json::to_value(&claim).unwrap());
-        prop_assert!(shown <= allowed, "{shown} where {allowed} is allowed: {standing:#?}");
+        prop_assert!(shown <= allowed, "{shown} where {allowed} is allowed: {status:#?}");
         // All evidence for and against a claim is shown.
-        prop_assert_eq!(shown, allowed, "{:#?}", standing);
+        prop_assert_eq!(shown, allowed, "{:#?}", status);
         let read_back: Ledger = serde_json::from_value(json).unwrap();
-        prop_assert_eq!(read_back.claim_status(&claim), standing);
+        prop_assert_eq!(read_back.claim_status(&claim), status);
     }
 }

@@ -144,7 +144,7 @@ fn every_specification_is_violated_at_its_worst() {
     let options = RunOptions::new(FailingController::new(100, Err(died_failure())).into_kind());
     for text in [Specification::NO_CONTACT, "always v1.speed_mps >= 0"] {
         let specification = Specification::parse(text, &scenario).unwrap();
-        let verdict = specification.judge_scenario(&scenario, options.clone()).unwrap();
+        let verdict = specification.evaluate_scenario(&scenario, options.clone()).unwrap();
         assert_eq!((verdict.robustness, verdict.failure), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");
     }
 }
@@ -162,7 +162,7 @@ fn rate_plan(controller: NamedController) -> Result<RatePlan, InvalidRate> {
 }
 
 #[test]
-fn a_rate_counts_it_and_says_so() {
+fn a_rate_counts_and_reports_controller_failures() {
     let plan = rate_plan(FailingController::new(10, Err(died_failure())).into_named()).unwrap();
     let mut tally = plan.empty_tally();
     plan.count_batch(&mut tally).unwrap();
@@ -210,7 +210,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
 }
 
 #[test]
-fn an_assessment_says_who_failed_and_when() {
+fn an_assessment_names_the_failed_controller_and_the_time() {
     let mut config = AssessConfig::default();
     // The other controller avoids collisions: classifying each collision would take most of the time.
     config.controllers = vec!["idm".to_owned()];
@@ -225,7 +225,7 @@ fn an_assessment_says_who_failed_and_when() {
     assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
     assert!(assessment.to_markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
     let drawn =
-        assessment.distributions.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
+        assessment.rate_spaces.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
     assert_eq!((drawn.collisions, drawn.failures()), (0, 20), "all draws fail, and nobody touches");
     assert_eq!(drawn.mean_impact_speed_mps, None);
 }

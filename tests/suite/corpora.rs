@@ -58,7 +58,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
 }
 
 #[test]
-fn every_kept_scenario_is_recorded_and_says_why_it_is_there() {
+fn every_corpus_scenario_is_recorded_with_its_reason() {
     let index = ExpectedFile::load_from_folder(&scenario_corpus()).unwrap();
     let recorded = index.scenario_paths(&scenario_corpus());
     let mut kept: Vec<PathBuf> = std::fs::read_dir(scenario_corpus())

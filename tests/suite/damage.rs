@@ -187,9 +187,9 @@ fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
                 None => fs::remove_file(&path).unwrap(),
             }
             match work(folder.path(), 1, &|| {}) {
-                Err(said) => {
-                    let named = said.contains(name) || said.contains(path.parent().unwrap().to_str().unwrap());
-                    assert!(named, "{name}, {what}: refused without its name: {said}");
+                Err(text) => {
+                    let named = text.contains(name) || text.contains(path.parent().unwrap().to_str().unwrap());
+                    assert!(named, "{name}, {what}: refused without its name: {text}");
                     refused += 1;
                     fs::write(&path, bytes).unwrap();
                 }

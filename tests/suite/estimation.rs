@@ -63,7 +63,7 @@ fn innovations_are_chi_square_in_the_world_the_filter_believes_in() {
 /// White jerk: errors of distance, rate and acceleration have the filter's standard deviations, in 99.9 % bands, and no
 /// bias. One error per run, since errors within a run are correlated.
 #[test]
-fn errors_have_the_deviations_the_filter_says() {
+fn errors_have_the_deviations_of_the_filter() {
     const RUNS: u64 = 2000;
     let sensors = Sensors::default();
     let errors: Vec<[f64; 3]> = (0..RUNS)
@@ -209,7 +209,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
 /// its speed has half the variance that `Tuning::steady_deviations` states, its acceleration a sixth, its distance five
 /// sixths. (With gains 2ω, 2ω², ω³ these are 3/2 ω³, 1/3 ω⁵ and 5/3 ω times σ² h, against 3 ω³, 2 ω⁵ and 2 ω.)
 #[test]
-fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_says() {
+fn steady_estimates_are_unbiased_and_as_accurate_as_tuned() {
     const RUNS: u64 = 2000;
     let sensors = Sensors::default();
     let tuning = Arc::new(EgoTuning::new(0.01, &sensors));
@@ -281,7 +281,7 @@ proptest! {
     /// Estimates are finite, speeds not negative, and without lost measurements errors are explained by noise and lag.
     /// The estimator `truth` returns the true state.
     #[test]
-    fn what_is_seen_is_near_the_truth(test_case in any_test_case()) {
+    fn estimates_are_near_the_truth(test_case in any_test_case()) {
         check_oracle(&test_case, estimates_within_bounds)?;
     }
 }

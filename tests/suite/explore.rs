@@ -63,12 +63,12 @@ fn explore_opens_a_campaign_that_is_named_first() {
 }
 
 #[test]
-fn explore_refuses_what_it_cannot_offer() {
+fn explore_refuses_unsupported_inputs() {
     let folder = temp_folder();
-    let refused = |arguments: &[&str], said: &str| {
+    let refused = |arguments: &[&str], message: &str| {
         let output = run_crumple(folder.path(), &[&["explore"], arguments].concat());
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(exit_code(&output) == 2 && text.contains(said) && text.lines().count() == 1, "{text}");
+        assert!(exit_code(&output) == 2 && text.contains(message) && text.lines().count() == 1, "{text}");
     };
     refused(&["no-such-scenario"], "neither a built-in scenario");
     refused(&["."], "the folder holds no campaign");

@@ -37,7 +37,7 @@ enum Verdict {
 }
 
 /// Returns the verdict about a forged certificate, with counts counted again.
-fn judge_forgery(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &ForgedCertificate) -> Verdict {
+fn forgery_verdict(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &ForgedCertificate) -> Verdict {
     let Ok(certificate) = Certificate::from_json(&forged.text) else { return Verdict::Refused };
     let policy = forged.policy.as_deref();
     // Cheapest check first.
@@ -158,7 +158,7 @@ fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
 fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
     let find = |name: &str| NamedController::from(ControllerSpec::from_name(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
-        against: against.map(find),
+        second_controller: against.map(find),
         seed: 5,
         estimator: EstimatorKind::Truth,
         ..RateConfig::new(find(controller), built_in_space("paper").expect("built in"), runs)
@@ -254,7 +254,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         if genuine.iter().any(|one| Some(&one.certificate) == read.as_ref() && one.policy == forged.policy) {
             return (kind, None);
         }
-        let verdict = judge_forgery(&genuine[which], &shown[which], &forged);
+        let verdict = forgery_verdict(&genuine[which], &shown[which], &forged);
         assert_ne!(verdict, Verdict::Forgery, "{index}: {kind}: {}: {}", forged.change, forged.text);
         (kind, Some(verdict))
     });

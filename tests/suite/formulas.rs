@@ -39,7 +39,7 @@ proptest! {
 
     /// Windows that begin late in a trace that is processed in pieces.
     #[test]
-    fn long_traces_are_monitored_as_the_definition_says(
+    fn long_traces_are_monitored_by_the_definition(
         samples in 1500..2600_usize,
         formula in prop::sample::select(vec![
             "eventually[5, 12] (always[0, 1] (x + 0.5 * y > 0.2))",
@@ -95,7 +95,7 @@ fn rounding_opens_no_gap() {
 
 /// Equal sides have a robustness of zero, and strictness decides.
 #[test]
-fn equality_satisfies_what_is_not_strict() {
+fn equality_satisfies_non_strict_comparisons() {
     let mut signals = SampledSignals::new(0.1, 1).unwrap();
     signals.insert("x", vec![1.0]).unwrap();
     let cases = [
@@ -115,7 +115,7 @@ fn equality_satisfies_what_is_not_strict() {
 
 /// The monitor and the definition report the same time of a non-finite sum.
 #[test]
-fn what_is_undefined_is_told_with_its_time() {
+fn undefined_values_are_reported_with_their_time() {
     let mut signals = SampledSignals::new(0.1, 10).unwrap();
     for name in ["x", "y"] {
         let samples: Vec<f64> = (0..10).map(|k| if k == 7 { f64::INFINITY } else { 0.0 }).collect();

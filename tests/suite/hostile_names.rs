@@ -143,16 +143,16 @@ fn terminals_show_hostile_names_as_text() {
     ];
     for (expected, arguments) in commands {
         let output = run_crumple(folder.path(), arguments);
-        let (said, noted) = (String::from_utf8(output.stdout.clone()), String::from_utf8(output.stderr.clone()));
-        let (said, noted) = (said.expect("text"), noted.expect("text"));
+        let (message, noted) = (String::from_utf8(output.stdout.clone()), String::from_utf8(output.stderr.clone()));
+        let (message, noted) = (message.expect("text"), noted.expect("text"));
         assert_eq!(exit_code(&output), *expected, "{arguments:?}: {noted}");
-        assert_no_hidden_characters(&format!("{arguments:?}"), &(said.clone() + &noted));
+        assert_no_hidden_characters(&format!("{arguments:?}"), &(message.clone() + &noted));
         if arguments.contains(&"json") {
-            said.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).expect("JSON")));
+            message.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).expect("JSON")));
         } else {
             // The usage error repeats arguments literally, including line breaks.
             let is_usage = noted.contains("For more information, try '--help'");
-            let forged = (said + &noted).lines().any(|line| line.starts_with("# no contact"));
+            let forged = (message + &noted).lines().any(|line| line.starts_with("# no contact"));
             assert!(!forged || is_usage, "{arguments:?}");
         }
         if *expected == 2 && arguments.len() > 1 && arguments[0] != "falsify" && arguments[1] != "paper-1" {

@@ -22,7 +22,7 @@ proptest! {
 
     /// All invariants except that of the step size, which rounding sometimes leaves undecided.
     #[test]
-    fn lanes_keep_their_laws(test_case in any_lane_case()) {
+    fn lane_changes_satisfy_their_invariants(test_case in any_lane_case()) {
         for oracle in LANE_ORACLES.into_iter().filter(|&oracle| oracle as usize != step_size_changes_nothing as OracleFn as usize) {
             check_oracle(&test_case, oracle)?;
         }
@@ -41,7 +41,7 @@ fn first_lane_cases(count: usize) -> Vec<TestCase> {
 
 /// Generated scenarios change lanes by every trigger, and the oracles for lanes are decided.
 #[test]
-fn what_is_generated_changes_lanes() {
+fn generated_scenarios_change_lanes() {
     let all = first_lane_cases(200);
     let entered = |test_case: &&TestCase| {
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
@@ -97,7 +97,7 @@ impl System for LaneFault {
 }
 
 #[test]
-fn laws_of_lanes_notice_their_faults() {
+fn lane_invariants_detect_injected_faults() {
     let wrong: [(LaneFault, OracleFn, Invariant); 6] = [
         (LaneFault::EntryForgotten, lane_times_are_consistent, Invariant::Lanes),
         (LaneFault::EntryForgotten, metrics_agree, Invariant::MetricsAgree),

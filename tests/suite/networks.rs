@@ -205,7 +205,7 @@ fn the_controller_files_of_the_corpus_follow_the_schema() {
 }
 
 #[test]
-fn what_decides_how_a_network_drives_is_its_identity() {
+fn the_identity_of_a_network_covers_everything_that_affects_driving() {
     let folder = tempfile::tempdir().unwrap();
     fs::copy(controller_corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
     let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
@@ -256,29 +256,29 @@ fn controller_files_are_refused_by_file_line_and_field() {
         ("acc-5x20.onnx", "none.onnx", "none.onnx: No such file"),
         ("acc-5x20.onnx", "a.toml", "a network's file ends in .onnx, or in .zip"),
     ];
-    for (was, is, said) in cases {
+    for (was, is, message) in cases {
         assert!(text.contains(was), "{was}");
         fs::write(folder.path().join("a.toml"), text.replacen(was, is, 1)).unwrap();
         let error = NamedController::find("a.toml", folder.path()).expect_err(is).to_string();
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
 }
 
 #[test]
 fn networks_that_need_a_controller_file_say_so() {
     let refused = |name: &str| NamedController::find(name, &controller_corpus()).expect_err(name).to_string();
-    for (name, said) in [
+    for (name, message) in [
         ("acc-5x20.onnx", "inputs: 5, outputs: 1;"),
         ("a2c.zip", "its action space is -7.5 to 3; without a controller file crumple expects -1 to 1"),
         ("elu-7-5.onnx", "inputs: 3, outputs: 4;"),
         ("mixed-50-25.onnx", "its output is not limited to -1 to 1"),
         ("normalised-64-64-64.onnx", ""),
     ] {
-        if said.is_empty() {
+        if message.is_empty() {
             controller_kind(name);
         } else {
             let error = refused(name);
-            assert!(error.contains(said) && error.contains("docs/controllers.md"), "{error}");
+            assert!(error.contains(message) && error.contains("docs/controllers.md"), "{error}");
         }
     }
     let folder = tempfile::tempdir().unwrap();
@@ -298,7 +298,7 @@ fn normalised_path(name: &str) -> PathBuf {
 
 /// The model file reveals `VecNormalize`, with or without the statistics next to it.
 #[test]
-fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
+fn a_model_behind_vec_normalize_needs_its_statistics() {
     use crumple_world::network::VecNormalizeUse as Trace;
     let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().vec_normalize;
     assert_eq!(trace(&normalised_path("ppo.zip")), Trace::Behind);
@@ -308,27 +308,30 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     );
 
     let folder = tempfile::tempdir().unwrap();
-    let told = fs::read_to_string(normalised_path("ppo.toml")).unwrap();
-    let untold = told.replace("normalised = true\n", "");
+    let described = fs::read_to_string(normalised_path("ppo.toml")).unwrap();
+    let undescribed = described.replace("normalised = true\n", "");
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         NamedController::find("a.toml", folder.path()).map(|found| found.disambiguating_hash())
     };
     fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
-    let said = find(&untold).expect_err("not told").to_string();
-    assert!(said.contains("a.toml:1: normalised: is missing: ") && said.contains("its data shows that"), "{said}");
-    let said = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
-    assert!(said.contains("trained behind VecNormalize") && said.contains("`normalised = true`"), "{said}");
-    let identity = find(&told).unwrap();
+    let message = find(&undescribed).expect_err("not told").to_string();
+    assert!(
+        message.contains("a.toml:1: normalised: is missing: ") && message.contains("its data shows that"),
+        "{message}"
+    );
+    let message = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
+    assert!(message.contains("trained behind VecNormalize") && message.contains("`normalised = true`"), "{message}");
+    let identity = find(&described).unwrap();
     // A statement about training does not change the controller.
-    assert_eq!(find(&untold.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
+    assert_eq!(find(&undescribed.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
     // With the statistics next to the model, `normalised` is optional, unless the inputs contradict them.
     fs::copy(normalised_path("ppo_vecnormalize.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
-    assert_eq!(find(&untold).unwrap(), identity);
-    let said = find(&untold.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
-    assert!(said.contains("`ppo_vecnormalize.pkl` seems to contain the statistics"), "{said}");
+    assert_eq!(find(&undescribed).unwrap(), identity);
+    let message = find(&undescribed.replace("high = 5.0", "high = 10.0")).expect_err("another limit").to_string();
+    assert!(message.contains("`ppo_vecnormalize.pkl` seems to contain the statistics"), "{message}");
     fs::copy(normalised_path("rewards-alone.pkl"), folder.path().join("ppo_vecnormalize.pkl")).unwrap();
-    assert!(find(&untold.replace("high = 5.0", "high = 10.0")).is_ok());
+    assert!(find(&undescribed.replace("high = 5.0", "high = 10.0")).is_ok());
 }
 
 /// The controller file and `VecNormalize` normalise alike.
@@ -357,7 +360,7 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
 
 /// The driving output must be named if there are several; a model's spaces are compared with the controller file.
 #[test]
-fn what_does_not_fit_a_model_is_told() {
+fn mismatches_with_a_model_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a2c.zip", "elu-7-5.onnx"] {
         fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
@@ -368,35 +371,43 @@ fn what_does_not_fit_a_model_is_told() {
     };
     let fitting = fs::read_to_string(controller_corpus().join("a2c.toml")).unwrap();
     assert_eq!(find(&fitting).unwrap().kind.warnings(), Vec::<String>::new());
-    let doubts = |text: &str| find(text).unwrap().kind.warnings().join("\n");
+    let undecided = |text: &str| find(text).unwrap().kind.warnings().join("\n");
     let unscaled = fitting.replacen("offset = 16.0\nscale = 16.0\nlow = -4.0\nhigh = 4.0\n", "", 1);
-    assert!(doubts(&unscaled).contains("inputs[0] (gap_ahead_m) is 10 to 50, of -4 to 4"), "{}", doubts(&unscaled));
-    for (said, doubt) in [
+    assert!(
+        undecided(&unscaled).contains("inputs[0] (gap_ahead_m) is 10 to 50, of -4 to 4"),
+        "{}",
+        undecided(&unscaled)
+    );
+    for (message, doubt) in [
         (
             "scale_mps2 = 0.1",
             "the model's actions of -7.5 to 3 mean -0.75 to 0.3 m/s² here, of low_mps2 = -7.5 to high_mps2 = 3",
         ),
         ("scale_mps2 = 2.0", "mean -15 to 6 m/s² here, cut to low_mps2 = -7.5 to high_mps2 = 3"),
     ] {
-        let doubts = doubts(&fitting.replace("[output]", &format!("[output]\n{said}")));
-        assert!(doubts.contains(doubt), "{doubts}");
+        let undecided = undecided(&fitting.replace("[output]", &format!("[output]\n{message}")));
+        assert!(undecided.contains(doubt), "{undecided}");
     }
-    let said = find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
-    assert!(said.contains("output: excludes every action of the model: actions of -7.5 to 3"), "{said}");
+    let message =
+        find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
+    assert!(message.contains("output: excludes every action of the model: actions of -7.5 to 3"), "{message}");
     let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
     assert_eq!(exit_code(&noted), 2);
     fs::write(folder.path().join("a.toml"), &unscaled).unwrap();
     let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml"]);
-    let said = String::from_utf8_lossy(&noted.stderr).into_owned();
-    assert!(said.starts_with("note: shield:a.toml: in ordinary driving") && said.lines().count() == 1, "{said}");
+    let message = String::from_utf8_lossy(&noted.stderr).into_owned();
+    assert!(
+        message.starts_with("note: shield:a.toml: in ordinary driving") && message.lines().count() == 1,
+        "{message}"
+    );
     let quiet = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml", "--quiet"]);
     assert!(quiet.stderr.is_empty() && quiet.stdout == noted.stdout);
 
     let several = "version = 1\nnetwork = \"elu-7-5.onnx\"\ndecision_interval_s = 0.1\n\
                    [[inputs]]\nquantity = \"gap_ahead_m\"\nscale = 100.0\n[[inputs]]\nquantity = \"speed_mps\"\nscale = 40.0\n\
                    [[inputs]]\nquantity = \"acceleration_mps2\"\n[output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
-    let said = find(several).expect_err("which?").to_string();
-    assert!(said.contains("output.answer: is missing: the network has 4 answers"), "{said}");
+    let message = find(several).expect_err("which?").to_string();
+    assert!(message.contains("output.answer: is missing: the network has 4 answers"), "{message}");
     assert!(find(&several.replace("[output]", "[output]\nanswer = 3")).is_ok());
 }
 
@@ -411,13 +422,13 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
         let found = NamedController::find(name, folder.path()).unwrap();
         assert_eq!(found.kind.identity(), controller_kind("ppo.zip").identity());
     }
-    let said = NamedController::find("m", folder.path()).expect_err("no ending").to_string();
-    assert_eq!(said, "there is no controller `m`; did you mean the file `m.zip`?");
+    let message = NamedController::find("m", folder.path()).expect_err("no ending").to_string();
+    assert_eq!(message, "there is no controller `m`; did you mean the file `m.zip`?");
 }
 
 /// The printed controller file works for any network.
 #[test]
-fn what_is_described_drives() {
+fn described_networks_drive() {
     let folder = tempfile::tempdir().unwrap();
     let names = ["ppo.zip", "sac.zip", "td3.zip", "acc-5x20.onnx", "elu-7-5.onnx", "normalised/ppo.zip"];
     for name in names {
@@ -496,9 +507,9 @@ fn weights_in_pytorchs_old_format_are_named() {
     let old = written.finish().unwrap().into_inner();
     for (bytes, what) in [(old.as_slice(), "its weights, `policy.pth`, are"), (&legacy, "it is a file of `torch.save`")]
     {
-        let said = NetworkFile::from_sb3(bytes).expect_err("the old format").to_string();
-        assert!(said.starts_with(what) && said.contains("in the format of PyTorch before 1.6"), "{said}");
-        assert!(said.contains("`PPO.load(\"old\").save(\"new\")`") && !said.contains("not a whole"), "{said}");
+        let message = NetworkFile::from_sb3(bytes).expect_err("the old format").to_string();
+        assert!(message.starts_with(what) && message.contains("in the format of PyTorch before 1.6"), "{message}");
+        assert!(message.contains("`PPO.load(\"old\").save(\"new\")`") && !message.contains("not a whole"), "{message}");
     }
 }
 
@@ -597,8 +608,8 @@ fn damaged_files_are_refused_and_nothing_worse() {
                 if file.ends_with("onnx") { NetworkFile::from_onnx(bytes) } else { NetworkFile::from_sb3(bytes) };
             assert!(begun.elapsed() < Duration::from_secs(1), "{file}");
             if let Err(error) = &read {
-                let said = error.to_string();
-                assert!(said.len() < 1000 && !said.chars().any(char::is_control), "{said:?}");
+                let message = error.to_string();
+                assert!(message.len() < 1000 && !message.chars().any(char::is_control), "{message:?}");
             }
             read.is_err()
         };

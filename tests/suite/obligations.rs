@@ -148,11 +148,11 @@ fn a_solver_confirms_one_of_them_where_there_is_one() {
 fn theorems_in_the_docs_are_those_that_coq_has_checked() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |file: &str| fs::read_to_string(root.join(file)).unwrap();
-    let said = read("verify/coq/output.txt");
+    let message = read("verify/coq/output.txt");
     let theories = ["Kernel.v", "Rounding.v"].map(|file| {
         let theory = read(&format!("verify/coq/{file}"));
         let recorded = format!("{file} {}", crumple_core::digest::sha256(&theory));
-        assert!(said.lines().any(|line| line == recorded), "run verify/coq/run: {file}");
+        assert!(message.lines().any(|line| line == recorded), "run verify/coq/run: {file}");
         for gap in ["Admitted.", "admit.", "Axiom ", "Parameter ", "Hypothesis "] {
             assert!(!theory.contains(gap), "{file}: {gap}");
         }
@@ -166,12 +166,12 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
         let is_there = theories.iter().any(|theory| theory.contains(&format!("\n{statement}\n")));
         assert!(is_there, "in none of the files: {statement}");
         if let Some(theorem) = statement.strip_prefix("Theorem ").and_then(|rest| rest.split(' ').next()) {
-            assert!(said.contains(&format!("proved: {theorem}\n")), "{theorem}");
+            assert!(message.contains(&format!("proved: {theorem}\n")), "{theorem}");
         }
     }
     // Theorems that the derivation of the margin uses. Other names are shorter.
     let derivation = read("crates/world/src/control/shield/rounding.rs");
     let names = derivation.split('`').skip(1).step_by(2).filter(|name| name.matches('_').count() >= 3);
-    let missing: Vec<_> = names.clone().filter(|name| !said.contains(&format!("proved: {name}\n"))).collect();
+    let missing: Vec<_> = names.clone().filter(|name| !message.contains(&format!("proved: {name}\n"))).collect();
     assert!(names.count() > 10 && missing.is_empty(), "{missing:?}");
 }

@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 #[test]
-fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
+fn the_checker_refuses_all_policy_files_that_the_simulator_refuses() {
     // One of them is a residual policy.
     let road = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/road.safetensors")).unwrap();
     let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &road];
@@ -37,15 +37,15 @@ fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
                 let action = &policy.header().action;
                 assert_eq!(actor.action_bounds_mps2, [action.low_mps2, action.high_mps2], "{seed}");
                 assert_eq!(actor.decision_interval_s, policy.header().decision_interval_s, "{seed}");
-                let of_checker = actor.residual_over.map(|departure| {
-                    let IdmLaw { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = departure.idm;
+                let of_checker = actor.residual_over.map(|residual| {
+                    let IdmLaw { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = residual.idm;
                     let law = [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2];
-                    ([departure.dead_zone, departure.rate_per_s, departure.idm.comfortable_brake_mps2], law)
+                    ([residual.dead_zone, residual.rate_per_s, residual.idm.comfortable_brake_mps2], law)
                 });
-                let of_simulator = action.residual_over.as_ref().map(|departure| {
-                    let idm = &departure.idm;
+                let of_simulator = action.residual_over.as_ref().map(|residual| {
+                    let idm = &residual.idm;
                     let law = [idm.desired_speed_mps, idm.time_headway_s, idm.standstill_gap_m, idm.accel_mps2];
-                    ([departure.dead_zone, departure.rate_per_s, idm.comfortable_brake_mps2], law)
+                    ([residual.dead_zone, residual.rate_per_s, idm.comfortable_brake_mps2], law)
                 });
                 assert_eq!(of_checker, of_simulator, "{seed}");
             }

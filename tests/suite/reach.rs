@@ -200,7 +200,7 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
 }
 
 #[test]
-fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
+fn runs_of_external_networks_stay_within_proved_bounds() {
     let mut compared = ReachComparison::default();
     for seed in 0..60 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -218,18 +218,18 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
 /// The committed residual policy and variants: with random or scaled weights, other base controllers and other dead
 /// zones.
 #[test]
-fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
+fn runs_of_residual_policies_stay_within_proved_bounds() {
     let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).unwrap();
     let mut compared = ReachComparison::default();
     for seed in 0..32 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let (mut header, mut network) = (road.header().clone(), road.network().clone());
         if seed % 4 > 0 {
-            let departure = header.action.residual_over.as_mut().expect("it departs");
-            departure.dead_zone = random.random_range(0.0..0.9);
-            departure.idm.time_headway_s = random.random_range(0.0..2.0);
-            departure.idm.standstill_gap_m = random.random_range(0.5..4.0);
-            departure.idm.accel_mps2 = random.random_range(0.3..4.0);
+            let residual = header.action.residual_over.as_mut().expect("it departs");
+            residual.dead_zone = random.random_range(0.0..0.9);
+            residual.idm.time_headway_s = random.random_range(0.0..2.0);
+            residual.idm.standstill_gap_m = random.random_range(0.5..4.0);
+            residual.idm.accel_mps2 = random.random_range(0.3..4.0);
         }
         match seed % 4 {
             2 => network.parameters_mut().iter_mut().for_each(|weight| *weight *= random.random_range(0.5..1.2)),
@@ -253,7 +253,7 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
 
 /// The file format of the reference policy does not matter, except that the last tanh is applied a step earlier.
 #[test]
-fn a_policy_written_as_onnx_proves_what_it_proves_as_a_policy() {
+fn a_policy_exported_to_onnx_has_the_same_proof() {
     let spec = box_spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
     let claims = [ControllerKind::from(Policy::reference()), controller_kind("reference.onnx")].map(|kind| {
         let plan = ReachPlan::new(kind, &spec).unwrap();
@@ -276,7 +276,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
     std::fs::write(folder.path().join("box.toml"), text).unwrap();
     let shown = |path: PathBuf| path.display().to_string();
     let run = |words: &[&str]| run_crumple(folder.path(), words);
-    let said = |output: &std::process::Output| {
+    let message = |output: &std::process::Output| {
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
     };
     for name in ["acc.toml", "leaky-40-clip.onnx", "td3.zip"] {
@@ -293,16 +293,21 @@ fn networks_are_proved_and_checked_on_the_command_line() {
             "--certificate",
             "c.json",
         ]);
-        assert_eq!(exit_code(&made), i32::from(said(&made).contains("nothing verified")), "{name}: {}", said(&made));
+        assert_eq!(
+            exit_code(&made),
+            i32::from(message(&made).contains("nothing verified")),
+            "{name}: {}",
+            message(&made)
+        );
         for policy in [&[][..], &["--policy", &source]] {
             let checked = run(&[&["check", "c.json"], policy].concat());
-            assert_eq!(exit_code(&checked), 0, "{name}: {}", said(&checked));
+            assert_eq!(exit_code(&checked), 0, "{name}: {}", message(&checked));
             for words in ["accepted: reach", "read from a file in the format", "as crumple read it"] {
-                assert!(said(&checked).contains(words), "{words}: {}", said(&checked));
+                assert!(message(&checked).contains(words), "{words}: {}", message(&checked));
             }
         }
         let other = run(&["check", "c.json", "--policy", &shown(controller_corpus_path("reference.onnx"))]);
-        assert!(exit_code(&other) == 1 && said(&other).contains("has SHA-256"), "{}", said(&other));
+        assert!(exit_code(&other) == 1 && message(&other).contains("has SHA-256"), "{}", message(&other));
         let certificate: Certificate =
             Certificate::from_json(&std::fs::read_to_string(folder.path().join("c.json")).unwrap()).unwrap();
         let path = folder.path().join(certificate.policy_reference().expect("of a network").0);
@@ -311,7 +316,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         bytes[last] ^= 1;
         std::fs::write(&path, bytes).unwrap();
         let other = run(&["check", "c.json"]);
-        assert!(exit_code(&other) == 1 && said(&other).contains("has SHA-256"), "{}", said(&other));
+        assert!(exit_code(&other) == 1 && message(&other).contains("has SHA-256"), "{}", message(&other));
     }
     let acc = std::fs::read_to_string(controller_corpus_path("acc.toml")).unwrap();
     std::fs::copy(controller_corpus_path("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
@@ -336,7 +341,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         ("exec:true", "`true` ended by itself with exit code 0"),
     ] {
         let refused = run(&["verify", "reach", "--controller", controller, "--box", "box.toml"]);
-        assert!(exit_code(&refused) == 2 && said(&refused).contains(words), "{words}: {}", said(&refused));
+        assert!(exit_code(&refused) == 2 && message(&refused).contains(words), "{words}: {}", message(&refused));
     }
 }
 

@@ -28,9 +28,9 @@ const SOURCES: [(&str, Source); 8] = [
     (
         "collisions in 1000",
         Source::Report(&[
-            ("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: "),
-            ("| no contact in 1000 draws of `paper` (seed 0) |", "tested: "),
-            ("| no contact in the paper's scenarios |", "tested: "),
+            ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✗ "),
+            ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✓ "),
+            ("| no collision in the paper's scenarios |", "✓ "),
         ]),
     ),
     (
@@ -43,7 +43,7 @@ const SOURCES: [(&str, Source); 8] = [
     ("one vehicle-step", Source::Machine),
     ("first collision", Source::Printed(&["COLLISION at "])),
     ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
-    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
+    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ "), ("| reach-paper-2 |", "✓ ")])),
     ("Chasing Cars", Source::Slow(chasing_cars)),
 ];
 

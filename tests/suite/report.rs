@@ -53,7 +53,7 @@ fn assert_current(name: &str, now: &[u8]) {
 fn no_claim_is_named_by_a_hash() {
     let claims: Vec<&str> = BUILT_IN_ASSESSMENT.summary.claims.iter().map(|row| row.claim.as_str()).collect();
     for scenario in ["paper-1", "paper-2"] {
-        let words = format!("no contact from the box of initial states around `{scenario}` for 15 s");
+        let words = format!("no collision from the box of initial states around `{scenario}` for 15 s");
         assert!(claims.iter().any(|claim| claim.starts_with(&words)), "{claims:#?}");
     }
     let is_hash = |word: &str| word.len() >= 8 && word.chars().all(|letter| letter.is_ascii_hexdigit());
@@ -212,7 +212,7 @@ fn every_counterexample_of_the_report_collides() {
 
 /// A comparison with itself finds no change; with one good claim turned bad it finds only that.
 #[test]
-fn a_comparison_finds_what_was_changed() {
+fn a_comparison_finds_changes() {
     use crumple_report::assessment::EarlierAssessment;
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("old.json");
@@ -228,7 +228,7 @@ fn a_comparison_finds_what_was_changed() {
     evidence["summary"]["claims"][0]["standings"][0] = serde_json::json!({ "strength": "tested", "runs": 3 });
     let changed = again(&evidence.to_string());
     assert_eq!((changed.better.len(), changed.worse.len(), changed.new.len(), changed.gone.len()), (0, 1, 0, 0));
-    assert!(changed.worse[0].what.starts_with("baseline: no contact"), "{:?}", changed.worse);
+    assert!(changed.worse[0].description.starts_with("baseline: no collision"), "{:?}", changed.worse);
 }
 
 /// The verdict table follows from the evidence alone.
@@ -264,7 +264,7 @@ fn the_verdict_is_that_of_the_evidence() {
 
 /// No controller exceeds the bound over all of them, and regret matches the shown numbers.
 #[test]
-fn nobody_beats_the_bound_and_regrets_add_up() {
+fn no_controller_exceeds_the_bound_and_regrets_add_up() {
     let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;
     assert_eq!(scenarios.len(), crumple_world::scenario::built_in_scenario_names().len());
     for scenario in scenarios {

@@ -27,8 +27,8 @@ fn space() -> ScenarioSpace {
 fn count_contacts(controller: &ControllerKind, scenarios: &[Scenario], estimator: EstimatorKind) -> usize {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
-    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());
-    touched.into_iter().filter(|&touched| touched).count()
+    let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());
+    collided.into_iter().filter(|&collided| collided).count()
 }
 
 #[test]
@@ -52,7 +52,7 @@ fn the_committed_files_are_those_of_the_report() {
 }
 
 #[test]
-fn the_cases_are_the_ones_whose_hash_is_stated() {
+fn the_cases_match_the_stated_hash() {
     let cases: Cases = read_json("retrained-on.json");
     let mut digest = Sha256::default();
     for case in cases.scenarios(&space()).unwrap() {
@@ -72,14 +72,14 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
     let draws: Vec<_> = (0..1000).map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap()).collect();
     assert_eq!(count_contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
     // A part of the test set: counts within three standard deviations of the recorded rates.
-    let judged: TestSetResults = read_json("judged-on.json");
+    let evaluated: TestSetResults = read_json("judged-on.json");
     let space = space();
-    let indices: Vec<u64> = judged.corpus.indices().take(2000).collect();
-    let part: Vec<_> = indices.iter().map(|&index| space.draw(judged.corpus.seed, index).unwrap()).collect();
+    let indices: Vec<u64> = evaluated.corpus.indices().take(2000).collect();
+    let part: Vec<_> = indices.iter().map(|&index| space.draw(evaluated.corpus.seed, index).unwrap()).collect();
     let policies =
         [ControllerKind::Policy(Policy::reference()), ControllerKind::Policy(Arc::clone(&Policy::retrained()))];
-    for (policy, tally) in policies.iter().zip(&judged.tallies) {
-        let rate = tally.contacts as f64 / judged.corpus.avoidable as f64;
+    for (policy, tally) in policies.iter().zip(&evaluated.tallies) {
+        let rate = tally.contacts as f64 / evaluated.corpus.avoidable as f64;
         let (mean, found) = (2000.0 * rate, count_contacts(policy, &part, EstimatorKind::Kalman) as f64);
         assert!(
             (found - mean).abs() < 3.0 * (mean * (1.0 - rate)).sqrt() + 1.0,
@@ -87,7 +87,7 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
             tally.controller
         );
     }
-    let [first, retrained, ..] = judged.tallies.as_slice() else { panic!("two policies") };
+    let [first, retrained, ..] = evaluated.tallies.as_slice() else { panic!("two policies") };
     assert!(first.contacts > 5 * retrained.contacts, "{} {}", first.contacts, retrained.contacts);
 }
 
@@ -99,7 +99,7 @@ fn the_retrained_policy_is_known_by_name() {
 
 /// A shield is not learned, but the controller that it guards may be.
 #[test]
-fn what_is_learned_has_a_policy_behind_a_shield_too() {
+fn a_shielded_policy_can_be_retrained() {
     let digest =
         |name: &str| NamedController::find(name, Path::new("")).unwrap().policy().map(|policy| policy.digest());
     let reference = Some(Policy::reference().digest());

@@ -30,7 +30,7 @@ fn the_preset_is_that_of_the_policy() {
 /// The configurations of the front in `reports/training.md` are valid, and equal the preset except for the stated
 /// changes.
 #[test]
-fn what_was_trained_is_made_of_configurations() {
+fn trained_policies_have_configurations() {
     let road = TrainingConfig::preset("road").unwrap();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training");
     let mut names = Vec::new();
@@ -45,9 +45,9 @@ fn what_was_trained_is_made_of_configurations() {
             continue;
         }
         // The evaluated weights may be averaged; the evaluation is the same.
-        let mut judged = config.evaluation.clone();
-        judged.weight_average_updates = 0;
-        assert_eq!((&config.network, &config.td3, &judged), (&road.network, &road.td3, &road.evaluation));
+        let mut evaluated = config.evaluation.clone();
+        evaluated.weight_average_updates = 0;
+        assert_eq!((&config.network, &config.td3, &evaluated), (&road.network, &road.td3, &road.evaluation));
         assert_ne!(config, road);
         names.push(config.name);
     }
@@ -56,7 +56,7 @@ fn what_was_trained_is_made_of_configurations() {
 
 /// The further experiments in `reports/training.md` match their rows.
 #[test]
-fn what_was_tried_is_a_configuration_each() {
+fn each_tried_variant_has_a_configuration() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training");
     let read = |path: &Path| TrainingConfig::parse(&std::fs::read_to_string(path).unwrap(), path).unwrap();
     let [looking_back, smooth] = ["looking-back.toml", "smooth.toml"].map(|name| read(&folder.join(name)));
@@ -165,7 +165,7 @@ fn simulate_all(
 fn it_is_safe_in_the_papers_task() {
     let paper = ["paper-1", "paper-2", "paper-3"].map(|name| built_in_scenario(name).unwrap());
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert!(simulate_all(road_policy(), &paper, estimator).iter().all(|(touched, _)| !touched), "{estimator:?}");
+        assert!(simulate_all(road_policy(), &paper, estimator).iter().all(|(collided, _)| !collided), "{estimator:?}");
     }
 }
 
@@ -173,16 +173,16 @@ fn it_is_safe_in_the_papers_task() {
 /// unnecessarily in at most 1 of 100 drives, and is about as comfortable as `idm`: at most 10 % more acceleration and
 /// twice the jerk.
 #[test]
-fn it_is_of_use_in_traffic() {
+fn it_is_useful_in_traffic() {
     let traffic = built_in_space("traffic").unwrap();
     let draws: Vec<_> = (0..200).map(|index| traffic.draw(0x726f_6164, index).unwrap()).collect();
     let mut squares = [[0.0; 2]; 2];
     let both = [ControllerKind::from(road_policy()), ControllerSpec::from_name("idm").unwrap().into()];
     for (controller, sums) in both.into_iter().zip(&mut squares) {
         let mut hard = 0;
-        for (touched, useful) in simulate_all(controller, &draws, EstimatorKind::Kalman) {
+        for (collided, useful) in simulate_all(controller, &draws, EstimatorKind::Kalman) {
             let useful = useful.unwrap();
-            assert!(!touched && !useful.following.unwrap().left_behind, "{useful:?}");
+            assert!(!collided && !useful.following.unwrap().fell_behind, "{useful:?}");
             hard += u32::from(!useful.hard.is_empty());
             sums[0] += useful.rms_acceleration_mps2.unwrap().powi(2);
             sums[1] += useful.rms_jerk_mps3.unwrap().powi(2);

@@ -67,7 +67,7 @@ proptest! {
     /// Every counterexample is a file that fails as reported, original and shrunk, and its evaluation is within a
     /// method's budget.
     #[test]
-    fn what_is_found_is_there(campaign in any_campaign()) {
+    fn found_failures_are_reproduced(campaign in any_campaign()) {
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         for method in &summary.methods {
@@ -80,11 +80,11 @@ proptest! {
         prop_assert_eq!(summary.falsified, !summary.counterexamples.is_empty());
         let best = summary.methods.iter().filter_map(|method| method.best_robustness).fold(f64::INFINITY, f64::min);
         for found in &summary.counterexamples {
-            let judged = |name: &str| {
+            let evaluated = |name: &str| {
                 let scenario = file::load(&folder.path().join(name)).unwrap();
-                campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap()
+                campaign.specification.evaluate_scenario(&scenario, options(&campaign)).unwrap()
             };
-            let (shrunk, original) = (judged(&found.file), judged(&found.original_file));
+            let (shrunk, original) = (evaluated(&found.file), evaluated(&found.original_file));
             prop_assert!(shrunk.is_violation() && original.is_violation());
             prop_assert_eq!(shrunk.robustness, found.robustness);
             // Files store positions to a billionth of a metre.
@@ -94,7 +94,7 @@ proptest! {
             prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
             if let Some(escape) = &found.escape_file {
                 let scenario = file::load(&folder.path().join(escape)).unwrap();
-                let verdict = Specification::NoContact.judge_scenario(&scenario, options(&campaign)).unwrap();
+                let verdict = Specification::NoContact.evaluate_scenario(&scenario, options(&campaign)).unwrap();
                 prop_assert!(verdict.contact.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
             }
         }
@@ -103,26 +103,26 @@ proptest! {
     /// The counterexample fails alone and its partner run passes: with another controller, or with the same one in the
     /// named file.
     #[test]
-    fn what_counts_beside_another_run_fails_alone(campaign in any_campaign(), kind in 0..3_usize) {
+    fn failures_relative_to_another_run_fail_alone(campaign in any_campaign(), kind in 0..3_usize) {
         let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
-        let contrast = match kind {
+        let criterion = match kind {
             0 => FailureCriterion::Differential(other.clone()),
             1 => FailureCriterion::Metamorphic(MetamorphicRelation::LargerGap { by_m: 1.0 }),
             _ => FailureCriterion::Metamorphic(MetamorphicRelation::MoreFriction { by: 0.1 }),
         };
-        let campaign = Campaign { failure_criterion: Some(contrast), ..campaign };
+        let campaign = Campaign { failure_criterion: Some(criterion), ..campaign };
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         for found in &summary.counterexamples {
             let load = |name: &str| file::load(&folder.path().join(name)).unwrap();
-            let judged = |scenario, options| campaign.specification.judge_scenario(scenario, options).unwrap();
+            let evaluated = |scenario, options| campaign.specification.evaluate_scenario(scenario, options).unwrap();
             let scenario = load(&found.file);
-            let own = judged(&scenario, options(&campaign));
+            let own = evaluated(&scenario, options(&campaign));
             let beside = match &found.partner_file {
-                Some(partner) => judged(&load(partner), options(&campaign)),
+                Some(partner) => evaluated(&load(partner), options(&campaign)),
                 None => {
                     let options = RunOptions::new(other.kind.clone()).with_estimator(campaign.estimator);
-                    judged(&scenario, options)
+                    evaluated(&scenario, options)
                 }
             };
             prop_assert_eq!(found.partner_file.is_some(), kind > 0);
@@ -149,7 +149,7 @@ proptest! {
             let coordinate = |k| (f64::from(index) * f64::from(4 * k + 3).sqrt()).fract();
             let point: Vec<f64> = (0..space.dimension() as u32).map(coordinate).collect();
             let scenario = space.scenario_at(&point).unwrap();
-            campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap().is_violation()
+            campaign.specification.evaluate_scenario(&scenario, options(&campaign)).unwrap().is_violation()
         };
         let share = (0..LATTICE_POINTS).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE_POINTS);
         let folder = tempfile::tempdir().unwrap();

@@ -137,18 +137,18 @@ proptest! {
     #![proptest_config(with_cases(192))]
 
     #[test]
-    fn nobody_hits_the_vehicle_ahead_from_behind_a_shield(chase in chase(false)) {
+    fn no_shielded_controller_hits_its_leader(chase in chase(false)) {
         check_no_front_contact(&chase)?;
     }
 
     #[test]
-    fn nobody_hits_the_vehicle_ahead_with_delay_and_lag(chase in chase(true)) {
+    fn no_shielded_controller_hits_its_leader_with_delay_and_lag(chase in chase(true)) {
         check_no_front_contact(&chase)?;
     }
 
     /// Noise up to six standard deviations and every manoeuvre are within the shield's bounds of the filter error.
     #[test]
-    fn nobody_hits_the_vehicle_ahead_with_the_kalman_filter(chase in chase(false)) {
+    fn no_shielded_controller_hits_its_leader_with_the_kalman_filter(chase in chase(false)) {
         let scenario = chase.scenario();
         for driver in drivers() {
             let options = RunOptions::new(with_shield(driver, ShieldSettings::default()));
@@ -170,16 +170,16 @@ proptest! {
 
     /// A controller that never brakes brakes exactly when its shield intervenes.
     #[test]
-    fn interventions_are_told_step_by_step(chase in chase(false)) {
+    fn interventions_are_reported_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
         let controller = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
         let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         for (k, at_s) in trace.time_s.iter().enumerate().take(scenario.steps()) {
-            let told = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
+            let intervenes = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
             let accel_mps2 = trace.vehicles[1].acceleration_mps2[k];
-            prop_assert_eq!(accel_mps2 <= 0.0, told, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
+            prop_assert_eq!(accel_mps2 <= 0.0, intervenes, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
         }
     }
 
@@ -249,7 +249,7 @@ fn a_campaign() {
 }
 
 #[test]
-fn what_a_shield_cannot_vouch_for_is_refused() {
+fn unsupported_shields_are_refused() {
     let scenario = draw_chases(1).next().unwrap().scenario();
     let refusal = |change: &dyn Fn(&mut ScenarioSpec)| {
         let changed = scenario.edited(|spec| change(spec)).unwrap();

@@ -24,7 +24,7 @@ fn find_controller(name: &str) -> NamedController {
 
 /// One self-contained file without external references or duplicate identifiers, in which user text is escaped.
 #[test]
-fn a_page_needs_nothing_else_and_says_what_it_is() {
+fn a_page_is_self_contained_and_names_its_subject() {
     let suite = TestSuite::shipped("euro-ncap-2023").unwrap().unwrap();
     let mut controllers = vec![find_controller("full-throttle"), find_controller("policy")];
     controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
@@ -80,7 +80,7 @@ fn a_tolerance_belongs_to_the_criterion() {
     assert!(without.worst_in_tolerance.is_none() && without.is_passed());
     let near = tested(&replace_passages(STANDING_SUITE, &[("75.0", "70.0")]));
     assert!(near.is_passed() && near.worst_in_tolerance.is_some());
-    for (tolerance, said) in [
+    for (tolerance, message) in [
         ("-1.0", "stands.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1"),
         ("nan", "must be 0 or more, found NaN"),
         ("inf", "must be 0 or more, found inf"),
@@ -88,12 +88,12 @@ fn a_tolerance_belongs_to_the_criterion() {
     ] {
         let text = replace_passages(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
         let error = load(&text).unwrap_err().to_string();
-        assert!(error.contains(said), "{tolerance}: {error}");
+        assert!(error.contains(message), "{tolerance}: {error}");
     }
 }
 
 #[test]
-fn a_margin_says_that_a_test_cannot_be_run() {
+fn a_margin_reports_a_test_that_cannot_be_run() {
     let suite = TestSuite::load(Path::new("examples/suites/lane-changes.toml")).unwrap();
     let result = run(&suite, &[find_controller("shield:policy")], EstimatorKind::Truth).unwrap();
     let margins = &result.clauses[0].tests[0].controllers[0].margins;
@@ -105,7 +105,7 @@ fn a_margin_says_that_a_test_cannot_be_run() {
 }
 
 #[test]
-fn maps_are_drawn_and_told_the_same_on_any_threads() {
+fn maps_are_independent_of_threads() {
     let folder = temp_folder();
     let map = |threads: &str, arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
@@ -136,7 +136,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
     let panels = json["panels"].as_array().unwrap();
     assert_eq!(panels.len(), 5);
     assert!(panels.iter().all(|panel| panel["cells"].as_array().unwrap().len() == 30));
-    for (arguments, said) in [
+    for (arguments, message) in [
         (&["car-following", "--time-gap", "0.1"][..], "--time-gap: must be from 0.2 to 10 s, found 0.1"),
         (&["car-following", "--time-gap", "nan"], "--time-gap: must be from 0.2 to 10 s, found NaN"),
         (&["cut-in-gap", "--own-speed", "1e9"], "--own-speed: must be from 30 to 250 km/h"),
@@ -150,7 +150,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
         let output = run_crumple(folder.path(), &[&["suite", "map"], arguments].concat());
         assert_eq!(exit_code(&output), 2, "{arguments:?}");
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }
 
@@ -217,8 +217,8 @@ fn suites_are_evidence_of_an_assessment() {
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");
     assert_eq!(again.files().unwrap(), files);
-    for (from, suites, gates, said) in [
-        ("nowhere", "fmvss-12", vec![], "suites[0].suite: `fmvss-12` is neither a suite that is shipped"),
+    for (from, suites, gates, message) in [
+        ("nowhere", "fmvss-12", vec![], "suites[0].suite: `fmvss-12` is neither a built-in suite"),
         ("a file that is not there", "gone.toml", vec![], "gone.toml"),
         (
             "another's gate",
@@ -236,9 +236,9 @@ fn suites_are_evidence_of_an_assessment() {
         let mut asked = asked.clone();
         (asked.suites, asked.gates) = (vec![suite(suites, &["idm"])], gates);
         let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
-        assert!(error.contains(said), "{from}: {error}");
+        assert!(error.contains(message), "{from}: {error}");
     }
-    for (suites, said) in [
+    for (suites, message) in [
         (vec![suite("fmvss-127", &["rss"])], "suites[0].controllers[0]: `rss` is not among `controllers`"),
         (vec![suite("fmvss-127", &[])], "suites[0].controllers: must name at least one"),
         (vec![suite("own.toml", &["idm"]), suite("own.toml", &["idm"])], "suites[1].suite: the name `stands` is taken"),
@@ -246,6 +246,6 @@ fn suites_are_evidence_of_an_assessment() {
         let mut asked = asked.clone();
         (asked.suites, asked.gates) = (suites, Vec::new());
         let error = AssessmentPlan::new(asked, [], folder.path()).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }

@@ -202,7 +202,7 @@ fn times_of_cut_ins_are_those_of_their_formula() {
 }
 
 #[test]
-fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
+fn the_committed_suite_schema_matches_the_types_and_accepts_shipped_suites() {
     let schema = json_schema();
     assert_committed("crates/suites/src/suite.schema.json", &schema);
     for (name, text) in SHIPPED_SUITES {
@@ -243,7 +243,7 @@ fn find_controller(name: &str) -> NamedController {
 
 #[test]
 fn bad_suites_are_refused_by_file_line_and_field() {
-    for (from, to, said) in [
+    for (from, to, message) in [
         ("version = 1", "version = 2", "own.toml:1: version: version 2 is not supported"),
         ("\"own\"", "\"../own\"", "own.toml:2: name: must be 1 to 60 lower-case letters"),
         ("None", "a\\u001bb", "own.toml:4: document: must have 1 to 2000 characters"),
@@ -295,7 +295,7 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         let error = TestSuite::from_toml(&replace_passages(OWN_SUITE, &[(from, to)]), Path::new("own.toml"))
             .unwrap_err()
             .to_string();
-        assert!(error.contains(said), "{to}: {error}");
+        assert!(error.contains(message), "{to}: {error}");
     }
     let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
     let many = replace_passages(OWN_SUITE, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
@@ -321,7 +321,7 @@ fn a_margin_ends_where_its_closed_form_does() {
 /// With collisions up to 36 km/h allowed: v² - 2 · 7.5 · 1.4 v = 10² at v = 25.0 m/s, and a step of 10 ms later at 24.9
 /// m/s.
 #[test]
-fn a_contact_that_is_allowed_passes_and_moves_the_margin_as_its_closed_form_says() {
+fn an_allowed_contact_passes_and_moves_the_margin_by_its_closed_form() {
     let allowed = "lead = \"stopped\"\nimpact_at_most = { value = 36.0, unit = \"km/h\", origin = \"document\" }";
     let text = replace_passages(
         OWN_SUITE,
@@ -366,18 +366,18 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     let (by_length, by_time) = (tested(gap), tested(time));
     assert_eq!(by_length.verdict, by_time.verdict);
     assert!((by_length.min_gap_m.unwrap() - by_time.min_gap_m.unwrap()).abs() < 1e-9);
-    for (gap, said) in [
+    for (gap, message) in [
         ("", "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`"),
         (&format!("{gap}{time}"), "figures.time_gap: repeats `gap`: state only one of them"),
     ] {
         let error = load(gap).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }
 
 /// Both sides of every boundary have their verdicts when simulated again.
 #[test]
-fn both_sides_of_a_margin_are_as_it_says() {
+fn both_sides_of_a_margin_are_confirmed() {
     let suite = shipped_suite("euro-ncap-2023");
     let mut boundaries = 0;
     for controller in ["policy", "acc-aeb", "baseline"] {
@@ -414,7 +414,7 @@ fn both_sides_of_a_margin_are_as_it_says() {
 }
 
 #[test]
-fn failures_say_who_could_have_prevented_them_and_refusals_why() {
+fn failures_name_preventing_drivers_and_refusals_their_reason() {
     let suite = shipped_suite("fmvss-127");
     let result =
         run(&suite, &[find_controller("full-throttle"), find_controller("idm")], EstimatorKind::Truth).unwrap();
@@ -574,7 +574,7 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
 /// Delayed braking behind a vehicle that cuts in Δv slower collides within a time to collision of Δv / (2 b) + τ; the
 /// driver decides at the first step after the entry, and the delay is in whole steps.
 #[test]
-fn a_cut_in_fails_where_the_closed_form_says() {
+fn a_cut_in_fails_as_the_closed_form_predicts() {
     let mut spec = shipped_suite("afgbv-cut-in").spec().clone();
     for (test, slower_mps) in
         spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).zip([10.0, 20.0, 30.0].map(|v| v / 3.6))
@@ -622,8 +622,8 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
     let json = run("1", &["--format", "json"]);
     assert_eq!(exit_code(&json), 0);
     assert_eq!(json.stdout, run("2", &["--format", "json"]).stdout);
-    let said: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
-    assert!(said["statement"].as_str().unwrap().contains("no certification"));
+    let message: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert!(message["statement"].as_str().unwrap().contains("no certification"));
 
     let text = run("2", &["--out", "failures", "--expect", "passed"]);
     assert_eq!(exit_code(&text), 1);
@@ -638,7 +638,7 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
 }
 
 #[test]
-fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
+fn listed_suites_are_shown_as_valid_suites() {
     let folder = temp_folder();
     let list = run_crumple(folder.path(), &["suite", "list"]);
     let list = String::from_utf8(list.stdout).unwrap();
@@ -651,13 +651,13 @@ fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
         assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));
     }
-    for (arguments, said) in [
+    for (arguments, message) in [
         (&["suite", "run", "no-such", "--controller", "idm"][..], "neither a suite"),
         (&["suite", "run", "no-such.toml", "--controller", "idm"], "no-such.toml"),
         (&["suite", "run", "fmvss-127"], "--controller"),
     ] {
         let output = run_crumple(folder.path(), arguments);
         assert_eq!(exit_code(&output), 2);
-        assert!(String::from_utf8_lossy(&output.stderr).contains(said));
+        assert!(String::from_utf8_lossy(&output.stderr).contains(message));
     }
 }

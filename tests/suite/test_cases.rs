@@ -95,9 +95,9 @@ fn a_violation_brings_a_scenario_file() {
 #[test]
 fn a_hunt_keeps_collisions_as_scenario_files() {
     let folder = tempfile::tempdir().expect("a place for temporary files");
-    let hunt = CollisionSearch::new("baseline", Some(folder.path())).expect("built in");
+    let attack = CollisionSearch::new("baseline", Some(folder.path())).expect("built in");
     for input in [&[][..], &[0], &[3], &[0; 100]] {
-        let features = hunt.run_input(input).expect("no law is broken");
+        let features = attack.run_input(input).expect("no law is broken");
         assert!(!features.is_empty() && features.iter().all(|&feature| feature < behaviour::FEATURE_COUNT));
     }
     let mut files = crumple_world::scenario::file::load_all(folder.path()).expect("scenario files");

@@ -120,12 +120,12 @@ fn check_space(provenance: &CertificateProvenance, registration: &Registration, 
     if !entries.get("horizon_s").is_some_and(is_positive) {
         return Err(Rejection::invalid(place("horizon_s"), "must be a positive number"));
     }
-    let twice = [
+    let doubled = [
         ("crumple", &provenance.crumple, "differs from `provenance`"),
         ("space", &provenance.scenario, "differs from `provenance.scenario`"),
         ("space_sha256", &provenance.scenario_sha256, "differs from `provenance.scenario_sha256`"),
     ];
-    match twice.into_iter().find(|(key, value, _)| entries.get(*key) != Some(*value)) {
+    match doubled.into_iter().find(|(key, value, _)| entries.get(*key) != Some(*value)) {
         Some((key, _, problem)) => Err(Rejection::invalid(place(key), problem)),
         None => Ok(()),
     }

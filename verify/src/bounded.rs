@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_one_entry_too_many_is_refused_with_its_number() {
+    fn lists_with_one_entry_too_many_are_refused_with_its_number() {
         fn numbers(text: &str) -> Result<Vec<u8>, String> {
             deserialize_list::<2, _, _>(&mut serde_json::Deserializer::from_str(text))
                 .map_err(|error| error.to_string())

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_json_is_said_to_be_none() {
+    fn invalid_json_is_refused() {
         let bytes = serde::de::value::BytesDeserializer::<serde::de::value::Error>::new(b"no text");
         let error = UniqueKeys::deserialize(bytes).map(|_| ()).unwrap_err().to_string();
         assert_eq!(error, "invalid type: byte array, expected JSON");

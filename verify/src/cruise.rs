@@ -185,8 +185,8 @@ impl CarState {
         let at = Interval::point;
         let (before, drag) = (self.speed.range(), Interval::ONE.over(at(10_000.0)));
         let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);
-        let drive = at(2.0) * a.range() - drag * tried.sqr();
-        let gamma = self.gamma.range().hull(drive * at(0.5));
+        let forcing = at(2.0) * a.range() - drag * tried.sqr();
+        let gamma = self.gamma.range().hull(forcing * at(0.5));
         let since = period.time.hull(Interval::ZERO) * gamma;
         let within = before + since;
         if !(tried.low() < within.low() && within.high() < tried.high()) {
@@ -205,7 +205,7 @@ impl CarState {
         after.speed.add_scaled(&w, period.second_decay_integral);
         after.gamma = self.gamma.scaled(period.decay);
         after.gamma.add_scaled(&w, period.decay_integral);
-        Some((after, PeriodBounds { gamma, forcing: drive }))
+        Some((after, PeriodBounds { gamma, forcing }))
     }
 }
 
@@ -213,19 +213,19 @@ impl CarState {
 ///
 /// # Errors
 /// [`CruiseBoundsError`] if the network does not fit the benchmark, or bounds become too wide.
-pub fn compute_bounds(actor: &NeuralController, cells: u32) -> Result<CruiseBounds, CruiseBoundsError> {
-    compute_bounds_with_budget(actor, cells, &OpBudget::new(WorkLimit::UNLIMITED))
+pub fn compute_bounds(controller: &NeuralController, cells: u32) -> Result<CruiseBounds, CruiseBoundsError> {
+    compute_bounds_with_budget(controller, cells, &OpBudget::new(WorkLimit::UNLIMITED))
 }
 
 fn compute_bounds_with_budget(
-    actor: &NeuralController,
+    controller: &NeuralController,
     cells: u32,
     work: &OpBudget,
 ) -> Result<CruiseBounds, CruiseBoundsError> {
-    let is_plain = actor.output_index == 0 && actor.scale_mps2 == 1.0 && actor.offset_mps2 == 0.0;
-    let is_plain = is_plain && actor.residual_over.is_none();
-    let is_uncut = !actor.is_clipped || actor.action_bounds_mps2 == [-CLIP_LIMIT, CLIP_LIMIT];
-    if actor.inputs != expected_inputs() || !is_plain || !is_uncut || actor.decision_interval_s != PERIOD_S {
+    let is_plain = controller.output_index == 0 && controller.scale_mps2 == 1.0 && controller.offset_mps2 == 0.0;
+    let is_plain = is_plain && controller.residual_over.is_none();
+    let is_uncut = !controller.is_clipped || controller.action_bounds_mps2 == [-CLIP_LIMIT, CLIP_LIMIT];
+    if controller.inputs != expected_inputs() || !is_plain || !is_uncut || controller.decision_interval_s != PERIOD_S {
         return Err(CruiseBoundsError::ProblemMismatch);
     }
     let [[lead, lead_end], _, [ego, ego_end], _] = INITIAL_SET;
@@ -234,7 +234,7 @@ fn compute_bounds_with_budget(
     let mut found = CruiseBounds { margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
     for cell in 0..cells {
         let distance = Interval::new(end(cell), end(cell + 1)).ok_or(CruiseBoundsError::TooWide(0.0))?;
-        let of_cell = bound_cell(actor, distance, work)?;
+        let of_cell = bound_cell(controller, distance, work)?;
         found.margin_m = found.margin_m.min(of_cell.margin_m);
         let ([low, high], [cell_low, cell_high]) = (found.x_ego_m, of_cell.x_ego_m);
         found.x_ego_m = [low.min(cell_low), high.max(cell_high)];
@@ -243,7 +243,7 @@ fn compute_bounds_with_budget(
 }
 
 fn bound_cell(
-    actor: &NeuralController,
+    controller: &NeuralController,
     distance: Interval,
     work: &OpBudget,
 ) -> Result<CruiseBounds, CruiseBoundsError> {
@@ -277,7 +277,7 @@ fn bound_cell(
         let nothing = AffineForm::default;
         let seen =
             [seen_m, nothing(), lead.speed.clone(), ego.speed.clone(), nothing(), nothing(), nothing(), nothing()];
-        let a = actor.decide_with_budget(&seen, &[0.0; OBSERVATION_SIZE], false, work);
+        let a = controller.decide_with_budget(&seen, &[0.0; OBSERVATION_SIZE], false, work);
         let symbol = SHARED_SYMBOLS + 2 * index;
         let (next_lead, of_lead) = lead.advance(&lead_mps2, &period, symbol).ok_or_else(too_wide)?;
         let (next_ego, of_ego) = ego.advance(&a, &period, symbol + 1).ok_or_else(too_wide)?;
@@ -300,11 +300,11 @@ fn bound_cell(
 }
 
 pub(crate) fn check(claim: &CruiseClaim, file: Option<&[u8]>, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
-    let actor = load_controller(file, &claim.policy_sha256, Some(&claim.source))?;
+    let controller = load_controller(file, &claim.policy_sha256, Some(&claim.source))?;
     if !(1..=MAX_CELLS).contains(&claim.cells) {
         return Err(Rejection::invalid("cells", "must be 1 to 10 000"));
     }
-    let found = compute_bounds_with_budget(&actor, claim.cells, work);
+    let found = compute_bounds_with_budget(&controller, claim.cells, work);
     // Reports an exceeded budget before anything else.
     work.charge_or_reject(0)?;
     let found = found.map_err(|unshown| Rejection::Policy { problem: unshown.to_string() })?;

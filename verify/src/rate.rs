@@ -262,7 +262,7 @@ mod tests {
 
     /// Checks that powers, another order of the same product, are as tight and never below the exact tail.
     #[test]
-    fn powers_taken_together_come_to_what_factors_come_to_one_by_one() {
+    fn grouped_powers_equal_products_of_factors() {
         for (failures, runs, rate) in
             [(0, 300_000, 3e-5), (7, 300_000, 5e-5), (900, 300_000, 3.2e-3), (1, 1000, 1e-7), (140_000, 300_000, 0.47)]
         {

@@ -56,10 +56,10 @@ impl Certificate {
     #[must_use]
     pub fn scope_with_result(&self, accepted: &ProvedClaim) -> Scope {
         let mut scope = self.scope();
-        if let ProvedClaim::Reach { residual_over: Some(departure), .. } = accepted
+        if let ProvedClaim::Reach { residual_over: Some(residual), .. } = accepted
             && let Some(ego) = scope.vehicles.get_mut(EGO_INDEX)
         {
-            *ego += &format!("; {departure}");
+            *ego += &format!("; {residual}");
         }
         scope
     }

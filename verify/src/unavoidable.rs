@@ -308,7 +308,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_an_ego_can_do_in_a_step_is_integrated_exactly(
+        fn the_motion_of_a_step_is_integrated_exactly(
             begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64, h in 0.01..2.0_f64,
         ) {
             let ego = ego(brake, accel);

@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_are_rounded_away_from_what_they_claim() {
+    fn bounds_are_rounded_to_the_safe_side() {
         for (bound, shown) in [
             (0.260_149, "0.2602"),
             (0.469_700_7, "0.4698"),

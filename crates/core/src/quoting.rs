@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_harmless_is_left_alone() {
+    fn harmless_text_is_unchanged() {
         let text = "policy-2 at 3.5 m/s², 1 - ε: `ttc_s` (v1.gap_m > 0.3)!";
         assert_eq!(
             (TerminalText(text).to_string(), TerminalLines(text).to_string()),

@@ -243,7 +243,7 @@ pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, Bin
 pub(super) fn rebuild_plan(
     certificate: &Certificate,
     registration: &Registration,
-    (controller, against): (NamedController, Option<NamedController>),
+    (controller, second_controller): (NamedController, Option<NamedController>),
 ) -> Result<RatePlan, BindingError> {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
@@ -252,7 +252,7 @@ pub(super) fn rebuild_plan(
     let seed = of("seed").parse().map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
     let space = read_space(certificate)?;
-    Ok(RatePlan::new(RateConfig { controller, against, space, seed, estimator, runs, confidence })?)
+    Ok(RatePlan::new(RateConfig { controller, second_controller, space, seed, estimator, runs, confidence })?)
 }
 
 /// Returns the controllers of a registration if all are built in. A name in a certificate never opens a file or starts

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_end_has_none() {
+    fn unbounded_intervals_have_no_end() {
         for tail in [0.0, 1.0, f64::NAN, -1.0] {
             assert_eq!((clopper_pearson_lower(3, 10, tail), clopper_pearson_upper(3, 10, tail)), (0.0, 1.0));
         }

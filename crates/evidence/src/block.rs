@@ -20,17 +20,17 @@ pub struct CountedBlock {
     /// SHA-256 of the result of each run, known only to a program that simulates them: see `docs/certificates.md`.
     pub sha256: String,
     /// Runs without an answer of the controller, or of the first of two; they count as failures.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<FailedControllerRuns>,
+    #[serde(rename = "unanswered", default, skip_serializing_if = "Option::is_none")]
+    pub missing_answers: Option<FailedControllerRuns>,
     /// Runs without an answer of the second controller; they count for neither controller.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub other_unanswered: Option<FailedControllerRuns>,
+    #[serde(rename = "other_unanswered", default, skip_serializing_if = "Option::is_none")]
+    pub second_missing_answers: Option<FailedControllerRuns>,
 }
 
 /// Result of a run, for hashing: outcome, time and smallest gap as bits.
 pub(super) struct RunFingerprint {
     failed: bool,
-    unanswered: Option<String>,
+    failure_reason: Option<String>,
     bytes: [u8; 17],
 }
 
@@ -45,8 +45,8 @@ impl RunFingerprint {
         let mut bytes = [kind; 17];
         bytes[1..9].copy_from_slice(&at_s.to_bits().to_le_bytes());
         bytes[9..].copy_from_slice(&smallest_m.to_bits().to_le_bytes());
-        let unanswered = result.outcome.failed_controller().map(FailedController::reason);
-        Self { failed: kind != 0, unanswered, bytes }
+        let failure_reason = result.outcome.failed_controller().map(FailedController::reason);
+        Self { failed: kind != 0, failure_reason, bytes }
     }
 }
 
@@ -67,9 +67,9 @@ impl CountedBlock {
         let mut hash = Sha256::default().with(HASH_PREFIX).with(registered).with(first.to_le_bytes());
         for endings in runs {
             endings.iter().for_each(|ending| hash.update(ending.bytes));
-            let silent = [&mut block.unanswered, &mut block.other_unanswered];
-            for (known, ending) in silent.into_iter().zip(&endings) {
-                let because = ending.unanswered.clone();
+            let missing = [&mut block.missing_answers, &mut block.second_missing_answers];
+            for (known, ending) in missing.into_iter().zip(&endings) {
+                let because = ending.failure_reason.clone();
                 FailedControllerRuns::merge(known, because.map(|because| FailedControllerRuns { runs: 1, because }));
             }
             match endings.as_slice() {
@@ -77,7 +77,7 @@ impl CountedBlock {
                 [first, second] if first.failed && second.failed => block.failures += 1,
                 [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
                 // A second controller without an answer is not known to be worse.
-                [first, second] if !first.failed && second.failed && second.unanswered.is_none() => {
+                [first, second] if !first.failed && second.failed && second.failure_reason.is_none() => {
                     block.only_second_failed += 1;
                 }
                 _ => {}

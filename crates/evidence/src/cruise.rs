@@ -95,13 +95,13 @@ impl CruisePlan {
             absent: None,
         };
         let seen = [ObservedQuantity::SpeedMps, ObservedQuantity::GapAheadM, ObservedQuantity::RelativeSpeedAheadMps];
-        let told = SET_SPEED_AND_TIME_GAP.map(|constant| input(None, Some(constant)));
+        let constants = SET_SPEED_AND_TIME_GAP.map(|constant| input(None, Some(constant)));
         let mapping = Mapping {
             decision_interval_s: Some(PERIOD_S),
             history: 1,
             history_padding: HistoryPadding::First,
             newest_first: false,
-            inputs: told.into_iter().chain(seen.map(|quantity| input(Some(quantity), None))).collect(),
+            inputs: constants.into_iter().chain(seen.map(|quantity| input(Some(quantity), None))).collect(),
             output: OutputMapping {
                 variable: None,
                 answer: None,

@@ -58,7 +58,7 @@ pub struct RateConfig {
     /// Controller whose failures are counted.
     pub controller: NamedController,
     /// Second controller, for a comparison.
-    pub against: Option<NamedController>,
+    pub second_controller: Option<NamedController>,
     /// Space that scenarios are drawn from.
     pub space: ScenarioSpace,
     /// Seed of all random numbers.
@@ -76,7 +76,7 @@ impl RateConfig {
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace, runs: u64) -> Self {
         let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
-        Self { controller, against: None, space, seed: 0, estimator, runs, confidence: 0.99 }
+        Self { controller, second_controller: None, space, seed: 0, estimator, runs, confidence: 0.99 }
     }
 }
 
@@ -169,7 +169,7 @@ impl RatePlan {
     /// println!("{}", crumple_verify::check(&certificate).unwrap());
     /// ```
     pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig { controller, against, space, seed, estimator, runs, confidence } = parts;
+        let RateConfig { controller, second_controller, space, seed, estimator, runs, confidence } = parts;
         if !(1..=MAX_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
@@ -179,7 +179,7 @@ impl RatePlan {
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
             return Err(InvalidRate::NoVehicleUnderTest { space: space.name().to_owned() });
         }
-        let drivers: Vec<NamedController> = std::iter::once(controller).chain(against).collect();
+        let drivers: Vec<NamedController> = std::iter::once(controller).chain(second_controller).collect();
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
             return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
         }
@@ -309,11 +309,11 @@ impl RatePlan {
         Ok(self.count_runs(self.run_range(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
-    /// Counts runs from the start of a block, by block. Calls `go_on` after every thousand runs.
+    /// Counts runs from the start of a block, by block. Calls `keep_going` after every thousand runs.
     fn count_runs(
         &self,
         runs: Range<u64>,
-        go_on: &dyn Fn() -> Result<(), Stopped>,
+        keep_going: &dyn Fn() -> Result<(), Stopped>,
     ) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
         let mut endings: Vec<Vec<RunFingerprint>> =
@@ -322,7 +322,7 @@ impl RatePlan {
             for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, some)?) {
                 all.append(&mut more);
             }
-            go_on()?;
+            keep_going()?;
         }
         let registered = self.registration().digest();
         let places: Vec<usize> = (0..indices.len()).collect();
@@ -424,7 +424,7 @@ mod tests {
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
         let contender = |name: &str| NamedController::from(ControllerSpec::from_name(name).unwrap());
         RatePlan::new(RateConfig {
-            against: against.map(contender),
+            second_controller: against.map(contender),
             seed: 3,
             estimator: EstimatorKind::Truth,
             ..RateConfig::new(contender(controller), built_in_space("paper").unwrap(), runs)
@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn a_registration_says_everything_that_decides_the_count() {
+    fn a_registration_contains_everything_that_determines_the_count() {
         let digests: std::collections::HashSet<_> = [
             plan("match-leader", None, 10),
             plan("policy", None, 10),

@@ -361,7 +361,7 @@ impl ReachPlan {
         gap_m: f64,
         begin: Instant,
     ) -> Partition {
-        let (mut doubts, mut partition) = (UndecidedCounts::default(), Vec::new());
+        let (mut warnings, mut partition) = (UndecidedCounts::default(), Vec::new());
         // Lower halves first, as in the certificate.
         let mut pending = vec![0_usize];
         while let Some(number) = pending.pop() {
@@ -371,9 +371,9 @@ impl ReachPlan {
                 PartitionCell::Cut(_) => pending.extend(node.first_child.iter().flat_map(|&lower| [lower + 1, lower])),
                 PartitionCell::Verified | PartitionCell::Falsified(_) => {}
                 PartitionCell::Undecided => match node.result.and_then(|reached| reached.undecided) {
-                    Some(Undecided::MayCollide { pair: 0, .. }) => doubts.ahead += 1,
-                    Some(Undecided::MayCollide { .. }) => doubts.behind += 1,
-                    _ => doubts.too_wide += 1,
+                    Some(Undecided::MayCollide { pair: 0, .. }) => warnings.ahead += 1,
+                    Some(Undecided::MayCollide { .. }) => warnings.behind += 1,
+                    _ => warnings.too_wide += 1,
                 },
             }
         }
@@ -392,7 +392,7 @@ impl ReachPlan {
         }
         let ([scenario, starts], name) = (self.texts.clone(), self.scenario.spec().name.clone());
         let certificate = build_certificate(name, Some(scenario), Some(starts), Statement::Reach(claim));
-        Partition { certificate, shares, undecided: doubts }
+        Partition { certificate, shares, undecided: warnings }
     }
 
     fn has_contact_at(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
@@ -529,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_claimed_is_accepted_and_does_not_depend_on_threads() {
+    fn claims_are_accepted_and_independent_of_threads() {
         let plan = plan("gap_ahead_m = { low = 2.0, high = 18.0 }\nleader_brake_mps2 = { low = 2.5, high = 7.5 }");
         let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let partition = alone.install(|| plan.partition(6, &Quiet)).unwrap();

@@ -50,10 +50,10 @@ impl CountTally {
 
     /// Returns runs without an answer of the controller, or of the first of two, and of the second.
     #[must_use]
-    pub fn unanswered(&self) -> [Option<FailedControllerRuns>; 2] {
+    pub fn missing_answers(&self) -> [Option<FailedControllerRuns>; 2] {
         let mut all = [None, None];
         for block in &self.blocks {
-            let own = [&block.unanswered, &block.other_unanswered];
+            let own = [&block.missing_answers, &block.second_missing_answers];
             all.iter_mut().zip(own).for_each(|(all, own)| FailedControllerRuns::merge(all, own.clone()));
         }
         all
@@ -71,14 +71,14 @@ impl CountTally {
         } else {
             format!("{failures} failures")
         };
-        format!("{counts}, of {runs} runs{}", self.unanswered_summary())
+        format!("{counts}, of {runs} runs{}", self.missing_answers_summary())
     }
 
     /// Describes missing answers, each after a semicolon; empty without any.
     #[must_use]
-    pub fn unanswered_summary(&self) -> String {
+    pub fn missing_answers_summary(&self) -> String {
         let who = ["; the controller ", "; the other controller, whose runs without an answer count for neither, "];
-        let words = who.into_iter().zip(self.unanswered());
+        let words = who.into_iter().zip(self.missing_answers());
         words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs)))).collect()
     }
 
@@ -150,9 +150,10 @@ impl CountRecord {
             let sum = failures.saturating_add(*first).saturating_add(*second);
             let silent = |of: &Option<FailedControllerRuns>| of.as_ref().map_or(0, |silent| silent.runs);
             let own = failures.saturating_add(*first);
-            let is_known = silent(&counted.unanswered) <= own
-                && sum.saturating_add(silent(&counted.other_unanswered)) <= runs_of(block).saturating_add(*failures)
-                && (self.is_comparison() || counted.other_unanswered.is_none());
+            let is_known = silent(&counted.missing_answers) <= own
+                && sum.saturating_add(silent(&counted.second_missing_answers))
+                    <= runs_of(block).saturating_add(*failures)
+                && (self.is_comparison() || counted.second_missing_answers.is_none());
             is_hash && is_known && sum <= runs_of(block) && (self.is_comparison() || first.saturating_add(*second) == 0)
         };
         let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);

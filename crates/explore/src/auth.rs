@@ -33,8 +33,8 @@ impl RequestAuth {
 
     /// Checks a request and returns the path after the token.
     pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, RequestError> {
-        let said = path.strip_prefix('/').unwrap_or_default();
-        let (token, rest) = said.split_once('/').unwrap_or((said, ""));
+        let text = path.strip_prefix('/').unwrap_or_default();
+        let (token, rest) = text.split_once('/').unwrap_or((text, ""));
         if !is_equal_constant_time(token.as_bytes(), self.token.as_bytes()) {
             return Err(RequestError::Forbidden(
                 "the address lacks the token: use the address that crumple printed at its start",
@@ -58,9 +58,9 @@ impl RequestAuth {
     }
 }
 
-fn is_equal_constant_time(said: &[u8], wanted: &[u8]) -> bool {
-    let difference = said.iter().zip(wanted).fold(0, |difference, (one, other)| black_box(difference | (one ^ other)));
-    said.len() == wanted.len() && difference == 0
+fn is_equal_constant_time(text: &[u8], wanted: &[u8]) -> bool {
+    let difference = text.iter().zip(wanted).fold(0, |difference, (one, other)| black_box(difference | (one ^ other)));
+    text.len() == wanted.len() && difference == 0
 }
 
 #[cfg(test)]

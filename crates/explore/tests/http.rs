@@ -93,7 +93,7 @@ fn run_request(edits: &Value) -> Value {
 }
 
 #[test]
-fn the_pages_are_served_to_who_has_the_token_and_load_nothing_from_elsewhere() {
+fn pages_require_the_token_and_load_nothing_external() {
     let TestServer { port, token, .. } = test_server();
     let host = format!("localhost:{port}");
     for (path, kind) in
@@ -202,7 +202,7 @@ fn fifty_clients_at_once_lose_nothing() {
 
 /// More idle connections than the server keeps do not delay a request until their time limit of 10 s.
 #[test]
-fn idle_connections_keep_nobody_out() {
+fn idle_connections_do_not_block_others() {
     let _alone = MANY_CONNECTIONS.lock();
     let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap()).collect();
     let begun = Instant::now();
@@ -238,8 +238,8 @@ fn read_response(stream: &mut TcpStream) -> String {
 #[test]
 fn slow_requests_keep_no_other_client_out() {
     let _alone = MANY_CONNECTIONS.lock();
-    let patience = Duration::from_secs(3600);
-    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(patience));
+    let timeout = Duration::from_secs(3600);
+    let (port, token) = start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(timeout));
     let mut bodies: Vec<_> = (0..130).map(|_| start_request(port, &token)).collect();
     let heads: Vec<_> = (0..130).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
     heads.iter().for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
@@ -291,13 +291,13 @@ fn a_damaged_campaign_is_an_error_in_every_answer() {
 }
 
 #[test]
-fn what_is_wrong_is_said_with_its_field() {
-    let refused = |what: &str, body: &str, status: u16, said: &str| {
+fn errors_name_their_field() {
+    let refused = |what: &str, body: &str, status: u16, output: &str| {
         let (found, answer) = post(what, body.as_bytes());
         let message = answer["error"]["message"].as_str().unwrap_or_default();
         assert!(
-            found == status && message.contains(said),
-            "{what} {body:.80}: {found} {answer}, and {said} is to be in it"
+            found == status && message.contains(output),
+            "{what} {body:.80}: {found} {answer}, and {output} is to be in it"
         );
     };
     let with = |change: &dyn Fn(&mut Value)| {
@@ -361,9 +361,9 @@ fn what_is_wrong_is_said_with_its_field() {
 /// No name in a request opens a file or starts a process.
 #[test]
 fn no_name_in_a_request_is_a_file_or_a_command() {
-    let touched = test_server().out.path().join("touched");
+    let collided = test_server().out.path().join("touched");
     for name in [
-        format!("exec:touch {}", touched.display()),
+        format!("exec:touch {}", collided.display()),
         "shield:exec:true".to_owned(),
         "/etc/passwd".to_owned(),
         "../policy.safetensors".to_owned(),
@@ -388,11 +388,11 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
             "{answer}"
         );
     }
-    assert!(!touched.exists());
+    assert!(!collided.exists());
 }
 
 #[test]
-fn what_was_dragged_and_saved_ends_in_the_same_contact() {
+fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let edits = json!({
         "name": "dragged",
         "friction": 0.75,
@@ -440,7 +440,7 @@ proptest! {
 
     /// Bytes that are no request may get no response, but the next request does.
     #[test]
-    fn what_is_no_request_harms_nobody(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
+    fn malformed_requests_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
         let sent = [&bytes[..], b"\r\n\r\n"].concat();
         let mut stream = TcpStream::connect(("127.0.0.1", test_server().port)).unwrap();
         // The server may have closed the connection already.

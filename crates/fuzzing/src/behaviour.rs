@@ -48,7 +48,7 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
     }
     let first = result.outcome.contact();
     let of_role = |role| first.filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
-    for role in [ContactRole::Hits, ContactRole::IsHit, ContactRole::Bystander] {
+    for role in [ContactRole::Hits, ContactRole::HitFromBehind, ContactRole::Bystander] {
         group(VEHICLE_BINS, of_role(role).map(|contact| contact.rear_vehicle));
         group(IMPACT_BINS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize));
     }
@@ -90,7 +90,7 @@ pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) ->
     let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());
     let verb = match ContactRole::new(contact, &test_case.scenario) {
         ContactRole::Hits => "hits",
-        ContactRole::IsHit => "hit-by",
+        ContactRole::HitFromBehind => "hit-by",
         ContactRole::Bystander => return None,
     };
     let (own, other) = match verb {

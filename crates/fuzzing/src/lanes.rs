@@ -49,7 +49,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn no_bytes_and_zero_bytes_keep_everybody_where_he_is() {
+    fn no_bytes_and_zero_bytes_keep_all_lanes() {
         let paper = built_in_scenario("paper-1").unwrap();
         for bytes in [vec![], vec![0; LANE_BYTES]] {
             assert_eq!(with_lane_changes(paper.clone(), &mut Unstructured::new(&bytes)), paper);

@@ -125,7 +125,7 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
 ///
 /// # Errors
 /// Errors of the file system, which are not findings.
-pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
+pub(super) fn find_wrong_acceptance(bytes: &[u8]) -> io::Result<Option<String>> {
     let (Some(genuine), Some(campaign)) = (campaign_snapshots(), small_campaign()) else {
         return Ok(Some("the original campaign cannot run".to_owned()));
     };

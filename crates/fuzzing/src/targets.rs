@@ -215,10 +215,10 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let same = again.as_ref() == Some(&read);
     ensure(same, Invariant::Certificates, text, || format!("it reads back as {again:?}"))?;
     let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
-    let (said, said_again) = (check(&read), again.as_ref().map(check));
+    let (output, said_again) = (check(&read), again.as_ref().map(check));
     // Compared as text, because a reason may contain NaN.
-    let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
-    ensure(said == said_again, Invariant::Certificates, text, || format!("first {said}, then {said_again}"))
+    let (output, said_again) = (format!("{output:?}"), format!("{:?}", said_again.unwrap_or_else(|| output.clone())));
+    ensure(output == said_again, Invariant::Certificates, text, || format!("first {output}, then {said_again}"))
 }
 
 /// A map that reads the columns of car-following events as positions of numbered vehicles.
@@ -310,7 +310,7 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
 /// A [`Violation`] of [`Invariant::Folders`].
 pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
     // Errors of temporary files are not findings.
-    match run_folder::find_misjudgement(bytes) {
+    match run_folder::find_wrong_acceptance(bytes) {
         Ok(Some(finding)) => ensure(false, Invariant::Folders, &format!("{bytes:?}"), || finding),
         Ok(None) | Err(_) => Ok(()),
     }

@@ -63,7 +63,7 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
         |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
     panel.add_note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
-        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
+        "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without a collision."
             .to_owned();
     // The reward before any training is not learned.
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
@@ -146,7 +146,7 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
         width: FIGURE_WIDTH - LEFT_MARGIN - 40.0,
         height: PANEL_HEIGHT,
     };
-    let title = "Contacts in the avoidable draws that select checkpoints";
+    let title = "Collisions in the avoidable scenarios that select checkpoints";
     let x = Axis::numeric("episode", (0.0, done.max(1) as f64), 8);
     let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, most * 1.15), 6));
     for (end, words) in &ends {
@@ -157,7 +157,7 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
     panel.add_markers(&candidates, Marker::Ring, Ink::Series(1));
     let content = panel.draw(&Svg::id("retraining", "frame"));
     let description =
-        "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
+        "A ring is the candidate of its round. Checkpoints that collide in the paper's scenarios are omitted.";
     Svg::new("retraining", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), title, description, content)
 }
 

@@ -89,8 +89,8 @@ mod tests {
     #[test]
     fn of_a_json_file_the_place_and_both_values_are_named() {
         let at = |old: &str, new: &str| describe_json(Path::new("a.json"), "count", old, new);
-        let said = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
-        assert_eq!(said, "a.json: the count there has a different `seed`: \"1\" instead of \"2\"");
+        let message = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
+        assert_eq!(message, "a.json: the count there has a different `seed`: \"1\" instead of \"2\"");
         assert!(
             at(&format!(r#"{{"a": "{}"}}"#, "x".repeat(201)), "{}")
                 .ends_with("`a`: a text of 201 bytes instead of nothing")

@@ -51,8 +51,8 @@ impl StagedFiles {
     /// [`DiskError`] if it cannot be written, or its path is staged already: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
         if self.staged.iter().any(|staged| staged.path == path) {
-            let twice = "two results would have this path: give the scenarios different names";
-            return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
+            let doubled = "two results would have this path: give the scenarios different names";
+            return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, doubled)));
         }
         let folder = parent_folder(path);
         if !self.staged.iter().any(|staged| parent_folder(&staged.path) == folder) {

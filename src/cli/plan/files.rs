@@ -93,7 +93,7 @@ impl PlanCommand {
             ),
             PlannedWork::Search { method, budget, evaluations } => (
                 format!("{evaluations} evaluations: {budget} by {method}, and {budget} by each reference search"),
-                match self.method.is_blind() {
+                match self.method.is_non_adaptive() {
                     true => String::new(),
                     false => format!("  {shards} searches by {method}, each with a part of the budget\n"),
                 },

@@ -18,7 +18,7 @@ use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 use files::PlanSummary;
 
-/// Plan a count or a search on many machines: runs, shards, hours, bytes, and job files for HyperQueue, Ray and Slurm
+/// Plan a count or a search on many machines, with job files for HyperQueue, Ray, Slurm
 #[derive(Args)]
 #[command(after_long_help = "\
 --rate-below or --runs plans a rate, --budget a search for failures (`falsify`). `plan` measures the pace on one \

@@ -232,7 +232,7 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
 
 #[test]
 #[cfg(unix)]
-fn a_file_that_grows_beyond_what_is_allowed_is_an_error() {
+fn a_file_beyond_its_size_limit_is_an_error() {
     let folder = temp_folder();
     let mut limited = std::process::Command::new("sh");
     limited.args(["-c", "ulimit -f 8; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_crumple")]).current_dir(folder.path());
@@ -245,7 +245,7 @@ fn a_file_that_grows_beyond_what_is_allowed_is_an_error() {
 /// A closed reader does not change the exit code.
 #[test]
 #[cfg(unix)]
-fn nobody_who_reads_makes_a_failing_gate_pass() {
+fn a_closed_pipe_does_not_hide_a_failed_gate() {
     let folder = temp_folder();
     let arguments = ["simulate", "paper-1", "--controller", "full-throttle", "--expect", "safe"];
     assert_eq!(exit_code(&run_crumple(folder.path(), &arguments)), 1);

@@ -29,13 +29,17 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", &[]);
     let check = |arguments: &[&str]| run_crumple(folder.path(), &[&["check"], arguments].concat());
-    let said = check(&["idm/certificate.json"]);
-    assert!(stdout(&said).contains("if its counts are right"), "{}", stdout(&said));
-    assert!(stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
-    let said = check(&["idm/certificate.json", "--rerun"]);
-    assert_eq!(exit_code(&said), 0);
-    assert!(stdout(&said).contains("confirmed: all 300 runs were drawn and simulated again"), "{}", stdout(&said));
-    assert!(!stdout(&said).contains("maker's word"));
+    let message = check(&["idm/certificate.json"]);
+    assert!(stdout(&message).contains("if its counts are right"), "{}", stdout(&message));
+    assert!(stdout(&message).contains("the counts are the maker's word"), "{}", stdout(&message));
+    let message = check(&["idm/certificate.json", "--rerun"]);
+    assert_eq!(exit_code(&message), 0);
+    assert!(
+        stdout(&message).contains("confirmed: all 300 runs were drawn and simulated again"),
+        "{}",
+        stdout(&message)
+    );
+    assert!(!stdout(&message).contains("maker's word"));
 
     // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
     let mut forged = read_certificate(folder.path(), "idm/certificate.json");
@@ -45,22 +49,30 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
     rate.registration_sha256 = rate.registration.digest();
     write_certificate(folder.path(), "forged.json", &forged);
-    let said = check(&["forged.json"]);
-    assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    let message = check(&["forged.json"]);
+    assert!(
+        exit_code(&message) == 0 && stdout(&message).contains("the counts are the maker's word"),
+        "{}",
+        stdout(&message)
+    );
     for rerun in ["--rerun", "--rerun=1"] {
-        let said = check(&["forged.json", rerun]);
-        assert_eq!(exit_code(&said), 1, "{rerun}");
-        assert!(stdout(&said).contains("refuted by a new count: blocks["), "{}", stdout(&said));
-        assert!(stdout(&said).contains("failed when repeated, and the certificate states 0"), "{}", stdout(&said));
+        let message = check(&["forged.json", rerun]);
+        assert_eq!(exit_code(&message), 1, "{rerun}");
+        assert!(stdout(&message).contains("refuted by a new count: blocks["), "{}", stdout(&message));
+        assert!(
+            stdout(&message).contains("failed when repeated, and the certificate states 0"),
+            "{}",
+            stdout(&message)
+        );
     }
     // Correct counts with hashes of other runs.
     let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
     rate.blocks[1].1 = sha256("another run");
     write_certificate(folder.path(), "hashes.json", &hashes);
-    let said = check(&["hashes.json", "--rerun", "--format", "json"]);
-    let report = &json_objects(&said)[0];
-    assert_eq!((exit_code(&said), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
+    let message = check(&["hashes.json", "--rerun", "--format", "json"]);
+    let report = &json_objects(&message)[0];
+    assert_eq!((exit_code(&message), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
     assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
 }
 
@@ -78,10 +90,14 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     rate.registration_sha256 = rate.registration.digest();
     rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
     write_certificate(folder.path(), "forged.json", &forged);
-    let said = run_crumple(folder.path(), &["check", "forged.json"]);
-    assert!(exit_code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
-    let said = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
-    assert!(exit_code(&said) == 1 && stdout(&said).contains("refuted by a new count: "), "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", "forged.json"]);
+    assert!(
+        exit_code(&message) == 0 && stdout(&message).contains("the counts are the maker's word"),
+        "{}",
+        stdout(&message)
+    );
+    let message = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
+    assert!(exit_code(&message) == 1 && stdout(&message).contains("refuted by a new count: "), "{}", stdout(&message));
     // A certificate of version 0.1.0 has no blocks to count again.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
@@ -89,12 +105,17 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     forged.version = 1;
     (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
     write_certificate(folder.path(), "old.json", &forged);
-    let said = run_crumple(folder.path(), &["check", "old.json"]);
+    let message = run_crumple(folder.path(), &["check", "old.json"]);
     for words in ["the counts are the maker's word", "version 1, an old one"] {
-        assert!(exit_code(&said) == 0 && stdout(&said).contains(words), "{words}: {}", stdout(&said));
+        assert!(exit_code(&message) == 0 && stdout(&message).contains(words), "{words}: {}", stdout(&message));
     }
-    let said = run_crumple(folder.path(), &["check", "old.json", "--rerun"]);
-    assert!(exit_code(&said) == 2 && !stdout(&said).contains("confirmed"), "{} {}", stdout(&said), stderr(&said));
+    let message = run_crumple(folder.path(), &["check", "old.json", "--rerun"]);
+    assert!(
+        exit_code(&message) == 2 && !stdout(&message).contains("confirmed"),
+        "{} {}",
+        stdout(&message),
+        stderr(&message)
+    );
 }
 
 /// The box of `corpora/boxes/paper-1.toml`, without a follower.
@@ -109,7 +130,7 @@ onset_s = { low = 1.0, high = 1.5 }
 
 /// The output states a duration of 4 s, and the absence of a follower.
 #[test]
-fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
+fn a_short_claim_reads_short_and_states_an_absent_follower() {
     let folder = temp_folder();
     let short = |duration_s: f64| {
         let paper = built_in_scenario("paper-1").unwrap().edited(|spec| {
@@ -120,10 +141,10 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     };
     std::fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
     assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
-    let said = run_crumple(folder.path(), &["check", "short.json"]);
-    assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", "short.json"]);
+    assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
     for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"] {
-        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
     }
 
     let mut reach = read_certificate(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
@@ -145,8 +166,8 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     for (name, about) in
         [("bound.json", "it is NOT the built-in scenario or space"), ("old.json", "binds a statement to nothing")]
     {
-        let said = run_crumple(folder.path(), &["check", name]);
-        assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
+        let message = run_crumple(folder.path(), &["check", name]);
+        assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
         for words in [
             "in 100.00 % of the box's volume",
             " m for 0.1 s, with no vehicle behind",
@@ -154,13 +175,13 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
             "behind: no vehicle\n",
             about,
         ] {
-            assert!(stdout(&said).contains(words), "{name}: {words}: {}", stdout(&said));
+            assert!(stdout(&message).contains(words), "{name}: {words}: {}", stdout(&message));
         }
     }
 }
 
 #[test]
-fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
+fn a_sample_is_chosen_afterwards_and_states_its_power() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", &[]);
     let sampled =
@@ -180,7 +201,7 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
 }
 
 #[test]
-fn several_bounds_are_said_to_hold_at_once() {
+fn several_bounds_hold_jointly() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "one", &[]);
     write_idm_count(folder.path(), "two", &["--seed", "8"]);
@@ -202,7 +223,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
             0
         );
     }
-    let said = run_crumple(folder.path(), &["check", "paper-1.json"]);
+    let message = run_crumple(folder.path(), &["check", "paper-1.json"]);
     for words in [
         "no gap is ever smaller than",
         " m for 15 s; and a collision remains avoidable afterwards, ",
@@ -210,7 +231,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
         "behind: front bumper",
         "it is the built-in scenario or space of that name",
     ] {
-        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
     }
     let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
     let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
@@ -223,30 +244,30 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     empty.provenance.scenario_sha256 = String::new();
     for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
         write_certificate(folder.path(), "forged.json", &forged);
-        let said = run_crumple(folder.path(), &["check", "forged.json"]);
-        assert_eq!(exit_code(&said), 1, "{name}: {}", stdout(&said));
+        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        assert_eq!(exit_code(&message), 1, "{name}: {}", stdout(&message));
     }
     // A genuine certificate of version 1 is accepted, with a note about its age.
     let mut old = one;
     old.version = 1;
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     write_certificate(folder.path(), "old.json", &old);
-    let said = run_crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
-    assert!(exit_code(&said) == 0 && stdout(&said).contains("version 1, an old one"), "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
+    assert!(exit_code(&message) == 0 && stdout(&message).contains("version 1, an old one"), "{}", stdout(&message));
     // The output warns of another scenario under a built-in name.
     let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
     std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
     assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
-    let said = run_crumple(folder.path(), &["check", "mine.json"]);
-    assert!(stdout(&said).contains("it is NOT the built-in scenario or space of that name"), "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", "mine.json"]);
+    assert!(stdout(&message).contains("it is NOT the built-in scenario or space of that name"), "{}", stdout(&message));
 }
 
 #[test]
 fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     let folder = temp_folder();
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
-    let said = run_crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
-    assert_eq!(exit_code(&said), 0, "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
+    assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
     for words in [
         "is about paper-1",
         "with a vehicle behind",
@@ -254,7 +275,7 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
         "leader: 15.3 to 16.7 m ahead",
         "of the box's volume",
     ] {
-        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
     }
     let other = run_crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
     assert!(exit_code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
@@ -266,17 +287,17 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
         change(claim);
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
-        let said = run_crumple(folder.path(), &["check", "forged.json"]);
-        (exit_code(&said), stdout(&said).to_owned())
+        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        (exit_code(&message), stdout(&message).to_owned())
     };
     let other = crumple_verify::Interval::new(15.4, 16.7).unwrap();
-    for (code, said) in [
+    for (code, message) in [
         with(&|claim| claim.steps = 10),
         with(&|claim| claim.follower_ttc_s = None),
         with(&|claim| claim.ranges.gap_ahead_m = other),
         with(&|claim| claim.observation_error = [0.0; 8]),
     ] {
-        assert!(code == 1 && said.contains("does not match the scenario or box of `provenance`"), "{said}");
+        assert!(code == 1 && message.contains("does not match the scenario or box of `provenance`"), "{message}");
     }
 }
 
@@ -292,8 +313,8 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         std::fs::write(folder.path().join("box.toml"), text).unwrap();
         run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", depth, "--certificate", name])
     };
-    let said = made("0.03", "led.json", "4");
-    assert_eq!(exit_code(&said), 0, "{}", stderr(&said));
+    let message = made("0.03", "led.json", "4");
+    assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
     let checked = run_crumple(folder.path(), &["check", "led.json"]);
     assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
     for words in [
@@ -316,18 +337,18 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         claim.min_gap_m_at_least = 0.0;
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
-        let said = run_crumple(folder.path(), &["check", "forged.json"]);
+        let message = run_crumple(folder.path(), &["check", "forged.json"]);
         assert!(
-            exit_code(&said) == 1 && stdout(&said).contains("does not match the scenario or box"),
+            exit_code(&message) == 1 && stdout(&message).contains("does not match the scenario or box"),
             "{}",
-            stdout(&said)
+            stdout(&message)
         );
     }
     let mut forged = genuine;
     forged.assumptions.retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
     write_certificate(folder.path(), "forged.json", &forged);
-    let said = run_crumple(folder.path(), &["check", "forged.json"]);
-    assert!(exit_code(&said) == 1 && stdout(&said).contains("`assumptions` must be"), "{}", stdout(&said));
+    let message = run_crumple(folder.path(), &["check", "forged.json"]);
+    assert!(exit_code(&message) == 1 && stdout(&message).contains("`assumptions` must be"), "{}", stdout(&message));
 
     // Falsified for a leader that brakes as hard as possible, with an initial state and a profile; also about paper-1.
     let refuted = made("7.5", "refuted.json", "1");
@@ -341,8 +362,8 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let with_leader = |driver: Driver| {
         let paper = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
         std::fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
-        let said = run_crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
-        (exit_code(&said), stdout(&said).to_owned())
+        let message = run_crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
+        (exit_code(&message), stdout(&message).to_owned())
     };
     let pieces = |accel_mps2: [f64; 3]| {
         Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration {
@@ -352,16 +373,16 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     };
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
     for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
-        let (_, said) = with_leader(driver);
-        assert!(said.contains("is about scripted.toml"), "{said}");
+        let (_, message) = with_leader(driver);
+        assert!(message.contains("is about scripted.toml"), "{message}");
     }
     for (driver, why) in [
         (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
         (pieces([-3.0, 0.1, 0.0]), "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up"),
         (Driver::Controller(ControllerSpec::from_name("idm").unwrap()), "the leader must be scripted"),
     ] {
-        let (code, said) = with_leader(driver);
-        assert!(code == 1 && said.contains("is NOT about scripted.toml: ") && said.contains(why), "{said}");
+        let (code, message) = with_leader(driver);
+        assert!(code == 1 && message.contains("is NOT about scripted.toml: ") && message.contains(why), "{message}");
     }
 
     for (field, ranges, line, problem) in [
@@ -383,16 +404,16 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
     ] {
         std::fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
-        let said = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let message = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
         let place = format!("bad.toml:{line}");
-        let error = stderr(&said);
-        assert!(exit_code(&said) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
+        let error = stderr(&message);
+        assert!(exit_code(&message) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
     }
 }
 
 /// The claim of a follower's controller is printed, bound to the box file, and about scenarios with that follower.
 #[test]
-fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
+fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
     let folder = temp_folder();
     let of_box = |field: &str| {
         format!(
@@ -403,8 +424,8 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         std::fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
         run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", "3", "--certificate", name])
     };
-    let said = made("follower_drives = \"idm\"", "idm.json");
-    assert_eq!(exit_code(&said), 0, "{}", stderr(&said));
+    let message = made("follower_drives = \"idm\"", "idm.json");
+    assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
     let checked = run_crumple(folder.path(), &["check", "idm.json"]);
     assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
     for words in [
@@ -434,9 +455,9 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         idm.time_headway_s = headway_s;
         claim.min_gap_m_at_least = 0.0;
         write_certificate(folder.path(), "forged.json", &forged);
-        let said = run_crumple(folder.path(), &["check", "forged.json"]);
-        let differs = stdout(&said).contains("does not match the scenario or box");
-        assert!(exit_code(&said) == 1 && differs, "{}", stdout(&said));
+        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        let differs = stdout(&message).contains("does not match the scenario or box");
+        assert!(exit_code(&message) == 1 && differs, "{}", stdout(&message));
     }
 
     for (field, problem) in [
@@ -445,33 +466,36 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
         ("follower_drives = { idm = { time_headway_s = -1.0 } }", "follower_drives"),
     ] {
         std::fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
-        let said = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
-        let error = stderr(&said);
-        assert!(exit_code(&said) == 2 && error.contains("bad.toml:3") && error.contains(problem), "{field}: {error}");
+        let message = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let error = stderr(&message);
+        assert!(
+            exit_code(&message) == 2 && error.contains("bad.toml:3") && error.contains(problem),
+            "{field}: {error}"
+        );
     }
 }
 
 #[test]
-fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
+fn each_certificate_has_its_own_verdict() {
     let folder = temp_folder();
     let good = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
     std::fs::write(folder.path().join("cut.json"), "{").unwrap();
-    let said = run_crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
-    assert_eq!(exit_code(&said), 2);
-    assert!(stdout(&said).contains("reach-paper-1.json: accepted: reach"), "{}", stdout(&said));
-    assert!(stderr(&said).contains("cut.json: is not a certificate"), "{}", stderr(&said));
-    assert!(stderr(&said).contains("nowhere.json: "), "{}", stderr(&said));
-    let said = run_crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
-    let told = super::json_objects(&said);
-    assert_eq!((exit_code(&said), told.len()), (2, 2));
-    assert_eq!((&told[0]["accepted"], &told[1]["accepted"]), (&json!(true), &json!(false)));
-    assert!(told[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", told[1]);
+    let message = run_crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
+    assert_eq!(exit_code(&message), 2);
+    assert!(stdout(&message).contains("reach-paper-1.json: accepted: reach"), "{}", stdout(&message));
+    assert!(stderr(&message).contains("cut.json: is not a certificate"), "{}", stderr(&message));
+    assert!(stderr(&message).contains("nowhere.json: "), "{}", stderr(&message));
+    let message = run_crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
+    let verdicts = super::json_objects(&message);
+    assert_eq!((exit_code(&message), verdicts.len()), (2, 2));
+    assert_eq!((&verdicts[0]["accepted"], &verdicts[1]["accepted"]), (&json!(true), &json!(false)));
+    assert!(verdicts[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", verdicts[1]);
     // Verdicts come before errors.
-    let said = run_crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
-    assert_eq!(exit_code(&said), 1);
-    assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&said));
-    assert!(!stdout(&said).contains(".json: accepted"), "{}", stdout(&said));
-    let gate = stderr(&said).lines().last().unwrap();
+    let message = run_crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
+    assert_eq!(exit_code(&message), 1);
+    assert!(stdout(&message).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&message));
+    assert!(!stdout(&message).contains(".json: accepted"), "{}", stdout(&message));
+    let gate = stderr(&message).lines().last().unwrap();
     assert!(gate.starts_with("gate: not about the scenario of --scenario: "), "{gate}");
 }
 
@@ -506,16 +530,16 @@ fn a_key_that_occurs_twice_is_no_certificate() {
     let text = std::fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
     for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
     {
-        let twice = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
-        assert_ne!(twice, text);
-        std::fs::write(folder.path().join("twice.json"), twice).unwrap();
-        let said = run_crumple(folder.path(), &["check", "twice.json"]);
-        assert_eq!(exit_code(&said), 2, "{name}");
-        assert!(stderr(&said).contains("twice.json: is not a certificate: "), "{}", stderr(&said));
+        let doubled = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
+        assert_ne!(doubled, text);
+        std::fs::write(folder.path().join("twice.json"), doubled).unwrap();
+        let message = run_crumple(folder.path(), &["check", "twice.json"]);
+        assert_eq!(exit_code(&message), 2, "{name}");
+        assert!(stderr(&message).contains("twice.json: is not a certificate: "), "{}", stderr(&message));
     }
     // Duplicate keys in a registration would let two contents share a digest.
     let registration = std::fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
-    let twice = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
-    assert!(serde_json::from_str::<Registration>(&twice).unwrap_err().to_string().contains("duplicate key"));
+    let doubled = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
+    assert!(serde_json::from_str::<Registration>(&doubled).unwrap_err().to_string().contains("duplicate key"));
     assert_eq!(registration.parse::<Value>().unwrap()["block_runs"], json!(100));
 }

@@ -9,7 +9,7 @@ use super::{assert_refused, exit_code, file_names_in, run_crumple, run_ok, stder
 use crate::schema::{assert_committed, validate};
 
 #[test]
-fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
+fn the_schema_of_maps_is_committed_and_accepts_the_examples() {
     let schema = json_schema();
     assert_committed("crates/world/src/recording/map.schema.json", &schema);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -39,10 +39,10 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     fs::write(folder.path().join("hard.csv"), logged_pair_csv(3.0)).unwrap();
     fs::write(folder.path().join("soft.csv"), logged_pair_csv(1.0)).unwrap();
     let shown = run_crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
-    let said = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
+    let message = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
                 speed 11.00 to 20.00 m/s, median 12.80\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
                 the hardest braking is 3.00 m/s within a second, of vehicle 1 from 5.";
-    assert!(stdout(&shown).starts_with(said), "{shown:?}");
+    assert!(stdout(&shown).starts_with(message), "{shown:?}");
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
     assert_eq!(file_names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
     let over = ["import", "soft.csv", "--map", map, "--preview", "hard.svg"];
@@ -53,19 +53,19 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     let slow = slow.replacen("t;v_ego;range;closing\n", "t;v_ego;range;closing\n0;72;34.6;0\n", 1);
     fs::write(folder.path().join("slow.csv"), slow).unwrap();
     let shown = run_crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
-    let said = [
+    let message = [
         "one each 1.000 s",
         "the speeds of a vehicle are 1.000 s apart, more than the limit of 0.5 s: crumple cannot find braking",
     ];
-    assert!(said.iter().all(|said| stdout(&shown).contains(said)), "{shown:?}");
+    assert!(message.iter().all(|message| stdout(&shown).contains(message)), "{shown:?}");
     let imported = run_crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
     assert_eq!(stdout(&imported), "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n");
     assert_eq!(file_names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
     let nothing = run_crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
     assert_eq!(exit_code(&nothing), 1);
-    let said =
+    let message =
         "gate: no braking episode of at least 1.3 m/s² gives a scenario; soft.csv: the hardest braking is 1.00 m/s";
-    assert!(stderr(&nothing).starts_with(said), "{nothing:?}");
+    assert!(stderr(&nothing).starts_with(message), "{nothing:?}");
     assert!(!folder.path().join("none").exists());
 }
 
@@ -158,8 +158,8 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
 
     let simulated = run_crumple(folder.path(), &["simulate", &file]);
     assert!(stdout(&simulated).contains(": baseline, estimator kalman"), "{simulated:?}");
-    let said = format!("note: {file} was recorded with `match-leader`, but is simulated with `baseline`");
-    assert!(stderr(&simulated).contains(&said), "{simulated:?}");
+    let message = format!("note: {file} was recorded with `match-leader`, but is simulated with `baseline`");
+    assert!(stderr(&simulated).contains(&message), "{simulated:?}");
 
     // A copy has no record, and a record may name several controllers.
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();

@@ -41,7 +41,7 @@ pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
 }
 
 #[test]
-fn a_summary_for_programs_says_which_figures_are_of_which_methods() {
+fn a_json_summary_assigns_numbers_to_methods() {
     let folder = temp_folder();
     let search = ["falsify", "--controller", "idm", "--budget", "20", "--out", "runs", "--format", "json"];
     let found = json_objects(&run_crumple(folder.path(), &search)).remove(0);
@@ -69,12 +69,12 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         (drives_on, "nothing", 0, ""),
         (drives_on, "failure", 1, "gate: expected a failure, but found none in 60 evaluations"),
     ];
-    for (number, (spec, expected, exit_code, said)) in cases.into_iter().enumerate() {
+    for (number, (spec, expected, exit_code, message)) in cases.into_iter().enumerate() {
         let out = format!("{number}");
         let search = ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "20", "--spec", spec];
         let output = run_crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
         assert_eq!(crate::command_line::exit_code(&output), exit_code, "{}", stderr(&output));
-        assert!(stderr(&output).contains(said) && !stdout(&output).is_empty(), "{}", stderr(&output));
+        assert!(stderr(&output).contains(message) && !stdout(&output).is_empty(), "{}", stderr(&output));
     }
     // Without a partner run, `--expect nothing` fails.
     let search =
@@ -82,8 +82,8 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
     assert_eq!(exit_code(&alone), 1);
     assert!(stderr(&alone).contains("none of 15 evaluations has a second scenario"), "{}", stderr(&alone));
-    let told = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the start (halton)";
-    assert!(stdout(&alone).contains(told), "{}", stdout(&alone));
+    let expected = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the start (halton)";
+    assert!(stdout(&alone).contains(expected), "{}", stdout(&alone));
     let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
     assert_eq!(exit_code(&run_crumple(folder.path(), &shard)), 2);
 }
@@ -154,8 +154,8 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     }
     // Printed and stored summaries agree, except for the fields that distinguish the methods.
     let mut kept: Value = fs::read_to_string(folder.path().join("found/summary.json")).unwrap().parse().unwrap();
-    for told in ["of_method_asked_for", "of_all_methods"] {
-        kept[told] = summary[told].clone();
+    for key in ["of_method_asked_for", "of_all_methods"] {
+        kept[key] = summary[key].clone();
     }
     assert_eq!((&kept, &summary["of_method_asked_for"]), (&summary, &summary["methods"][0]));
     check_log(&folder.path().join("found/evaluations/part-00000.csv.gz"));
@@ -235,8 +235,8 @@ fn a_formula_is_falsified_without_a_contact() {
         };
         let replayed = replay(formula, "violated");
         assert_eq!(exit_code(&replayed), 0, "{}", stderr(&replayed));
-        let judged = &json_objects(&replayed)[0]["specifications"][0];
-        assert_eq!((&judged["satisfied"], &judged["robustness"]), (&false.into(), &one["robustness"]));
+        let evaluated = &json_objects(&replayed)[0]["specifications"][0];
+        assert_eq!((&evaluated["satisfied"], &evaluated["robustness"]), (&false.into(), &one["robustness"]));
         assert_eq!(exit_code(&replay(formula, "satisfied")), 1);
         assert_eq!(exit_code(&replay("always v1.speed_mps >= 0", "satisfied")), 0);
     }
@@ -293,7 +293,7 @@ fn the_front_of_severity_and_likelihood_is_shown() {
 
 #[test]
 #[cfg(unix)]
-fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so() {
+fn used_interrupted_and_damaged_campaigns_are_reported() {
     let folder = temp_folder();
     let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
     let journal = folder.path().join("busy/evaluations.journal");
@@ -310,8 +310,11 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();
     assert_eq!(ended.status.code(), Some(130));
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert!(said.contains("interrupted: the evaluations so far are in busy: the same command with --resume"), "{said}");
+    let message = String::from_utf8(ended.stderr).unwrap();
+    assert!(
+        message.contains("interrupted: the evaluations so far are in busy: the same command with --resume"),
+        "{message}"
+    );
     let whole = fs::read(&journal).unwrap();
     let known: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
     let known = &known["files"]["evaluations.journal"]["growing"]["bytes"];
@@ -333,15 +336,15 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
     if whole.len() >= known + 40 {
         damages.push((changed(known), "record"));
     }
-    for (bytes, said) in damages {
+    for (bytes, message) in damages {
         match bytes {
             Some(bytes) => fs::write(&journal, bytes).unwrap(),
             None => fs::remove_file(&journal).unwrap(),
         }
-        assert_refused(&run_crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {said}"));
+        assert_refused(&run_crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {message}"));
         let looked = run_crumple(folder.path(), &["fsck", "busy"]);
         assert_eq!(exit_code(&looked), 1, "{looked:?}");
-        assert!(stdout(&looked).contains(&format!("evaluations.journal: {said}")), "{looked:?}");
+        assert!(stdout(&looked).contains(&format!("evaluations.journal: {message}")), "{looked:?}");
     }
     // An existing file in the place of a result is an error before any work.
     fs::write(&journal, &whole).unwrap();
@@ -356,7 +359,7 @@ fn a_campaign_in_use_is_refused_and_one_that_is_interrupted_or_damaged_says_so()
 }
 
 #[test]
-fn a_campaign_in_another_space_says_what_differs() {
+fn a_campaign_in_another_space_names_the_difference() {
     let folder = temp_folder();
     let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let campaign = |more: &[&str]| {
@@ -376,7 +379,7 @@ fn a_campaign_in_another_space_says_what_differs() {
 }
 
 #[test]
-fn mistakes_are_said_before_anything_is_written() {
+fn mistakes_are_reported_before_anything_is_written() {
     let folder = temp_folder();
     let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
     let line = 1 + good.lines().position(|line| line.contains("deviation = 0.2, low = 2.0")).unwrap();
@@ -431,14 +434,15 @@ fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
     };
     let formula = "always v2.gap_m > 1 and v1.gap_m > 5";
     let warning = "warning: --spec: `v1.gap_m > 5` has no temporal operator";
-    let (printed, said) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", formula]);
+    let (printed, message) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", formula]);
     assert!(
         printed.contains("holds, robustness") && printed.contains(": (always (v2.gap_m > 1)) and (v1.gap_m > 5)"),
         "{printed}"
     );
-    assert!(said.contains(warning), "{said}");
-    let (_, said) = warned(&["falsify", "--controller", "idm", "--budget", "1", "--spec", formula, "--out", "found"]);
-    assert!(said.contains(warning), "{said}");
-    let (_, said) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", "always (v1.gap_m > 1)"]);
-    assert!(!said.contains("warning"), "{said}");
+    assert!(message.contains(warning), "{message}");
+    let (_, message) =
+        warned(&["falsify", "--controller", "idm", "--budget", "1", "--spec", formula, "--out", "found"]);
+    assert!(message.contains(warning), "{message}");
+    let (_, message) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", "always (v1.gap_m > 1)"]);
+    assert!(!message.contains("warning"), "{message}");
 }

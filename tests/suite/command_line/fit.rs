@@ -113,7 +113,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let mut config = crate::assessments::config(&["baseline", "idm"]);
     config.distributions = Some(vec!["space.toml".to_owned()]);
     let assessment = crate::assessments::run(config, here);
-    let sampled = &assessment.distributions.spaces[0].controllers[0];
+    let sampled = &assessment.rate_spaces.spaces[0].controllers[0];
     let exposed = sampled.rate_per_exposure.as_ref().expect("the space says in how much driving");
     let data = exposed.with_data_uncertainty.expect("resampled");
     assert!((exposed.episodes, data.resamples) == (40, 100));
@@ -121,7 +121,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
 }
 
 #[test]
-fn what_cannot_be_fitted_is_refused() {
+fn unsuitable_data_are_refused() {
     let folder = temp_folder();
     let here = folder.path();
     std::fs::write(here.join("few.csv"), events_csv(19)).unwrap();

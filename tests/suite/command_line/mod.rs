@@ -53,9 +53,9 @@ fn stderr(output: &Output) -> &str {
     std::str::from_utf8(&output.stderr).expect("text")
 }
 
-fn assert_refused(output: &Output, said: &str) {
+fn assert_refused(output: &Output, message: &str) {
     assert_eq!(exit_code(output), 2, "{}", stderr(output));
-    assert!(stderr(output).contains(said), "{}", stderr(output));
+    assert!(stderr(output).contains(message), "{}", stderr(output));
 }
 
 fn json_objects(output: &Output) -> Vec<Value> {
@@ -149,7 +149,7 @@ fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
 
 /// A controller that stops a scenario by unnecessary braking is safe, but not useful.
 #[test]
-fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
+fn unnecessary_braking_is_reported_and_decides_usefulness() {
     let folder = temp_folder();
     let quiet = "version = 1\nname = \"quiet\"\nduration_s = 20.0\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 60.0\nspeed_mps = 25.0\ndriver = \"constant-speed\"\n\
@@ -160,8 +160,8 @@ fn braking_without_cause_is_told_and_decides_whether_a_controller_is_useful() {
     };
     assert_eq!(exit_code(&run("random-actions", &["--expect", "safe"])), 0);
     let output = run("random-actions", &["--expect", "useful"]);
-    let said = "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
-    assert_eq!((exit_code(&output), stderr(&output)), (1, said));
+    let message = "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
+    assert_eq!((exit_code(&output), stderr(&output)), (1, message));
     assert!(stdout(&output).contains("\n  vehicle 1 brakes unnecessarily for "), "{}", stdout(&output));
     assert!(stdout(&output).contains(" was necessary\n"), "{}", stdout(&output));
 
@@ -214,7 +214,7 @@ fn traces_have_one_row_a_sample_and_vehicle() {
 const TRACES: &[&str] = if cfg!(feature = "parquet") { &["trace.csv", "trace.parquet"] } else { &["trace.csv"] };
 
 #[test]
-fn plots_are_what_their_names_say() {
+fn plots_match_their_file_names() {
     let folder = temp_folder();
     let png = cfg!(feature = "png").then_some(("p.png", &b"\x89PNG\r\n"[..]));
     for (file, opening) in [("p.svg", &b"<"[..])].into_iter().chain(png) {
@@ -255,7 +255,7 @@ fn several_scenarios_write_several_traces() {
 }
 
 #[test]
-fn list_names_what_simulate_takes() {
+fn list_names_all_inputs_of_simulate() {
     let folder = temp_folder();
     let all = run_crumple(folder.path(), &["list"]);
     assert_eq!((exit_code(&all), stderr(&all)), (0, ""));

@@ -83,7 +83,7 @@ fn an_interrupted_change_is_known_to_the_next_run() {
 
 /// Unfinished files of a killed process are unlocked; those of a living process are locked.
 #[test]
-fn merge_removes_what_a_killed_process_left_and_nothing_of_a_living_one() {
+fn merge_removes_files_of_killed_processes_only() {
     let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
     fs::write(at("a.toml"), ASSESSMENT).unwrap();

@@ -42,7 +42,7 @@ fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
 
 /// Refused immediately, with the limit.
 #[test]
-fn what_would_take_hours_is_refused_before_it_begins() {
+fn excessive_work_is_refused_at_the_start() {
     let folder = temp_folder();
     let cases: [(&str, usize, f64, &[&str], &str); 6] = [
         (
@@ -95,7 +95,7 @@ fn what_would_take_hours_is_refused_before_it_begins() {
 
 #[cfg(unix)]
 #[test]
-fn an_interrupted_assessment_says_how_to_go_on() {
+fn an_interrupted_assessment_names_the_command_to_resume() {
     let folder = temp_folder();
     let arguments = ["assess", "--out", "report"];
     let mut command = super::command(folder.path(), &arguments);
@@ -108,12 +108,12 @@ fn an_interrupted_assessment_says_how_to_go_on() {
     std::thread::sleep(std::time::Duration::from_millis(300));
     assert_refused(
         &run_crumple(folder.path(), &arguments),
-        "error: report/evidence: another assessment is under way there",
+        "error: report/evidence: another assessment uses this folder",
     );
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let ended = child.wait_with_output().unwrap();
     assert_eq!(exit_code(&ended), 130, "{}", stderr(&ended));
-    let said = "interrupted: the evidence computed so far is in report/evidence: the same command resumes";
-    assert!(stderr(&ended).contains(said), "{}", stderr(&ended));
+    let text = "interrupted: the evidence computed so far is in report/evidence: the same command resumes";
+    assert!(stderr(&ended).contains(text), "{}", stderr(&ended));
 }

@@ -110,7 +110,7 @@ fn gates_decide_and_evidence_is_kept() {
     config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
     let failed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     assert_eq!(exit_code(&failed), 1, "{failed:?}");
-    assert!(stderr(&failed).contains("gate: baseline: no contact in the paper's scenarios (it collides in paper-1"));
+    assert!(stderr(&failed).contains("gate: baseline: no collision in the paper's scenarios (it collides in paper-1"));
     assert!(stdout(&failed).ends_with("0 of 1 gates hold.\n"), "{failed:?}");
     config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
     let held = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
@@ -142,6 +142,10 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         (
             "version = 1\n[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
             "error: a.toml:2: gates[0]: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
+        ),
+        (
+            "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = 3\n",
+            "error: a.toml:4: gates[1]: unknown field `speed`",
         ),
         ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:3: gates[0].require: unknown variant `luck`"),
     ];

@@ -143,7 +143,7 @@ fn check_report(folder: &Path, report: &Value) {
 }
 
 #[test]
-fn mistakes_are_said_before_anything_is_written() {
+fn mistakes_are_reported_before_anything_is_written() {
     let folder = temp_folder();
     let retrain = |arguments: &[&str]| {
         let output = run_crumple(folder.path(), &[&["retrain"], arguments].concat());

@@ -22,7 +22,7 @@ fn assert_same_files(folder: &Path, one: &str, other: &str) {
 }
 
 #[test]
-fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_said() {
+fn merged_shards_equal_one_count_and_missing_shards_are_named() {
     let folder = temp_folder();
     let folder = folder.path();
     assert_eq!(exit_code(&run_crumple(folder, &[&COUNT_ARGS[..], &["--out", "single"]].concat())), 0);
@@ -160,7 +160,7 @@ fn shards_of_a_search_are_one_campaign() {
 }
 
 #[test]
-fn shards_of_a_suite_say_what_one_machine_says() {
+fn shards_of_a_suite_give_the_result_of_one_machine() {
     let folder = temp_folder();
     let folder = folder.path();
     let run = ["suite", "run", "afgbv-cut-in", "--controller=match-leader", "--controller=idm", "--estimator=truth"];
@@ -217,9 +217,13 @@ fn shards_of_an_assessment_are_its_evidence() {
     assert!(stderr(&output).contains("evidence is missing, shards 1 of 2; `assess` would compute it: "));
     let output = run_crumple(folder, &["merge", "2", "--out=report", "--format=json"]);
     assert_eq!(exit_code(&output), 1);
-    let said = &json_objects(&output)[0];
-    assert_eq!((&said["pieces"], &said["missing_shards"]), (&serde_json::json!(3), &serde_json::json!([1])), "{said}");
-    assert!(said["is_of_this_build"] == true && said["missing"].as_array().unwrap().len() == 2, "{said}");
+    let message = &json_objects(&output)[0];
+    assert_eq!(
+        (&message["pieces"], &message["missing_shards"]),
+        (&serde_json::json!(3), &serde_json::json!([1])),
+        "{message}"
+    );
+    assert!(message["is_of_this_build"] == true && message["missing"].as_array().unwrap().len() == 2, "{message}");
     run_ok(folder, &["merge", "2", "1", "2", "--out=report"]);
     assert_same_files(folder, "single/evidence", "report/evidence");
     let output = run_crumple(folder, &["assess", "a.toml", "--out=report"]);
@@ -236,7 +240,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     assert_eq!(exit_code(&run_crumple(folder, &["assess", "b.toml", "--shard=1/2", "--out=b"])), 0);
     assert_refused(
         &run_crumple(folder, &["merge", "2", "b", "--out=x"]),
-        "the configuration, or something that it names, differs",
+        "the configuration, or a file that it names, differs",
     );
     assert_refused(
         &run_crumple(folder, &["assess", "a.toml", "--shard=6/6", "--out=x"]),
@@ -268,9 +272,12 @@ fn shards_of_trainings_are_put_together_with_their_results() {
         assert_same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
     }
     let output = run_crumple(folder, &["merge", "2", "--out=some", "--format=json"]);
-    let said = &json_objects(&output)[0];
-    assert_eq!((&said["missing_seeds"], &said["missing_shards"]), (&serde_json::json!([0]), &serde_json::json!([1])));
-    assert_eq!(said["seeds"].as_array().unwrap().len(), 2, "{said}");
+    let message = &json_objects(&output)[0];
+    assert_eq!(
+        (&message["missing_seeds"], &message["missing_shards"]),
+        (&serde_json::json!([0]), &serde_json::json!([1]))
+    );
+    assert_eq!(message["seeds"].as_array().unwrap().len(), 2, "{message}");
     // A shard that was not begun is missing, in any order.
     fs::create_dir(folder.join("not")).unwrap();
     for order in [["not", "2"], ["2", "not"]] {
@@ -281,8 +288,8 @@ fn shards_of_trainings_are_put_together_with_their_results() {
                 && stderr(&output).contains("missing seeds of 3: 0, shards 1 of 2")
         );
     }
-    let refused = |folders: &[&str], said: &str| {
-        assert_refused(&run_crumple(folder, &[&["merge", "--out=x"], folders].concat()), said);
+    let refused = |folders: &[&str], message: &str| {
+        assert_refused(&run_crumple(folder, &[&["merge", "--out=x"], folders].concat()), message);
         assert!(!folder.join("x").exists());
     };
     run_crumple(folder, &[&train[..], &["--shard=1/1", "--out=whole"]].concat());
@@ -371,7 +378,7 @@ fn a_plan_of_a_search_makes_its_shards() {
 /// Runs the planned commands as an engine would.
 #[cfg(unix)]
 #[test]
-fn what_a_plan_writes_makes_what_it_says() {
+fn job_files_produce_the_planned_result() {
     let folder = temp_folder();
     let folder = folder.path();
     let plan = ["plan", "--controller=idm", "--rate-below=0.01", "--failures=1", "--confidence=0.9", "--shards=3"];
@@ -395,12 +402,12 @@ fn what_a_plan_writes_makes_what_it_says() {
     let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
     assert_eq!(exit_code(&run_crumple(folder, &[&words[..], &["--out", "single"]].concat())), 0);
     assert_same_files(folder, "single", "rate");
-    for (more, said) in [
+    for (more, message) in [
         ("--rate-below=0", "rate: must be above 0 and below 1"),
         ("--rate-below=1e-12", "would take more than 1000000000 runs"),
         ("--runs=0", "runs: must be from 1 to 1000000000"),
     ] {
-        assert_refused(&run_crumple(folder, &["plan", "--controller=idm", more]), said);
+        assert_refused(&run_crumple(folder, &["plan", "--controller=idm", more]), message);
     }
 }
 
@@ -429,7 +436,7 @@ fn write_engine_stubs(folder: &Path) {
 /// Without a named cluster no job starts; an unreachable one gives a one-line error.
 #[cfg(unix)]
 #[test]
-fn job_files_connect_to_what_is_named_and_to_nothing_else() {
+fn job_files_connect_only_to_named_hosts() {
     let folder = temp_folder();
     let folder = folder.path();
     let python = |words: &[&str], address: Option<&str>| {
@@ -448,12 +455,12 @@ fn job_files_connect_to_what_is_named_and_to_nothing_else() {
         exit_code(&run_crumple(folder, &["plan", "--controller=idm", "--runs=100", "--shards=1", "--out=p"])),
         0
     );
-    let said = |words: &[&str], address: Option<&str>| {
+    let message = |words: &[&str], address: Option<&str>| {
         let output = python(words, address).unwrap();
         assert_eq!((exit_code(&output), stderr(&output).lines().count()), (1, 1), "{}", stderr(&output));
         (stdout(&output).to_owned(), stderr(&output).to_owned())
     };
-    let (asked, why) = said(&["p/ray_job.py"], None);
+    let (asked, why) = message(&["p/ray_job.py"], None);
     assert!(asked.is_empty() && why.starts_with("no cluster is named: ") && why.contains("--local N"), "{asked}{why}");
     for (words, address, asked_for) in [
         (&["p/ray_job.py", "--address=auto"][..], None, "{'address': 'auto'} None\n"),
@@ -465,10 +472,10 @@ fn job_files_connect_to_what_is_named_and_to_nothing_else() {
             "{'address': 'local', 'num_cpus': 2, 'include_dashboard': False} disabled\n",
         ),
     ] {
-        let (asked, why) = said(words, address);
+        let (asked, why) = message(words, address);
         assert_eq!(asked, asked_for);
         assert!(why.ends_with(": nobody\n"), "{why}");
     }
-    let (_, why) = said(&["p/hyperqueue_job.py"], None);
+    let (_, why) = message(&["p/hyperqueue_job.py"], None);
     assert!(why.starts_with("no server of HyperQueue runs here") && why.contains("--local N begins one"), "{why}");
 }

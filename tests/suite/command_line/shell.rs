@@ -42,11 +42,11 @@ fn pages_and_completions_know_every_command() {
 
 /// An empty `PATH` is no error.
 #[test]
-fn a_doctor_says_what_is_missing() {
+fn doctor_names_missing_programs() {
     let folder = temp_folder();
-    let told = command(folder.path(), &["doctor", "--format", "json"]).env("PATH", "/nowhere").output().unwrap();
-    assert_eq!(exit_code(&told), 0, "{}", stderr(&told));
-    let report = &json_objects(&told)[0];
+    let output = command(folder.path(), &["doctor", "--format", "json"]).env("PATH", "/nowhere").output().unwrap();
+    assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
+    let report = &json_objects(&output)[0];
     // The first is crumple's FMU host, next to the program.
     assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
     assert!(report["fused_multiply_add"].is_boolean());
@@ -57,7 +57,7 @@ fn a_doctor_says_what_is_missing() {
 
 /// The printed file can replace the name.
 #[test]
-fn what_is_built_in_is_shown_as_a_file() {
+fn built_in_items_are_shown_as_files() {
     let folder = temp_folder();
     let show = |arguments: &[&str]| {
         let shown = run_ok(folder.path(), &[&["show"], arguments].concat());

@@ -154,8 +154,8 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
     let of_spaces = train("spaces", &["wet.toml=3", "steady"]);
     assert!([0, 1].contains(&exit_code(&of_spaces)), "{}", stderr(&of_spaces));
     assert!([0, 1].contains(&exit_code(&of_paper)), "{}", stderr(&of_paper));
-    let said = fs::read_to_string(folder.path().join("spaces/seed-4/training.toml")).unwrap();
-    assert!(said.contains("space = \"wet.toml\"") && said.contains("weight = 3.0"), "{said}");
+    let text = fs::read_to_string(folder.path().join("spaces/seed-4/training.toml")).unwrap();
+    assert!(text.contains("space = \"wet.toml\"") && text.contains("weight = 3.0"), "{text}");
     let log = |out: &str| fs::read(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
     assert!(log("paper") != log("spaces"));
     for (space, reason) in [
@@ -169,14 +169,14 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
         assert_refused(&train("refused", &[space]), reason);
         assert!(!folder.path().join("refused").exists());
     }
-    let twice = "error: --space traffic: `traffic` is named twice: give it one weight";
-    assert_refused(&train("refused", &["traffic=0.5", "steady", "traffic=0.5"]), twice);
+    let doubled = "error: --space traffic: `traffic` is named twice: give it one weight";
+    assert_refused(&train("refused", &["traffic=0.5", "steady", "traffic=0.5"]), doubled);
     assert!(!folder.path().join("refused").exists());
 }
 
 /// With learning rates of 0 no checkpoint is better than the untrained network.
 #[test]
-fn what_learned_nothing_leaves_no_policy_and_is_no_success() {
+fn a_failed_training_writes_no_policy_and_exits_with_an_error() {
     let folder = temp_folder();
     let still = tiny::replace_passages(
         &tiny::training(),

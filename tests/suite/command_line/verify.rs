@@ -12,7 +12,7 @@ use super::{
 };
 
 #[test]
-fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
+fn a_shield_reports_its_braking_and_the_effect_on_the_follower() {
     let folder = temp_folder();
     let arguments = ["simulate", "paper-1", "--controller", "shield:full-throttle", "--estimator", "truth"];
     let shielded = &json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()))[0];
@@ -30,14 +30,14 @@ fn a_shield_says_when_it_braked_and_what_that_did_to_the_vehicle_behind() {
 #[test]
 fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
     let folder = temp_folder();
-    for (controller, said) in [
+    for (controller, message) in [
         ("shield:nobody", "there is no controller `nobody`"),
         ("shield,ahead=0:idm", "`ahead=0` is not a setting of a shield"),
         ("shield,gap-error:idm", "`gap-error` is not a setting of a shield"),
         ("shield,colour=1:idm", "`colour=1` is not a setting of a shield"),
     ] {
         let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
-        assert_refused(&output, said);
+        assert_refused(&output, message);
     }
 }
 
@@ -106,7 +106,7 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
     }
     assert_eq!((&found["controller"], &found["box"]), (&"policy".into(), &"box.toml".into()));
     assert!(found["smallest_gap_m"].as_f64() > Some(0.0) && found["shares"][0]["verified"] == 1.0, "{found}");
-    for (ranges, said) in [
+    for (ranges, message) in [
         ("\ngap_ahead_m = -3", "box.toml:5: ranges.gap_ahead_m: contains a negative number"),
         ("onset_s = -1", "box.toml:4: ranges.onset_s: contains a negative number"),
         (
@@ -117,7 +117,7 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
         ("gap_ahead_m = nan", "box.toml:4: ranges.gap_ahead_m: "),
     ] {
         write(ranges);
-        assert_refused(&reach(&["--box", "box.toml"]), said);
+        assert_refused(&reach(&["--box", "box.toml"]), message);
     }
     assert_refused(&reach(&["--box", "paper-3"]), "`paper-3` is neither a built-in box (paper-1, paper-2) nor a file");
 }
@@ -209,9 +209,12 @@ fn a_rare_failure_is_estimated_and_never_certified() {
             .chain(["--spec", "imposed braking at most 4 m/s2"])
             .collect::<Vec<_>>(),
     );
-    let said = stdout(&rule);
-    assert!(said.contains("robustness") && said.contains(" failure ") && !said.contains("contact"), "{said}");
-    assert!(!said.contains("smallest gap"), "margins of a rule are no gaps: {said}");
+    let message = stdout(&rule);
+    assert!(
+        message.contains("robustness") && message.contains(" failure ") && !message.contains("contact"),
+        "{message}"
+    );
+    assert!(!message.contains("smallest gap"), "margins of a rule are no gaps: {message}");
     let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
     assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
     let fsck = || run_crumple(folder.path(), &["fsck", "rare"]);
@@ -259,22 +262,22 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
 
 /// JSON and text agree, with the names of `check`, `merge` and `suite run`.
 #[test]
-fn what_is_verified_can_be_read_by_programs() {
+fn verification_results_are_machine_readable() {
     let folder = temp_folder();
-    let said = |arguments: &[&str]| {
+    let message = |arguments: &[&str]| {
         let output = run_ok(folder.path(), arguments);
         json_objects(&output)
     };
-    let kernels = said(&["verify", "shield", "--out", "kernels", "--format", "json"]);
+    let kernels = message(&["verify", "shield", "--out", "kernels", "--format", "json"]);
     let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(kernels.len(), names.iter().filter(|name| name.ends_with(".json")).count());
     for kernel in &kernels {
         assert_eq!(kernel["accepted"], true);
-        let checked = &said(&["check", kernel["certificate"].as_str().unwrap(), "--format", "json"])[0];
+        let checked = &message(&["check", kernel["certificate"].as_str().unwrap(), "--format", "json"])[0];
         assert_eq!(kernel, checked);
     }
     let rate = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--format", "json"];
-    let one = &said(&[&rate[..], &["--out", "rate", "--confidence", "0.99"]].concat())[0];
+    let one = &message(&[&rate[..], &["--out", "rate", "--confidence", "0.99"]].concat())[0];
     assert_eq!(
         (one["runs"].as_u64(), one["failures"].as_u64(), one["confidence"].as_f64()),
         (Some(300), Some(0), Some(0.99))
@@ -282,9 +285,9 @@ fn what_is_verified_can_be_read_by_programs() {
     // At the rate 1 - (1 - c)^(1/n), the probability of n runs without a failure is 1 - c.
     let bound = 1.0 - 0.01_f64.powf(1.0 / 300.0);
     assert!((one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{one}");
-    let checked = &said(&["check", one["certificate"].as_str().unwrap(), "--format", "json"])[0];
+    let checked = &message(&["check", one["certificate"].as_str().unwrap(), "--format", "json"])[0];
     assert_eq!(checked["rate_at_most"], one["rate_at_most"]);
-    let shard = &said(&[&rate[..], &["--out", "part", "--confidence", "0.99", "--shard", "1/3"]].concat())[0];
+    let shard = &message(&[&rate[..], &["--out", "part", "--confidence", "0.99", "--shard", "1/3"]].concat())[0];
     assert_eq!((shard["runs"].as_u64(), shard["shard"].as_str()), (Some(100), Some("1/3")));
     assert_eq!(
         (&shard["certificate"], &shard["registration_sha256"]),
@@ -294,7 +297,7 @@ fn what_is_verified_can_be_read_by_programs() {
 
 /// Options of `--rare` are refused without it; a count that proves nothing fails with its counts.
 #[test]
-fn a_count_says_what_it_is_of() {
+fn a_count_names_its_subject() {
     let folder = temp_folder();
     let rate = ["verify", "rate", "--controller", "baseline", "--runs", "100", "--estimator", "truth", "--out", "rate"];
     for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {

@@ -67,19 +67,19 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
             spec.vehicles.truncate(vehicles);
         });
         std::fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
-        let said = run_crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
-        assert_eq!(exit_code(&said), 0, "{said:?}");
+        let message = run_crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
+        assert_eq!(exit_code(&message), 0, "{message:?}");
         stdout(&run_crumple(folder.path(), &["check", name])).to_owned()
     };
-    let said = followed(3, "three.json");
-    assert!(said.contains("  behind: 1 vehicle, not part of the claim\n"), "{said}");
-    let said = followed(2, "two.json");
-    assert!(said.contains("  behind: no vehicle\n"), "{said}");
+    let message = followed(3, "three.json");
+    assert!(message.contains("  behind: 1 vehicle, not part of the claim\n"), "{message}");
+    let message = followed(2, "two.json");
+    assert!(message.contains("  behind: no vehicle\n"), "{message}");
 }
 
 /// The follower's brake fired in the replay of an escape that was reported not to trigger it.
 #[test]
-fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
+fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
     let folder = temp_folder();
     let scenario = include_str!("../worst_case/escapes/acc-aeb-fires.toml");
     std::fs::write(folder.path().join("law.toml"), scenario).unwrap();
@@ -104,7 +104,7 @@ fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
 #[test]
 fn a_range_that_is_none_is_refused_with_line_and_field() {
     let folder = temp_folder();
-    for (range, said) in [
+    for (range, message) in [
         ("field = \"vehicles[1].speed_mps\"\nlow = nan\nhigh = 3", "ranges.toml:8: ranges[1].low: "),
         ("field = \"vehicles[1].speed_mps\"\nlow = 4\nhigh = 3", "ranges.toml:9: ranges[1].high: "),
         ("field = \"vehicles[1].speed\"\nlow = 1\nhigh = 3", "ranges.toml:7: ranges[1].field: "),
@@ -114,13 +114,13 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
         let first = "[[ranges]]\nfield = \"vehicles[0].speed_mps\"\nlow = 24\nhigh = 25\n";
         let text = format!("version = 1\n{first}[[ranges]]\n{range}\n");
         std::fs::write(folder.path().join("ranges.toml"), text).unwrap();
-        assert_refused(&run_crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), said);
+        assert_refused(&run_crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), message);
     }
 }
 
 /// The output notes simulations beyond the budget.
 #[test]
-fn more_simulations_than_the_budget_are_said() {
+fn simulations_beyond_the_budget_are_reported() {
     let folder = temp_folder();
     let attack = |more: &[&str]| {
         let found = run_crumple(folder.path(), &[&["worst-case", "paper-1", "--controller", "idm"], more].concat());

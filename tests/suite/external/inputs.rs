@@ -160,8 +160,8 @@ impl InputFolder {
             (&suite, &["--out", "suite-shard"]),
         ];
         for (command, more) in work {
-            let said = self.run(&[command, more].concat());
-            assert_eq!(said.code, 0, "{command:?}: {}", said.stderr);
+            let message = self.run(&[command, more].concat());
+            assert_eq!(message.code, 0, "{command:?}: {}", message.stderr);
         }
         let (from, to) = (self.folder().join("suite-shard"), self.folder().join("exec-shard"));
         fs::create_dir(&to).unwrap();

@@ -110,21 +110,21 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
     assert_eq!(covered, subcommands(inputs.folder(), ""), "every subcommand has a row in the table");
     for (command, arguments, expected) in CASES {
         let words: Vec<&str> = command.split(' ').chain(arguments.iter().copied()).collect();
-        let said = inputs.run(&words);
-        assert!(!inputs.has_started(), "{words:?} starts it: {}", said.stderr);
+        let text = inputs.run(&words);
+        assert!(!inputs.has_started(), "{words:?} starts it: {}", text.stderr);
         let place = match expected {
             StartsNothing => "",
             Refused(place) | RefusedOrStarts(place) => place,
         };
         if !place.is_empty() {
-            assert_eq!(said.code, 2, "{words:?}: {} {}", said.stdout, said.stderr);
-            assert!(said.stderr.contains(OPTION) && said.stderr.contains(place), "{words:?}: {}", said.stderr);
+            assert_eq!(text.code, 2, "{words:?}: {} {}", text.stdout, text.stderr);
+            assert!(text.stderr.contains(OPTION) && text.stderr.contains(place), "{words:?}: {}", text.stderr);
         }
         if let Refused(_) = expected {
             continue;
         }
-        let said = inputs.run(&[&words[..], &[OPTION]].concat());
-        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", said.stderr);
+        let text = inputs.run(&[&words[..], &[OPTION]].concat());
+        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", text.stderr);
     }
 }
 
@@ -132,8 +132,8 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
 #[test]
 fn the_option_permits_the_fmu_that_a_scenario_names() {
     let inputs = InputFolder::new();
-    let said = inputs.run(&["simulate", "driven-fmu.toml", OPTION]);
-    assert!(said.code == 2 && said.stderr.contains("evil.fmu") && !said.stderr.contains(OPTION), "{}", said.stderr);
+    let text = inputs.run(&["simulate", "driven-fmu.toml", OPTION]);
+    assert!(text.code == 2 && text.stderr.contains("evil.fmu") && !text.stderr.contains(OPTION), "{}", text.stderr);
     let listed = inputs.run(&["describe", "evil.fmu"]);
     assert_eq!(listed.code, 0, "{}", listed.stderr);
     assert!(listed.stdout.contains("input      gap_ahead_m"), "{}", listed.stdout);
@@ -143,7 +143,7 @@ fn the_option_permits_the_fmu_that_a_scenario_names() {
 }
 
 #[test]
-fn what_the_command_line_or_its_configuration_names_starts() {
+fn named_controllers_start() {
     let inputs = InputFolder::new();
     fs::write(
         inputs.folder().join("named.toml"),
@@ -160,13 +160,13 @@ fn what_the_command_line_or_its_configuration_names_starts() {
         &[&search[..], &["--resume"]].concat(),
     ];
     for words in cases {
-        let said = inputs.run(words);
-        assert!(inputs.has_started() && said.code < 2, "{words:?}: {}", said.stderr);
+        let text = inputs.run(words);
+        assert!(inputs.has_started() && text.code < 2, "{words:?}: {}", text.stderr);
     }
 }
 
 #[test]
-fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available() {
+fn a_page_uses_the_recorded_controller_or_reports_its_absence() {
     let inputs = InputFolder::new();
     let page = |shard: &str, more: &[&str]| {
         inputs.run(&[&["merge", shard, "--out", "pages", "--format", "html"], more].concat())
@@ -174,37 +174,37 @@ fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available
     let is_missing = "Not drawn: the recorded controller is not available here.";
     // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
     for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC_CONTROLLER)] {
-        let said = page(shard, &[]);
-        assert!(!inputs.has_started() && said.code == 0, "{}", said.stderr);
-        assert!(said.stdout.contains(is_missing) && !said.stdout.contains("<figure"), "{}", said.stdout);
+        let text = page(shard, &[]);
+        assert!(!inputs.has_started() && text.code == 0, "{}", text.stderr);
+        assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stdout);
         assert!(
-            said.stderr.contains(OPTION) && said.stderr.contains(&format!("`{name}` is not available")),
+            text.stderr.contains(OPTION) && text.stderr.contains(&format!("`{name}` is not available")),
             "{}",
-            said.stderr
+            text.stderr
         );
     }
-    let said = page("suite-shard", &[OPTION]);
+    let text = page("suite-shard", &[OPTION]);
     assert!(
-        inputs.has_started() && said.stdout.contains("<figure") && !said.stdout.contains(is_missing),
+        inputs.has_started() && text.stdout.contains("<figure") && !text.stdout.contains(is_missing),
         "{}",
-        said.stderr
+        text.stderr
     );
     // Other controllers of the same name: a network, which needs no permission, and a program.
     let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
     fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
-    let said = page("suite-shard", &[OPTION]);
+    let text = page("suite-shard", &[OPTION]);
     assert!(
-        !inputs.has_started() && said.stdout.contains(is_missing) && !said.stdout.contains("<figure"),
+        !inputs.has_started() && text.stdout.contains(is_missing) && !text.stdout.contains("<figure"),
         "{}",
-        said.stderr
+        text.stderr
     );
-    assert!(said.stderr.contains("`evil.toml` is not available: its identity is "), "{}", said.stderr);
+    assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
     let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
     fs::copy(networks.join("acc-5x20.onnx"), inputs.folder().join("acc-5x20.onnx")).unwrap();
     fs::copy(networks.join("acc.toml"), inputs.folder().join("evil.toml")).unwrap();
-    let said = page("suite-shard", &[]);
-    assert!(said.stdout.contains(is_missing) && !said.stdout.contains("<figure"), "{}", said.stderr);
-    assert!(said.stderr.contains("`evil.toml` is not available: its identity is "), "{}", said.stderr);
+    let text = page("suite-shard", &[]);
+    assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stderr);
+    assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
 }
 
 /// `git status` starts the programs that the configuration of a repository names.

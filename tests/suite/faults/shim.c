@@ -20,8 +20,8 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-#define MOST 4096
-static char *path_of[MOST];
+#define MAX_FDS 4096
+static char *path_of[MAX_FDS];
 static long calls;
 static int trace = -1;
 static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
@@ -69,7 +69,7 @@ static int opened(int (*real)(const char *, int, ...), const char *path, int fla
     if (!under(path)) return real(path, flags, mode);
     pthread_mutex_lock(&mutex);
     int fd = changes && counted() ? -1 : real(path, flags, mode);
-    if (fd >= 0 && fd < MOST) {
+    if (fd >= 0 && fd < MAX_FDS) {
         free(path_of[fd]);
         path_of[fd] = strdup(path);
         if (changes) say("open %d %d %s\n", fd, !!(flags & O_TRUNC), path);
@@ -92,7 +92,7 @@ OPEN(open64)
 
 int close(int fd) {
     pthread_mutex_lock(&mutex);
-    if (fd >= 0 && fd < MOST && path_of[fd]) {
+    if (fd >= 0 && fd < MAX_FDS && path_of[fd]) {
         free(path_of[fd]);
         path_of[fd] = NULL;
         say("close %d\n", fd);
@@ -101,7 +101,7 @@ int close(int fd) {
     return REAL(close)(fd);
 }
 
-static int known(int fd) { return fd >= 0 && fd < MOST && path_of[fd]; }
+static int known(int fd) { return fd >= 0 && fd < MAX_FDS && path_of[fd]; }
 
 ssize_t write(int fd, const void *bytes, size_t count) {
     if (!known(fd)) return REAL(write)(fd, bytes, count);

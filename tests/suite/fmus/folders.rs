@@ -59,7 +59,7 @@ fn a_run_leaves_no_unpacked_folder_behind() {
 }
 
 #[test]
-fn what_killed_hosts_left_is_removed_at_the_next_start_and_what_is_in_use_is_not() {
+fn folders_of_killed_hosts_are_removed_and_folders_in_use_are_not() {
     let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
     let mut killed = [start_host(place.path()), start_host(place.path())];
     let mut running = start_host(place.path());
@@ -99,9 +99,9 @@ fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
         let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&library_member(2, "follower"), library)];
         fs::write(place.path().join("follower.fmu"), zip_archive(&members)).unwrap();
         let ran = run_crumple(place.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-        let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-        assert_eq!(exit_code(&ran), 2, "{said}");
-        assert!(said.contains("its library cannot be loaded: ") && said.contains(reason), "{said}");
-        assert!(said.contains("build the FMU for this system") && !said.contains("crumple-fmu-run-"), "{said}");
+        let text = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert_eq!(exit_code(&ran), 2, "{text}");
+        assert!(text.contains("its library cannot be loaded: ") && text.contains(reason), "{text}");
+        assert!(text.contains("build the FMU for this system") && !text.contains("crumple-fmu-run-"), "{text}");
     }
 }

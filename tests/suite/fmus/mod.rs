@@ -122,7 +122,7 @@ fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> 
 /// FMI 2, FMI 3 with other names, one instance for all runs, and a process without FMI give the same bits in both
 /// engines.
 #[test]
-fn one_law_drives_alike_by_both_editions_and_without() {
+fn one_controller_drives_the_same_as_fmi_2_fmi_3_and_built_in() {
     let Some(example) = example_fmu_folder() else { return };
     let source = include_str!("../../../examples/controllers/follower.c");
     fs::write(example.path().join("process.c"), source).unwrap();
@@ -166,7 +166,7 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
 }
 
 #[test]
-fn whatever_an_fmu_does_wrong_ends_the_run() {
+fn any_fmu_error_ends_the_run() {
     let cases = [
         ("CRASH", 0.03, "ended by signal 6", ""),
         ("NO_NUMBER", 0.03, "exit code 2", "its output is NaN, at 0.03 s"),
@@ -182,9 +182,9 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
             simulate_with_truth(&find_controller("odd.toml", odd.path()).kind, &built_in_scenario("paper-1").unwrap())
                 .outcome;
         let failed = failed.failed_controller().unwrap_or_else(|| panic!("{what} drives on"));
-        let said = failed.to_string();
-        assert!((failed.time_s - time_s).abs() < 1e-9 && said.contains("`odd.fmu`"), "{what}: {said}");
-        assert!(said.contains(why) && said.contains(last), "{what}: {said}");
+        let message = failed.to_string();
+        assert!((failed.time_s - time_s).abs() < 1e-9 && message.contains("`odd.fmu`"), "{what}: {message}");
+        assert!(message.contains(why) && message.contains(last), "{what}: {message}");
     }
 }
 
@@ -207,7 +207,7 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
 }
 
 #[test]
-fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
+fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
     let Some(odd) = odd_fmu_folder("NOTHING") else { return };
     let cases = [
         (
@@ -230,21 +230,21 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
         ("odd.fmu", "none.fmu", "none.fmu: cannot be read: No such file"),
         ("odd.fmu", ".", "cannot be read: it is no ordinary file"),
     ];
-    for (was, is, said) in cases {
+    for (was, is, message) in cases {
         fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
         let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let bare = NamedController::find_for_user("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
     assert!(bare.contains("odd.fmu: inputs: its input `distance` has not the name of a quantity"), "{bare}");
-    let nobody = Command::new(env!("CARGO_BIN_EXE_crumple"))
+    let absent = Command::new(env!("CARGO_BIN_EXE_crumple"))
         .args(["simulate", "paper-1", "--controller", "odd.toml"])
         .current_dir(odd.path())
         .env("CRUMPLE_FMU", "/nowhere")
         .output()
         .unwrap();
     fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
-    assert_eq!(exit_code(&nobody), 2);
+    assert_eq!(exit_code(&absent), 2);
 }
 
 /// Each of 200 damaged files, and each unusual archive, gives one clear error and exit code 2.
@@ -305,10 +305,10 @@ fn damaged_fmus_are_refused() {
         ),
         (big, "has more than 16777216 bytes"),
     ];
-    for (xml, said) in described {
+    for (xml, message) in described {
         fs::write(&path, zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library, &whole)])).unwrap();
-        let error = refused(said).unwrap_or_else(|| panic!("accepted, should say {said}"));
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+        let error = refused(message).unwrap_or_else(|| panic!("accepted, should say {message}"));
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let xml = EXAMPLE_XML.as_bytes();
     fs::write(
@@ -317,13 +317,13 @@ fn damaged_fmus_are_refused() {
     )
     .unwrap();
     let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-    let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-    assert!(exit_code(&ran) == 2 && said.contains("leads out of the archive"), "{said}");
+    let message = String::from_utf8_lossy(&ran.stderr).into_owned();
+    assert!(exit_code(&ran) == 2 && message.contains("leads out of the archive"), "{message}");
     for bytes in [&whole[..700], b"PK", b""] {
         fs::write(&path, bytes).unwrap();
         let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
         assert_eq!(exit_code(&ran), 2);
-        let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-        assert_eq!(said.matches("follower.fmu: ").count(), 1, "{said}");
+        let message = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert_eq!(message.matches("follower.fmu: ").count(), 1, "{message}");
     }
 }

@@ -164,9 +164,9 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
             "parameters.time_gap_s: the FMU's `time_gap_s` has the unit `furlong`",
         ),
     ];
-    for (xml, toml, said) in refused {
-        let error = found(&xml, &toml).expect_err(said);
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    for (xml, toml, message) in refused {
+        let error = found(&xml, &toml).expect_err(message);
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let accepted = [
         (gap_in("m"), plain.clone()),

@@ -64,7 +64,7 @@ proptest! {
 
     /// A standing vehicle is held whatever it and the vehicles stuck to it command: it is never braked.
     #[test]
-    fn nobody_who_stands_is_braked(scenario in any_pile_up()) {
+    fn standing_vehicles_do_not_brake(scenario in any_pile_up()) {
         let result = simulate_traced(&scenario, &continuing_setup().options(scenario.spec().step_s));
         for (index, track) in trace_of(&result).vehicles.iter().enumerate() {
             let standing = (0..track.speed_mps.len() - 1).filter(|&k| track.speed_mps[k] == 0.0);

@@ -35,7 +35,7 @@ proptest! {
 
     /// "Always a gap" holds on the trace if and only if there is no collision.
     #[test]
-    fn the_monitor_says_what_the_verdict_says(test_case in any_test_case()) {
+    fn monitor_and_verdict_agree(test_case in any_test_case()) {
         check_oracle(&test_case, monitor_agrees)?;
     }
 

@@ -74,7 +74,7 @@ fn write_short_space(folder: &Path) {
 
 /// Each error ends the run in which it happens. The message has the vehicle, the time, the reason and the last output.
 #[test]
-fn whatever_a_process_does_wrong_ends_the_run() {
+fn any_process_error_ends_the_run() {
     let cases = [
         ("end-early", 0.0, "`sh bad.sh end-early", "ended by itself with exit code 3"),
         ("sleep-early", 0.0, "`sh bad.sh sleep-early", "gave no answer within 3 s"),
@@ -108,11 +108,11 @@ fn whatever_a_process_does_wrong_ends_the_run() {
         let controller = find_controller("bad.toml", folder.path()).kind;
         match simulate_with_truth(&controller, &scenario).outcome {
             Outcome::ControllerFailed(failed) => {
-                let said = failed.to_string();
-                assert!(said.contains(who) && said.contains(why), "{what}: {said}");
-                assert!(failed.vehicle == 1 && (failed.time_s - time_s).abs() < 1e-9, "{what}: {said}");
+                let message = failed.to_string();
+                assert!(message.contains(who) && message.contains(why), "{what}: {message}");
+                assert!(failed.vehicle == 1 && (failed.time_s - time_s).abs() < 1e-9, "{what}: {message}");
                 let last = if time_s > 0.0 { format!("said last: will {what}") } else { String::new() };
-                assert!(said.contains(&last), "{what}: {said}");
+                assert!(message.contains(&last), "{what}: {message}");
                 serde_json::to_string(&failed).unwrap();
             }
             other => assert!(who.is_empty(), "{what}: {other:?}"),
@@ -122,8 +122,11 @@ fn whatever_a_process_does_wrong_ends_the_run() {
     }
     let failed =
         simulate_with_truth(&find_controller("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
-    let said = failed.failed_controller().unwrap().to_string();
-    assert!(said.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"), "{said}");
+    let message = failed.failed_controller().unwrap().to_string();
+    assert!(
+        message.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"),
+        "{message}"
+    );
     assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
     assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
 }
@@ -202,21 +205,21 @@ fn the_examples_drive_alike() {
 
 /// The first runs are sent twice; after a contradiction the process is not started again.
 #[test]
-fn who_is_not_what_he_claims_is_caught_within_two_runs() {
+fn false_claims_of_determinism_are_caught_within_two_runs() {
     for (what, caught_in_run) in [("differ", 0), ("remember", 1)] {
         let folder = bad_process_folder(what, LISTED_FILES);
         let controller = find_controller("bad.toml", folder.path()).kind;
         for run in 0..4 {
             let outcome = simulate_with_truth(&controller, &short_scenario()).outcome;
-            let said = outcome.failed_controller().map(ToString::to_string).unwrap_or_default();
-            let is_caught = said.contains("declares that it is deterministic, but to the same observations");
-            assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {said}");
+            let message = outcome.failed_controller().map(ToString::to_string).unwrap_or_default();
+            let is_caught = message.contains("declares that it is deterministic, but to the same observations");
+            assert_eq!(is_caught, run >= caught_in_run, "{what} {run}: {message}");
         }
     }
 }
 
 #[test]
-fn who_says_that_he_is_not_deterministic_is_marked() {
+fn declared_nondeterminism_is_marked() {
     let own = bad_process_folder("admit", LISTED_FILES);
     let failed = simulate_with_truth(&find_controller("bad.toml", own.path()).kind, &short_scenario()).outcome;
     assert!(
@@ -238,7 +241,7 @@ fn who_says_that_he_is_not_deterministic_is_marked() {
 }
 
 #[test]
-fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
+fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
     let folder = bad_process_folder("be good", "");
     let refused = |arguments: &[&str]| {
         let output = run_crumple(folder.path(), arguments);
@@ -246,16 +249,16 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
         String::from_utf8(output.stderr).unwrap()
     };
     for controller in ["bad.toml", "exec:sh bad.sh"] {
-        let said = refused(&["falsify", "--controller", controller, "--resume"]);
-        assert!(said.contains("states no identity"), "{said}");
-        let said = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
-        assert!(said.contains("states no identity"), "{said}");
+        let message = refused(&["falsify", "--controller", controller, "--resume"]);
+        assert!(message.contains("states no identity"), "{message}");
+        let message = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
+        assert!(message.contains("states no identity"), "{message}");
     }
     let text =
         file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
-    let said = refused(&["simulate", "driven.toml", "--allow-external"]);
-    assert!(said.contains("has no identity: the driver of a scenario must list its `files`"), "{said}");
+    let message = refused(&["simulate", "driven.toml", "--allow-external"]);
+    assert!(message.contains("has no identity: the driver of a scenario must list its `files`"), "{message}");
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let plan = AssessmentPlan::load(&folder.path().join("a.toml")).unwrap_or_else(|error| panic!("{error}"));
@@ -301,7 +304,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
         ),
         ("command", "# ", "bad.toml:1: version: one of `network`, `fmu` and `command` is required"),
     ];
-    for (was, is, said) in cases {
+    for (was, is, message) in cases {
         assert!(whole.contains(was), "{was}");
         let mut text = whole.replacen(was, is, 1);
         if is.starts_with("[output]") {
@@ -309,7 +312,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
         }
         fs::write(folder.path().join("bad.toml"), text).unwrap();
         let error = NamedController::find_for_user("bad.toml", folder.path()).expect_err(is).to_string();
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
 }
 
@@ -322,8 +325,8 @@ fn the_identity_of_a_process_is_that_of_its_files() {
     assert_eq!(controller.identity(), find_controller("bad.toml", folder.path()).kind.identity());
     fs::write(&path, format!("{BAD_SCRIPT}\n# changed\n")).unwrap();
     assert_ne!(controller.identity(), find_controller("bad.toml", folder.path()).kind.identity());
-    let said = simulate_with_truth(&controller, &short_scenario()).outcome.failed_controller().unwrap().to_string();
-    assert!(said.contains("cannot be started again: bad.sh has changed since it was read"), "{said}");
+    let message = simulate_with_truth(&controller, &short_scenario()).outcome.failed_controller().unwrap().to_string();
+    assert!(message.contains("cannot be started again: bad.sh has changed since it was read"), "{message}");
 }
 
 /// The system closes the pipes of the watchdogs, however crumple ends.
@@ -341,18 +344,18 @@ fn nothing_stays_behind_a_kill() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let watchmen = format!("crumple-watchman-{}", killed.id());
+    let watchdogs = format!("crumple-watchdog-{}", killed.id());
     // Two processes that are sent the same queries, each with a lingering child.
     let end = Instant::now() + Duration::from_secs(60);
     while running_processes(&mark).len() < 3 {
         assert!(Instant::now() < end, "{:?}", running_processes(&mark));
         sleep(Duration::from_millis(20));
     }
-    assert_eq!(running_processes(&watchmen).len(), 2);
+    assert_eq!(running_processes(&watchdogs).len(), 2);
     killed.kill().unwrap();
     killed.wait().unwrap();
     assert_no_process_remains(&mark);
-    assert_no_process_remains(&watchmen);
+    assert_no_process_remains(&watchdogs);
 }
 
 /// Runs share one process per vehicle and thread; runs that fail leave none either.
@@ -378,15 +381,15 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         counted.args(["--runs", runs, "--confidence", "0.9", "--out", runs]);
         counted.env("RAYON_NUM_THREADS", "2").current_dir(folder.path());
         let counted = counted.output().unwrap();
-        let said = String::from_utf8_lossy(&counted.stderr).into_owned() + &String::from_utf8_lossy(&counted.stdout);
+        let message = String::from_utf8_lossy(&counted.stderr).into_owned() + &String::from_utf8_lossy(&counted.stdout);
         let expected =
             if controller == "crash.toml" { "(200 failures, of 200 runs" } else { "0 failures, of 10000 runs" };
-        assert!(said.contains(expected), "{said}");
+        assert!(message.contains(expected), "{message}");
         assert_no_process_remains(&mark);
     }
     let complete = run_crumple(folder.path(), &["fsck", "200"]);
-    let said = String::from_utf8_lossy(&complete.stdout).into_owned();
-    assert!(said.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {said}");
+    let message = String::from_utf8_lossy(&complete.stdout).into_owned();
+    assert!(message.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {message}");
 }
 
 mod tier_2 {

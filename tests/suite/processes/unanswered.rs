@@ -113,7 +113,7 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
 }
 
 #[test]
-fn a_search_says_why_a_controller_gave_no_answer() {
+fn a_search_reports_the_reason_of_a_missing_answer() {
     let folder = controllers_folder();
     let search = ["falsify", "--controller", "near.toml", "--space", "short.toml", "--budget", "10", "--out", "out"];
     let (code, text, error) = run_and_capture(folder.path(), &search);
@@ -133,7 +133,7 @@ fn a_search_says_why_a_controller_gave_no_answer() {
 }
 
 #[test]
-fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
+fn missing_answers_of_the_other_controller_count_for_neither() {
     let folder = controllers_folder();
     let against = |controller: &str, other: &str| {
         let search = ["falsify", "--space", "short.toml", "--budget", "10", "--out", "out", "--format"];
@@ -164,10 +164,10 @@ fn what_the_other_gives_no_answer_in_speaks_for_nobody() {
         let rate =
             ["verify", "rate", "--space", "short.toml", "--runs", "60", "--out", "out", "--controller", controller];
         let other = other.map_or(Vec::new(), |other| vec!["--against", other]);
-        let said = run_and_capture(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
+        let message = run_and_capture(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
         let tally = read_json(&folder.path().join("out/progress.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
-        (said, tally)
+        (message, tally)
     };
     let ((code, text, error), tally) = count("idm", Some("near.toml"), "0.9");
     assert_eq!((code, &tally["only_second_failed"]), (1, &Value::from(0)), "{text}{error}");
@@ -233,11 +233,11 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
     for command in commands {
         let (code, text, error) = run_and_capture(folder.path(), command);
         assert_eq!(code, 2, "{command:?}: {text}{error}");
-        let told = [
+        let expected = [
             "the controller `bad.toml` failed during the command",
             "a fresh one -1.1 m/s²: is its state cleared at reset?",
         ];
-        assert!(told.iter().all(|told| error.contains(told)), "{command:?}: {error}");
+        assert!(expected.iter().all(|expected| error.contains(expected)), "{command:?}: {error}");
         assert!(text.is_empty(), "{command:?}: {text}");
         for name in ["summary.json", "certificate.json", "assessment.json", "counterexamples"] {
             assert!(!folder.path().join("out").join(name).exists(), "{command:?}: {name}");
@@ -248,7 +248,7 @@ fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
 
 /// A few later runs are also sent twice.
 #[test]
-fn who_remembers_late_is_caught_in_the_end() {
+fn state_that_appears_late_is_caught() {
     let folder = bad_process_folder("remember-late", "files = [\"bad.sh\"]");
     let controller = find_controller("bad.toml", folder.path());
     let scenario = short_scenario();
@@ -278,8 +278,8 @@ fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
 fn a_field_of_a_controller_is_found_in_its_file() {
     let folder = controllers_folder();
     for name in ["near.toml", "shield:near.toml"] {
-        let told = find_controller(name, folder.path()).field_location("files");
-        assert_eq!(told, folder.path().join("near.toml:3: ").display().to_string());
+        let expected = find_controller(name, folder.path()).field_location("files");
+        assert_eq!(expected, folder.path().join("near.toml:3: ").display().to_string());
     }
     assert_eq!(find_controller("exec:near", folder.path()).field_location("files"), "");
 }
@@ -325,7 +325,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     assert_eq!(of_suite["standings"][0]["strength"], "unanswered", "{of_suite}");
     for claim in report["summary"]["claims"].as_array().unwrap() {
         let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["standings"][0]);
-        let of_driving = ["no braking without cause", "never left behind", "no disturbance grows"];
+        let of_driving = ["no unnecessary braking", "never falls behind", "string stability"];
         match of_driving.iter().any(|driving| words.starts_with(driving)) {
             true => assert_eq!(
                 (&standing["strength"], &standing["refutes"]),
@@ -337,13 +337,17 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     }
     let markdown = fs::read_to_string(folder.path().join("out/assessment.md")).unwrap();
     assert!(!markdown.contains("NaN"), "{markdown}");
-    for why in ["gap table: index", "gave no answer in 8 of 8", "never left behind in 2 draws of `traffic` (seed 0)"] {
+    for why in [
+        "gap table: index",
+        "gave no answer in 8 of 8",
+        "never falls behind in 2 random scenarios of `traffic` (seed 0)",
+    ] {
         assert!(markdown.contains(why), "{why}: {markdown}");
     }
-    assert!(text.contains("gap table: index") && !text.contains("contact in 8 draws"), "{text}");
+    assert!(text.contains("gap table: index") && !text.contains("collision in 8 random scenarios"), "{text}");
     assert!(
         !markdown.contains("more-than-once")
-            && !text.contains("braking without cause in 2 draws of `traffic` (seed 0): 2")
+            && !text.contains("unnecessary braking in 2 random scenarios of `traffic` (seed 0): 2")
     );
 }
 
@@ -361,9 +365,9 @@ fn a_worst_case_without_an_answer_has_no_margin() {
 
 /// The error for a program, or for its source, explains how to name it.
 #[test]
-fn a_file_that_is_no_controller_is_told_how_to_become_one() {
+fn an_invalid_controller_file_gets_instructions() {
     let folder = temp_folder();
-    for (name, told) in [
+    for (name, expected) in [
         ("aeb", "asked as `exec:./aeb`"),
         ("aeb.c", "is source code, not a controller: run a program with `exec:./aeb`"),
         ("libaeb.so", "a shared library"),
@@ -371,7 +375,7 @@ fn a_file_that_is_no_controller_is_told_how_to_become_one() {
     ] {
         fs::write(folder.path().join(name), "int main(void) {}").unwrap();
         let error = NamedController::find(name, folder.path()).unwrap_err().to_string();
-        assert!(error.contains(told) && error.contains("controller file"), "{error}");
+        assert!(error.contains(expected) && error.contains("controller file"), "{error}");
     }
     assert!(NamedController::find("./none", folder.path()).unwrap_err().to_string().contains("there is no controller"));
 }

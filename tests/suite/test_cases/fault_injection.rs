@@ -182,8 +182,8 @@ impl System for FaultySystem {
 
     fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
         match Crumple.contact_role(contact, scenario) {
-            ContactRole::Hits if self.0 == Fault::ContactRoleSwapped => ContactRole::IsHit,
-            told => told,
+            ContactRole::Hits if self.0 == Fault::ContactRoleSwapped => ContactRole::HitFromBehind,
+            role => role,
         }
     }
 }

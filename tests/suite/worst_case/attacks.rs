@@ -255,7 +255,7 @@ fn no_profile_is_rougher_than_the_envelope() {
 
 /// Trigger times are enumerated only if the brake acts without delay and noise.
 #[test]
-fn whoever_answers_late_or_with_noise_is_not_enumerated() {
+fn delayed_or_noisy_controllers_are_not_enumerated() {
     let changes: [fn(&mut crumple_world::scenario::ScenarioSpec); 4] = [
         |spec| spec.vehicles[1].actuator_lag_s = 0.2,
         |spec| spec.vehicles[1].jerk_limit_mps3 = Some(20.0),

@@ -283,7 +283,7 @@ fn a_certificate_is_about_its_own_scenario() {
 
 /// Any single change that the checker accepts is a true statement: solved or replayed again.
 #[test]
-fn what_survives_mutation_is_true() {
+fn accepted_mutants_are_true() {
     let verdicts = (0..40).map(|seed| (small_scenario(seed), decide_with_bound(&small_scenario(seed)).verdict));
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
@@ -404,7 +404,7 @@ fn a_box_is_decided_as_a_whole() {
 }
 
 #[test]
-fn what_is_not_modelled_is_undecided_or_still_proved() {
+fn unmodelled_scenarios_are_undecided_or_still_proved() {
     let reason = |change: &dyn Fn(&mut crumple_world::scenario::ScenarioSpec)| {
         let changed = built_in_scenario("paper-1").unwrap().edited(|spec| change(spec)).unwrap();
         match decide_with_bound(&changed).verdict {
@@ -434,7 +434,7 @@ fn what_is_not_modelled_is_undecided_or_still_proved() {
 
 /// A certificate has room for sixteen vehicles.
 #[test]
-fn too_many_vehicles_are_said_to_be() {
+fn too_many_vehicles_are_reported() {
     let paper_3 = built_in_scenario("paper-3").unwrap();
     let crowd = paper_3.edited(|spec| {
         let ego = spec.vehicles[1].clone();

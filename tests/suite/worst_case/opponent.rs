@@ -186,7 +186,7 @@ fn a_long_random_search_finds_larger_gaps_in_few_scenarios() {
 
 /// Gaps of a random search where the programs, which do not model the follower's controller, kept 0.045 and 3.750 m.
 #[test]
-fn behind_a_law_the_gap_is_the_one_that_it_leaves() {
+fn behind_a_modelled_leader_the_gap_is_exact() {
     let acc_aeb = load_escape_scenario("acc-aeb-fires.toml");
     let avoidance = avoid_with_bound(&acc_aeb);
     let escape = avoidance.verdict.escape().expect("avoidable");

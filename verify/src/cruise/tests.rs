@@ -37,9 +37,9 @@ proptest! {
             gamma: AffineForm::constant(point(gamma)),
         };
         let (after, meanwhile) = car.advance(&AffineForm::constant(point(a)), &PeriodCoefficients::new(), 0).unwrap();
-        let drive = [2.0 * a - 1e-4 * (v + 2.0).powi(2), 2.0 * a - 1e-4 * (v - 2.0).powi(2)];
-        let gammas = [gamma.min(drive[0] / 2.0), gamma.max(drive[1] / 2.0)];
-        prop_assert!(is_near(meanwhile.forcing, drive, 1e-9) && is_near(meanwhile.gamma, gammas, 1e-9));
+        let forcing = [2.0 * a - 1e-4 * (v + 2.0).powi(2), 2.0 * a - 1e-4 * (v - 2.0).powi(2)];
+        let gammas = [gamma.min(forcing[0] / 2.0), gamma.max(forcing[1] / 2.0)];
+        prop_assert!(is_near(meanwhile.forcing, forcing, 1e-9) && is_near(meanwhile.gamma, gammas, 1e-9));
         // v² changes by the difference of speeds times their sum.
         let [slower, faster] = [(0.1 * gammas[0]).min(0.0), (0.1 * gammas[1]).max(0.0)];
         let sum = 2.0 * v + faster;
@@ -63,7 +63,7 @@ proptest! {
 
 /// The assumed 2 m/s in a tenth of a second must not be reached, to the last bit of either end.
 #[test]
-fn a_speed_that_may_touch_what_is_tried_is_given_up() {
+fn a_speed_that_may_reach_the_trial_bound_is_undecided() {
     let (period, still) = (PeriodCoefficients::new(), AffineForm::default());
     for sign in [1.0, -1.0] {
         let mut seen = [0; 3];
@@ -111,17 +111,17 @@ fn affine_controller(of_speed: f64, a: f64) -> NeuralController {
     }
 }
 
-fn bound_point(actor: &NeuralController, distance_m: f64) -> CruiseBounds {
-    bound_cell(actor, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
+fn bound_point(controller: &NeuralController, distance_m: f64) -> CruiseBounds {
+    bound_cell(controller, point(distance_m), &OpBudget::new(WorkLimit::UNLIMITED)).unwrap()
 }
 
 /// The own car brakes harder than the lead car: nearest at the start, apart from the allowance between decisions.
 #[test]
 fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
     for a in [-3.0, -4.5, -7.0] {
-        let drive = |a: f64, v: f64| 2.0 * a - 1e-4 * v * v;
-        let of_lead = (drive(-2.0, 30.0) / 2.0).max(0.0);
-        let least_of_ego = drive(a, 32.2);
+        let forcing = |a: f64, v: f64| 2.0 * a - 1e-4 * v * v;
+        let of_lead = (forcing(-2.0, 30.0) / 2.0).max(0.0);
+        let least_of_ego = forcing(a, 32.2);
         let bend = of_lead - least_of_ego / 2.0 - 1.4 * least_of_ego;
         let expected = 95.0 - 10.0 - 1.4 * 30.2 - bend * 0.01 / 8.0;
         let margin_m = bound_point(&affine_controller(0.0, a), 95.0).margin_m;
@@ -134,8 +134,8 @@ fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
 fn an_affine_network_is_bounded_as_it_drives() {
     for (of_speed, a) in [(0.0, -3.0), (0.0, 1.0), (0.25, -7.5), (-0.5, 15.0)] {
         let at_end = |x_ego: f64, v_ego: f64| {
-            let drive = |state: [f64; 3], _| simulate_period(state, of_speed * state[1] + a);
-            (0..PERIODS).fold([x_ego, v_ego, 0.0], drive)[0]
+            let advance = |state: [f64; 3], _| simulate_period(state, of_speed * state[1] + a);
+            (0..PERIODS).fold([x_ego, v_ego, 0.0], advance)[0]
         };
         let exact = [at_end(10.0, 30.0), at_end(11.0, 30.2)];
         let CruiseBounds { x_ego_m: [low, high], .. } = bound_point(&affine_controller(of_speed, a), 95.0);
@@ -147,16 +147,16 @@ fn an_affine_network_is_bounded_as_it_drives() {
 
 /// Acceleration grows with speed until it exceeds the assumed change; the fastest member determines the time.
 #[test]
-fn the_time_at_which_bounds_are_too_wide_is_said() {
+fn the_time_at_which_bounds_are_too_wide_is_reported() {
     for at_start in [12.0, 16.0] {
-        let actor = affine_controller(1.0, at_start - 30.2);
+        let controller = affine_controller(1.0, at_start - 30.2);
         let (mut fastest, mut periods) = ([0.0, 30.2, 0.0_f64], 0);
         while fastest[2].max(fastest[1] - 30.2 + at_start - 0.5e-4 * fastest[1] * fastest[1]) < 20.0 {
             fastest = simulate_period(fastest, fastest[1] - 30.2 + at_start);
             periods += 1;
         }
         assert!(periods > 1, "{periods}");
-        let given_up = bound_cell(&actor, point(95.0), &OpBudget::new(WorkLimit::UNLIMITED));
+        let given_up = bound_cell(&controller, point(95.0), &OpBudget::new(WorkLimit::UNLIMITED));
         assert_eq!(given_up, Err(CruiseBoundsError::TooWide(f64::from(periods) * 0.1)));
     }
 }

@@ -76,7 +76,7 @@ fn each_case_speaks_of_the_motion() {
 }
 
 #[test]
-fn what_has_to_vanish_is_not_asked_to_be_positive_only() {
+fn terms_that_must_vanish_need_more_than_positivity() {
     let one = Polynomial::constant(&rational("1"));
     let nothing = &one - &one;
     assert!(!ProofCase::zero("", one.clone()).holds() && ProofCase::zero("", nothing.clone()).holds());

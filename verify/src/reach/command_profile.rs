@@ -85,12 +85,12 @@ impl CommandProfile {
         }
     }
 
-    pub(super) fn is_standing_throughout(&self, kind: MotionMode) -> bool {
+    pub(super) fn is_standing_throughout(&self, mode: MotionMode) -> bool {
         let stood = match self {
             Self::Constant(_) => true,
             Self::Stepwise(StepCommands { egos, .. }) => egos.iter().all(|ego| ego.speed.is_zero()),
         };
-        kind == MotionMode::Standing && stood && self.accelerations_mps2().high() <= 0.0
+        mode == MotionMode::Standing && stood && self.accelerations_mps2().high() <= 0.0
     }
 }
 

@@ -177,7 +177,7 @@ impl From<NativePolicy> for NeuralController {
             limit,
             empty_gap_m,
             action_bounds_mps2: action_mps2,
-            residual_over: departs_from,
+            residual_over,
             decision_interval_s,
         } = own;
         let input = |i: usize| ControllerInput {
@@ -191,7 +191,7 @@ impl From<NativePolicy> for NeuralController {
         };
         let [low, high] = action_mps2;
         let stretched = [0.5 * (high - low), 0.5 * (low + high)];
-        let [scale_mps2, offset_mps2] = if departs_from.is_some() { [1.0, 0.0] } else { stretched };
+        let [scale_mps2, offset_mps2] = if residual_over.is_some() { [1.0, 0.0] } else { stretched };
         Self {
             inputs: (0..OBSERVATION_SIZE).map(input).collect(),
             layers: interleave_relu(layers).chain([NetworkLayer::Activation(Activation::Tanh)]).collect(),
@@ -200,7 +200,7 @@ impl From<NativePolicy> for NeuralController {
             offset_mps2,
             action_bounds_mps2: action_mps2,
             is_clipped: false,
-            residual_over: departs_from,
+            residual_over,
             empty_gap_m,
             decision_interval_s,
             source: None,

@@ -62,9 +62,9 @@ pub(super) struct EgoSet {
 impl EgoSet {
     /// Creates egos with a speed; `shared` symbols are shared with other sets.
     pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
-        let kind = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
+        let mode = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
         let ego = VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
-        Self { mode: kind, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
+        Self { mode, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
     }
 
     pub(super) fn with_follower(self, follower: Option<VehicleState>) -> Self {
@@ -97,9 +97,9 @@ impl EgoSet {
         let braking = (-acts).max(Interval::ZERO);
         if speed.is_zero() {
             let acceleration = relu(wanted);
-            let kind = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
+            let mode = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
             let travelled = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
-            return [Some(self.with_state(kind, travelled, acceleration.scaled(time), acceleration)), None];
+            return [Some(self.with_state(mode, travelled, acceleration.scaled(time), acceleration)), None];
         }
         let moving = || {
             // The unclipped update of a vehicle that stops in the last step ends at >= -b h.
@@ -136,9 +136,9 @@ impl EgoSet {
         .with_state(self.mode, distance, speed, acceleration)
     }
 
-    fn with_state(&self, kind: MotionMode, distance: AffineForm, speed: AffineForm, acceleration: AffineForm) -> Self {
+    fn with_state(&self, mode: MotionMode, distance: AffineForm, speed: AffineForm, acceleration: AffineForm) -> Self {
         let (ego, follower) = (VehicleState { distance, speed, acceleration }, self.follower.clone());
-        let next = Self { mode: kind, ego, follower, ..*self }.with_rests_as_symbols();
+        let next = Self { mode, ego, follower, ..*self }.with_rests_as_symbols();
         if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS {
             next.reduce_order().with_rests_as_symbols()
         } else {

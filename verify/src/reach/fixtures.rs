@@ -64,9 +64,9 @@ pub(super) fn point_box(point: [f64; 8]) -> InitialRanges {
 }
 
 /// Creates a problem of one second in steps of 0.1 s, with a decision at each, no follower, and exact observations.
-pub(super) fn default_problem(actor: &NeuralController, ranges: InitialRanges) -> ReachProblem<'_> {
+pub(super) fn default_problem(controller: &NeuralController, ranges: InitialRanges) -> ReachProblem<'_> {
     ReachProblem {
-        controller: actor,
+        controller,
         ranges,
         follower: None,
         leader_brakes_at_most_mps2: None,

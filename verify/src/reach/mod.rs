@@ -195,20 +195,21 @@ impl ReachClaim {
     ///
     /// # Errors
     /// [`Rejection`] if the claim is invalid, or the controller's decisions do not fall on instants.
-    pub fn problem<'a>(&self, actor: &'a NeuralController) -> Result<ReachProblem<'a>, Rejection> {
+    pub fn problem<'a>(&self, controller: &'a NeuralController) -> Result<ReachProblem<'a>, Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
         }
-        let decision_steps = (actor.decision_interval_s / self.step_s).round();
-        if !(decision_steps >= 1.0 && (decision_steps * self.step_s - actor.decision_interval_s).abs() < 1e-9) {
+        let decision_steps = (controller.decision_interval_s / self.step_s).round();
+        if !(decision_steps >= 1.0 && (decision_steps * self.step_s - controller.decision_interval_s).abs() < 1e-9) {
             return Err(Rejection::invalid("step_s", "must divide the decision interval"));
         }
         if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
             return Err(Rejection::invalid("steps", "must be from one decision interval to 100 000"));
         }
-        if let Some(departure) = actor.residual_over.filter(|departure| !departure.is_complete_in_one_step(self.step_s))
+        if let Some(residual) =
+            controller.residual_over.filter(|residual| !residual.is_complete_in_one_step(self.step_s))
         {
-            let (rate, step_s) = (departure.rate_per_s, self.step_s);
+            let (rate, step_s) = (residual.rate_per_s, self.step_s);
             let problem = format!(
                 "changes its residual at {rate} 1/s, so that a change takes more than a step of {step_s} s: only a \
                  residual that changes completely within a step can be checked"
@@ -243,7 +244,7 @@ impl ReachClaim {
             return Err(Rejection::invalid(field, "must be 0 if the leader brakes arbitrarily"));
         }
         Ok(ReachProblem {
-            controller: actor,
+            controller,
             ranges: self.ranges,
             follower: self.follower_model()?,
             leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
@@ -317,8 +318,8 @@ pub(crate) fn check(
     is_old: bool,
     work: &OpBudget,
 ) -> Result<ProvedClaim, Rejection> {
-    let actor = load_controller(policy, &claim.policy_sha256, claim.source.as_ref())?;
-    let scene = claim.problem(&actor)?;
+    let controller = load_controller(policy, &claim.policy_sha256, claim.source.as_ref())?;
+    let scene = claim.problem(&controller)?;
     let leaves = claim.leaves()?;
     let verdicts = check_leaves(&scene, &leaves, work);
     // The verdict does not depend on which thread first exceeded the budget.
@@ -346,7 +347,7 @@ pub(crate) fn check(
         horizon_s: claim.horizon_s(),
         has_follower: scene.follower.is_some(),
         leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
-        residual_over: actor.residual_over,
+        residual_over: controller.residual_over,
     })
 }
 
@@ -362,8 +363,12 @@ pub(crate) fn load_controller(
     if found != digest {
         return Err(Rejection::Policy { problem: format!("has SHA-256 {found}, and `policy_sha256` is {digest}") });
     }
-    let actor = NeuralController::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
-    if actor.source.as_ref() == source { Ok(actor) } else { Err(wrong("was read from another file than `source`")) }
+    let controller = NeuralController::from_bytes(file).map_err(|problem| Rejection::Policy { problem })?;
+    if controller.source.as_ref() == source {
+        Ok(controller)
+    } else {
+        Err(wrong("was read from another file than `source`"))
+    }
 }
 
 /// Returns the name of a controller file in the certificate's folder.
@@ -400,7 +405,7 @@ fn check_leaf(
         PartitionCell::Verified => {
             let reached = reach_with_budget(&ReachProblem { ranges: *ranges, ..scene.clone() }, work);
             let gap_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-            reached.undecided.map_or(Ok(gap_m), |doubt| Err(doubt.to_string()))
+            reached.undecided.map_or(Ok(gap_m), |undecided| Err(undecided.to_string()))
         }
         PartitionCell::Falsified(point) => {
             let cell = ReachProblem { ranges: *ranges, ..scene.clone() };

@@ -203,7 +203,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     if answer >= width {
         return Err(format!("{METADATA_KEY}: output: there is no output {answer}"));
     }
-    let mut actor = NeuralController {
+    let mut controller = NeuralController {
         inputs,
         layers: steps,
         output_index: answer,
@@ -218,13 +218,14 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     };
     // Double-precision arithmetic is monotone, so the largest output decides for all. A sum may round up.
     let is_last = |each: &Activation| matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. });
-    if let (Some(NetworkLayer::Activation(each)), Ok(largest)) = (actor.layers.last(), actor.max_output_magnitude())
+    if let (Some(NetworkLayer::Activation(each)), Ok(largest)) =
+        (controller.layers.last(), controller.max_output_magnitude())
         && is_last(each)
     {
         let farthest = (scale_mps2 * largest).abs();
-        actor.is_clipped = !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
+        controller.is_clipped = !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
     }
-    Ok(actor)
+    Ok(controller)
 }
 
 impl NetworkFileStep {

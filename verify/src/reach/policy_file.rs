@@ -134,7 +134,7 @@ impl PolicyFileHeader {
             let is_not = "only a network without history can be analysed";
             return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
         }
-        if let Some(Err(problem)) = action.residual_policy().map(|departure| departure.check()) {
+        if let Some(Err(problem)) = action.residual_policy().map(|residual| residual.check()) {
             return Err(format!("{METADATA_KEY}: action: departs_from: {problem}"));
         }
         let PolicyFileAction { low_mps2: low, high_mps2: high, .. } = action;
@@ -159,7 +159,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
     let Scaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } = header.observation;
     let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
-    let departs_from = header.action.residual_policy();
+    let residual_over = header.action.residual_policy();
     let decision_interval_s = header.decision_interval_s;
     Ok(NativePolicy {
         layers,
@@ -168,7 +168,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         limit,
         empty_gap_m,
         action_bounds_mps2: action_mps2,
-        residual_over: departs_from,
+        residual_over,
         decision_interval_s,
     }
     .into())
@@ -249,8 +249,10 @@ mod tests {
     #[test]
     fn bounds_of_an_action_have_a_difference_and_a_sum() {
         let with = |low, high| {
-            let judged = check_modified(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
-            judged.inspect_err(|error| assert_eq!(error, "has action bounds that are not finite and in order")).is_ok()
+            let evaluated = check_modified(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
+            evaluated
+                .inspect_err(|error| assert_eq!(error, "has action bounds that are not finite and in order"))
+                .is_ok()
         };
         for (low, high) in [(-7.5, 3.0), (0.0, f64::MIN_POSITIVE), (-1.0, 0.0), (-1e200, 1e200), (1e200, 1e201)] {
             assert!(with(low, high), "{low} {high}");

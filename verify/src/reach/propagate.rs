@@ -152,7 +152,7 @@ fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -
     let step = Interval::point(scene.step_s);
     let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
     let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
-    let mut drive = ReachAnalysis {
+    let mut analysis = ReachAnalysis {
         scene,
         budget: work,
         step,
@@ -162,18 +162,18 @@ fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -
         window_count: 0,
         tube,
     };
-    let shared = SHARED_SYMBOLS + drive.leader.symbol_count();
+    let shared = SHARED_SYMBOLS + analysis.leader.symbol_count();
     let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let driven = scene.follower_law().map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
     let members = EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
     let mut starts = ByMode::default();
-    let kind = members.mode as usize;
-    starts[kind] = Some(members);
+    let mode = members.mode as usize;
+    starts[mode] = Some(members);
     let never = f64::from(scene.steps);
-    let latched = scene.latched_ttc_s().map(|_| drive.latched_follower([never, never]));
-    let touches = drive.propagate(0, starts, latched.as_ref(), true);
-    drive.result.surely_collides = touches == Some(true);
-    (drive.result, drive.tube.filter(|_| touches.is_some()))
+    let latched = scene.latched_ttc_s().map(|_| analysis.latched_follower([never, never]));
+    let collides = analysis.propagate(0, starts, latched.as_ref(), true);
+    analysis.result.surely_collides = collides == Some(true);
+    (analysis.result, analysis.tube.filter(|_| collides.is_some()))
 }
 
 impl ReachProblem<'_> {
@@ -226,21 +226,21 @@ impl ReachAnalysis<'_> {
             let (mut window, mut stays) = (FiringWindow::new(k), true);
             sets.iter().flatten().for_each(|set| self.record_tube(k, &set.observation));
             for set in sets.iter().flatten().flat_map(StateSet::split_cases) {
-                let course = self.decide(k, &set)?;
+                let profile = self.decide(k, &set)?;
                 if let (Some(follower), true) = (follower, has_not_fired)
-                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &course, follower)
+                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &profile, follower)
                 {
                     window.record_firing(set.members.mode, instants);
                     if surely {
                         continue;
                     }
                 }
-                stays &= course.is_standing_throughout(set.members.mode);
-                let (driven, behind_m) = self.advance_follower(&set.members, &course).unzip();
+                stays &= profile.is_standing_throughout(set.members.mode);
+                let (driven, behind_m) = self.advance_follower(&set.members, &profile).unzip();
                 let members = set.members.clone().with_follower(driven);
-                for members in course.after_decision(&members, self.step, every).into_iter().flatten() {
+                for members in profile.after_decision(&members, self.step, every).into_iter().flatten() {
                     let now = self.observe(k + every, members, follower);
-                    if self.record_gaps(k, &set.gaps, &now, &course, follower, behind_m) {
+                    if self.record_gaps(k, &set.gaps, &now, &profile, follower, behind_m) {
                         self.tube = None;
                     } else if self.scene.stop_when_undecided && self.result.undecided.is_some() {
                         return None;
@@ -296,12 +296,12 @@ impl ReachAnalysis<'_> {
     fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<CommandProfile> {
         let of_leader = OPS_PER_LEADER_SYMBOL * self.leader.symbol_count() as u64;
         self.budget.charge(OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps));
-        let ReachProblem { controller: actor, observation_error, follower, .. } = self.scene;
-        let wanted = actor.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
+        let ReachProblem { controller, observation_error, follower, .. } = self.scene;
+        let wanted = controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
         let wanted = wanted.with_rest_as_symbol(members.next_symbol);
         if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
-            return Some(match &actor.residual_over {
-                Some(departure) => self.residual_profile(k, members, departure, &wanted),
+            return Some(match &controller.residual_over {
+                Some(residual) => self.residual_profile(k, members, residual, &wanted),
                 None => CommandProfile::Constant(wanted),
             });
         }
@@ -313,25 +313,25 @@ impl ReachAnalysis<'_> {
         &self,
         k: u32,
         members: &EgoSet,
-        departure: &ResidualPolicy,
+        residual: &ResidualPolicy,
         action: &AffineForm,
     ) -> CommandProfile {
-        let ReachProblem { controller: actor, observation_error, step_s, decision_steps, .. } = self.scene;
+        let ReachProblem { controller, observation_error, step_s, decision_steps, .. } = self.scene;
         self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(*decision_steps));
-        let [low, high] = actor.action_bounds_mps2;
-        if !departure.is_complete_in_one_step(*step_s) {
+        let [low, high] = controller.action_bounds_mps2;
+        if !residual.is_complete_in_one_step(*step_s) {
             let any = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
             return CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |_, _| {
                 AffineForm::constant(any)
             });
         }
-        let departs = Residual::new(departure, action, actor.action_bounds_mps2);
+        let bounds = Residual::new(residual, action, controller.action_bounds_mps2);
         let errors = law_input_errors(observation_error);
         CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |j, ego| {
             let leader = self.leader.state_at(k + j, self.step);
             let gap = self.gaps[0].clone().plus(&leader.distance).minus(&ego.distance);
             let seen = [gap, ego.speed.clone(), ego.speed.clone().minus(&leader.speed)];
-            departure.acceleration(&departs, &LawInput::with_errors(seen, errors))
+            residual.acceleration(&bounds, &LawInput::with_errors(seen, errors))
         })
     }
 
@@ -362,8 +362,8 @@ impl ReachAnalysis<'_> {
         let (behind, follower) = match follower {
             Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
             None => {
-                let nobody = VehicleState { acceleration: AffineForm::default(), ..ego.clone() };
-                (AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)), nobody)
+                let absent = VehicleState { acceleration: AffineForm::default(), ..ego.clone() };
+                (AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)), absent)
             }
         };
         let gaps = [ahead.clone(), behind.clone()];
@@ -387,13 +387,13 @@ impl ReachAnalysis<'_> {
         &self,
         k: u32,
         members: &EgoSet,
-        course: &CommandProfile,
+        profile: &CommandProfile,
         follower: &BrakingVehicle,
     ) -> Option<([f64; 2], bool)> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
-            let ego = course.ego_after(members, self.step, j);
+            let ego = profile.ego_after(members, self.step, j);
             let mut guard = self.gaps[1].clone().plus(&ego.distance);
             guard.add_scaled(&ego.speed, theta);
             guard.add_scaled(&follower.speed, -(theta + Interval::point(f64::from(k + j)) * self.step));
@@ -410,15 +410,15 @@ impl ReachAnalysis<'_> {
     }
 
     /// Returns a follower with a law at the next decision, and a bound of the gap until then, in metres.
-    fn advance_follower(&self, members: &EgoSet, course: &CommandProfile) -> Option<(VehicleState, f64)> {
+    fn advance_follower(&self, members: &EgoSet, profile: &CommandProfile) -> Option<(VehicleState, f64)> {
         let start = members.follower.as_ref()?;
         self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps));
         let behind = LawFollower::new(self.scene.follower_law()?, &self.scene.ranges, &self.gaps[1], self.step);
         let eighth = self.step.sqr() * Interval::point(0.125);
-        let ahead = course.accelerations_mps2().max(Interval::ZERO);
+        let ahead = profile.accelerations_mps2().max(Interval::ZERO);
         let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
         for j in 1..=self.scene.decision_steps {
-            let ego_later = course.ego_after(members, self.step, j);
+            let ego_later = profile.ego_after(members, self.step, j);
             let (later, acceleration) = behind.advance(&own, &ego);
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
             let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
@@ -435,39 +435,39 @@ impl ReachAnalysis<'_> {
         k: u32,
         before: &[AffineForm; 2],
         now: &StateSet,
-        course: &CommandProfile,
+        profile: &CommandProfile,
         follower: Option<&BrakingVehicle>,
         driven_m: Option<f64>,
     ) -> bool {
         let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
         let eighth = interval.sqr() * Interval::point(0.125);
-        let acts_mps2 = course.accelerations_mps2();
+        let acts_mps2 = profile.accelerations_mps2();
         let braking = (-acts_mps2).max(Interval::ZERO);
         let least_m = |pair: usize, m: Interval| {
             let least = before[pair].range().min(now.gaps[pair].range());
             (least - m * eighth).low()
         };
         // There is no follower, or one that brakes at most as hard as stated.
-        let moves = course.is_moving_throughout(&now.members.ego.speed);
+        let moves = profile.is_moving_throughout(&now.members.ego.speed);
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
         // No vehicle reverses: the gap to a standing follower never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
         let latched_m = latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
-        let mut touches = false;
+        let mut collides = false;
         for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)].into_iter().flatten().enumerate() {
             self.result.gaps_m[pair] = self.result.gaps_m[pair].min(gap_m);
             if gap_m <= 0.0 {
                 self.record_undecided(Undecided::MayCollide { pair, step: k, gap_m }, &now.gaps[pair]);
             }
-            touches |= now.gaps[pair].range().high() < 0.0;
+            collides |= now.gaps[pair].range().high() < 0.0;
         }
-        touches
+        collides
     }
 
     /// Records the first undecided result, and the sensitivity to each dimension.
-    fn record_undecided(&mut self, doubt: Undecided, about: &AffineForm) {
+    fn record_undecided(&mut self, undecided: Undecided, about: &AffineForm) {
         if self.result.undecided.is_none() {
-            self.result.undecided = Some(doubt);
+            self.result.undecided = Some(undecided);
             let terms = about.terms();
             self.result.sensitivity = std::array::from_fn(|i| terms.get(i).copied().unwrap_or(0.0).abs());
         }

@@ -29,7 +29,7 @@ pub struct InitialRanges {
 /// One of the ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "each is the field of `Ranges` of that name")]
+#[expect(missing_docs, reason = "each is the field of `InitialRanges` of that name")]
 pub enum BoxDimension {
     GapAheadM,
     GapBehindM,

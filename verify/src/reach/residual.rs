@@ -101,8 +101,8 @@ impl ResidualPolicy {
     }
 
     /// Returns the commanded acceleration between the bounds, in m/s².
-    pub(super) fn acceleration(&self, departs: &Residual, sight: &LawInput) -> AffineForm {
-        let Residual { up, down, bounds_mps2: [low, high] } = departs;
+    pub(super) fn acceleration(&self, bounds: &Residual, sight: &LawInput) -> AffineForm {
+        let Residual { up, down, bounds_mps2: [low, high] } = bounds;
         let [least, most] = [low, high].map(|bound| AffineForm::constant(Interval::point(*bound)));
         let (law, plain) = self.idm.acceleration_bounds(sight, &AffineForm::constant(-Interval::point(*low)));
         let law = tighter_form(law, plain);
@@ -114,7 +114,7 @@ impl ResidualPolicy {
         }
         let rounded = REL_ROUNDING_ERROR * low.abs().max(high.abs());
         wanted.widen(rounded);
-        tighter_form(wanted, departs.interval_bounds(law.range()) + Interval::around_zero(rounded))
+        tighter_form(wanted, bounds.interval_bounds(law.range()) + Interval::around_zero(rounded))
     }
 }
 
@@ -131,8 +131,8 @@ pub(super) struct Residual {
 }
 
 impl Residual {
-    pub(super) fn new(departure: &ResidualPolicy, action: &AffineForm, bounds_mps2: [f64; 2]) -> Self {
-        let [up, down] = departure.residual_shares(action);
+    pub(super) fn new(residual: &ResidualPolicy, action: &AffineForm, bounds_mps2: [f64; 2]) -> Self {
+        let [up, down] = residual.residual_shares(action);
         Self { up, down, bounds_mps2 }
     }
 

@@ -64,14 +64,14 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<SafetensorsHeader, A::Error> {
         let (mut description, mut tensors) = (None, BTreeMap::new());
-        let twice = |name: &str| A::Error::custom(format_args!("duplicate key {name:?}"));
+        let doubled = |name: &str| A::Error::custom(format_args!("duplicate key {name:?}"));
         while let Some(name) = entries.next_key::<String>()? {
             if name == "__metadata__" {
                 if description.replace(entries.next_value::<Metadata>()?).is_some() {
-                    return Err(twice(&name));
+                    return Err(doubled(&name));
                 }
             } else if tensors.insert(name.clone(), entries.next_value::<TensorInfo>()?).is_some() {
-                return Err(twice(&name));
+                return Err(doubled(&name));
             }
         }
         let description = description.ok_or_else(|| A::Error::custom("does not describe a network"))?;
@@ -122,7 +122,7 @@ impl NeuralController {
             serde_json::from_slice(listing).map_err(|error| format!("header: {error}"))?;
         let mut file = SafetensorsFile { tensors, data };
         file.check_offsets()?;
-        let actor = match (description.crumple_policy, description.crumple_network) {
+        let controller = match (description.crumple_policy, description.crumple_network) {
             (Some(text), None) => policy_file::read(&text, &mut file)?,
             (None, Some(text)) => network_file::read(&text, &mut file)?,
             _ => return Err("must describe exactly one network".to_owned()),
@@ -130,8 +130,8 @@ impl NeuralController {
         if let Some(name) = file.tensors.keys().next() {
             return Err(format!("tensor {name:?} is not part of the described network"));
         }
-        match actor.max_output_magnitude() {
-            Ok(_) => Ok(actor),
+        match controller.max_output_magnitude() {
+            Ok(_) => Ok(controller),
             Err(layer) => Err(format!("can exceed single precision in layer {layer}")),
         }
     }
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lists_no_tensors_is_told_what_was_expected() {
+    fn a_file_without_tensors_gets_the_expected_format() {
         let file = [&2_u64.to_le_bytes()[..], b"[]"].concat();
         let error = NeuralController::from_bytes(&file).unwrap_err();
         let expected = "header: invalid type: sequence, expected tensors by name, and `__metadata__`";

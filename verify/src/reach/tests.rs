@@ -30,7 +30,7 @@ fn problem<T>(result: Result<T, Rejection>) -> String {
 }
 
 #[test]
-fn the_name_of_a_file_begins_with_what_it_is_and_its_digest() {
+fn a_file_name_begins_with_kind_and_digest() {
     assert_eq!(controller_file_name("0123456789abcdef", false), "policy-0123456789ab.safetensors");
     assert_eq!(controller_file_name("0123456789abcdef", true), "network-0123456789ab.safetensors");
 }
@@ -42,8 +42,8 @@ fn a_claim_is_about_as_many_steps_as_it_has() {
 
 #[test]
 fn steps_are_positive_and_divide_the_time_between_decisions() {
-    let actor = constant_controller(0.0);
-    let of = |step_s: f64| problem(ReachClaim { step_s, ..claim(vec![PartitionCell::Undecided]) }.problem(&actor));
+    let controller = constant_controller(0.0);
+    let of = |step_s: f64| problem(ReachClaim { step_s, ..claim(vec![PartitionCell::Undecided]) }.problem(&controller));
     for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
         assert!(of(step_s).ends_with("must be positive"), "{step_s}");
     }
@@ -77,10 +77,10 @@ fn a_partition_of_too_many_cells_is_refused_as_such() {
 /// A colliding point falsifies only its own cell.
 #[test]
 fn a_point_is_one_of_its_cell() {
-    let actor = constant_controller(0.0);
+    let controller = constant_controller(0.0);
     let mut ranges = point_box([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     ranges.gap_ahead_m = interval(1.0, 2.0);
-    let (scene, work) = (default_problem(&actor, ranges), OpBudget::new(WorkLimit::UNLIMITED));
+    let (scene, work) = (default_problem(&controller, ranges), OpBudget::new(WorkLimit::UNLIMITED));
     let point = |gap_m: f64| PartitionCell::Falsified([gap_m, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     let mut cell = ranges;
     cell.gap_ahead_m = interval(1.0, 1.5);

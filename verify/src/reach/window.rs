@@ -30,16 +30,16 @@ impl FiringWindow {
         self.fires_by_mode.contains(&true)
     }
 
-    pub(super) fn record_firing(&mut self, kind: MotionMode, [first, last]: [f64; 2]) {
+    pub(super) fn record_firing(&mut self, mode: MotionMode, [first, last]: [f64; 2]) {
         self.instants = [self.instants[0].min(first), self.instants[1].max(last)];
-        self.fires_by_mode[kind as usize] = true;
+        self.fires_by_mode[mode as usize] = true;
     }
 
     /// Adds the members that fire in a later window. Moving ones moved before; all others may have been in any mode.
     fn extend(&mut self, later: &Self) {
         let before =
             if later.fires_by_mode == [true, false, false] { &[MotionMode::Moving][..] } else { &MotionMode::ALL };
-        before.iter().for_each(|&kind| self.record_firing(kind, later.instants));
+        before.iter().for_each(|&mode| self.record_firing(mode, later.instants));
     }
 
     pub(super) fn into_firing_sets(self) -> ByMode<EgoSet> {

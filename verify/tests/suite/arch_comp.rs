@@ -170,17 +170,17 @@ fn bounds_hold_for_any_network() {
 fn other_problems_are_refused() {
     let steps = fit_network();
     let changed = |change: fn(&mut NeuralController)| {
-        let mut actor = controller(steps.clone());
-        change(&mut actor);
-        compute_bounds(&actor, 1)
+        let mut controller = controller(steps.clone());
+        change(&mut controller);
+        compute_bounds(&controller, 1)
     };
     for change in [
-        (|actor| actor.inputs[0].constant = 31.0) as fn(&mut NeuralController),
-        |actor| actor.inputs[3].high = 95.0,
-        |actor| actor.inputs.swap(2, 3),
-        |actor| actor.scale_mps2 = 0.5,
-        |actor| actor.action_bounds_mps2 = [-3.0, 2.0],
-        |actor| actor.decision_interval_s = 0.05,
+        (|controller| controller.inputs[0].constant = 31.0) as fn(&mut NeuralController),
+        |controller| controller.inputs[3].high = 95.0,
+        |controller| controller.inputs.swap(2, 3),
+        |controller| controller.scale_mps2 = 0.5,
+        |controller| controller.action_bounds_mps2 = [-3.0, 2.0],
+        |controller| controller.decision_interval_s = 0.05,
     ] {
         assert_eq!(changed(change), Err(CruiseBoundsError::ProblemMismatch));
     }
@@ -225,7 +225,7 @@ fn certificate_for(file: &[u8], change: impl FnOnce(&mut CruiseClaim)) -> Certif
 }
 
 #[test]
-fn a_certificate_states_what_is_bounded_and_no_more() {
+fn a_certificate_states_only_proved_bounds() {
     let file = braking_network_file();
     let found = compute_bounds(&NeuralController::from_bytes(&file).unwrap(), 3).unwrap();
     let (margin_m, x_ego_width_m) = (found.margin_m, found.x_ego_width_m());
@@ -251,8 +251,8 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
         (|claim| claim.cells = 10_001, "`cells` must be 1 to 10 000"),
         (|claim| claim.source.sha256 = "1".repeat(64), "the policy file was read from another file than `source`"),
     ];
-    for (change, said) in more {
-        assert_eq!(checked(change).unwrap_err().to_string(), said);
+    for (change, message) in more {
+        assert_eq!(checked(change).unwrap_err().to_string(), message);
     }
     // The maximum number of cells exceeds this limit but is valid.
     let limit = WorkLimit::from_operations(1_000_000);
@@ -261,7 +261,7 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
 }
 
 #[test]
-fn the_program_takes_the_network_and_the_limit_it_is_told() {
+fn the_program_takes_network_and_limit_as_arguments() {
     let (file, folder) =
         (braking_network_file(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
     std::fs::create_dir_all(&folder).unwrap();

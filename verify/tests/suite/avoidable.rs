@@ -122,7 +122,7 @@ fn a_near_miss_inside_a_step_is_seen() {
 
 /// Two comparisons decide: stopping distance and gap, and the speeds.
 #[test]
-fn afterwards_is_as_a_closed_form_says() {
+fn motion_afterwards_is_the_closed_form() {
     let afterwards = |gap_m: f64, leader_mps: f64, ego_mps: f64| {
         let scene = Scene {
             step_s: 0.5,

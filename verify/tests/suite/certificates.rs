@@ -74,7 +74,7 @@ fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
 }
 
 #[test]
-fn what_survives_a_change_is_true() {
+fn accepted_changed_certificates_are_true() {
     for (original, least_rejected) in [(avoidable_file(), 0.5), (unavoidable_file(), 0.3)] {
         let read = |value: &Value| Certificate::from_json(&value.to_string());
         check(&read(&original).unwrap()).unwrap();
@@ -303,7 +303,7 @@ fn a_file_is_as_long_as_is_allowed_and_no_longer() {
 }
 
 #[test]
-fn what_is_taken_for_granted_is_said_in_words() {
+fn assumptions_are_printed_in_words() {
     use Assumption::*;
     for (assumption, said) in [
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
@@ -327,7 +327,7 @@ fn what_is_taken_for_granted_is_said_in_words() {
 }
 
 #[test]
-fn results_are_said_in_words() {
+fn results_are_printed_in_words() {
     let reach = |verified_share, has_follower, leader_brakes_at_most_mps2| {
         let (falsified_share, smallest_gap_m, horizon_s) = (0.001_99, 0.5, 4.0);
         ProvedClaim::Reach {

@@ -7,8 +7,8 @@ use proptest::prelude::*;
 use crate::law_follower::any_law;
 use crate::leader::unscripted;
 use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, paper_problem, reference_policy_bytes};
-use crate::residual::any_departure;
-use crate::support::closed_loop::{InitialState, XorShiftRng, simulate};
+use crate::residual::any_residual_policy;
+use crate::support::closed_loop::{ReachPoint, XorShiftRng, simulate};
 use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
 use crate::support::networks::{any_network, residual_network};
 
@@ -32,7 +32,7 @@ fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
 
 fn simulate_member(
     scene: &ReachProblem<'_>,
-    start: InitialState,
+    start: ReachPoint,
     seed: u64,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
     let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| random_braking(limit_mps2, seed));
@@ -80,13 +80,13 @@ proptest! {
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
-        departs_from in prop::option::of(any_departure()),
+        residual_over in prop::option::of(any_residual_policy()),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| residual_network(&[12, 9], gain, seed, departs_from));
+        let controller = gain.map_or_else(|| any_network(seed), |gain| residual_network(&[12, 9], gain, seed, residual_over));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = ReachProblem {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,
-            stop_when_undecided: false, step_s, steps, decision_steps: every, ..paper_problem(&actor, ranges)
+            stop_when_undecided: false, step_s, steps, decision_steps: every, ..paper_problem(&controller, ranges)
         };
         let bounds = (!is_point).then(|| reach_with_tube(&whole));
         for (place, seed) in places {
@@ -109,7 +109,7 @@ proptest! {
 #[test]
 fn committed_claims_are_true_of_their_members() {
     let mut numbers = XorShiftRng(77);
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     for name in ["reach-paper-1", "reach-paper-2"] {
         let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
         let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
@@ -118,7 +118,7 @@ fn committed_claims_are_true_of_their_members() {
             claim.leaves().unwrap().into_iter().filter(|(cell, ..)| *cell == PartitionCell::Verified).collect();
         for _ in 0..12 {
             let (_, ranges, _) = leaves[(numbers.next_unit() * leaves.len() as f64) as usize];
-            let scene = ReachProblem { ranges, ..claim.problem(&actor).unwrap() };
+            let scene = ReachProblem { ranges, ..claim.problem(&controller).unwrap() };
             let start = box_member(&ranges, std::array::from_fn(|_| numbers.next_unit()));
             let run = simulate_member(&scene, start, numbers.0).unwrap();
             is_bounded(None, Some([claim.min_gap_m_at_least; 2]), &run).unwrap();
@@ -129,8 +129,8 @@ fn committed_claims_are_true_of_their_members() {
 
 #[test]
 fn two_derivations_agree() {
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
-    let scene = ReachProblem { observation_error: [0.0; 8], ..paper_problem(&actor, paper_box(0.5, 0.1)) };
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let scene = ReachProblem { observation_error: [0.0; 8], ..paper_problem(&controller, paper_box(0.5, 0.1)) };
     for place in [0.0, 0.3, 1.0] {
         let start = box_member(&scene.ranges, [place; 8]);
         let ((exact, _), (plain, _)) = (simulate_member(&scene, start, 1).unwrap(), simulate(&scene, start));

@@ -98,7 +98,7 @@ proptest! {
 
     /// A joined form keeps common parts, stays in the hull, and is as far from either form as from the other.
     #[test]
-    fn what_is_joined_reaches_no_farther((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
+    fn joined_forms_do_not_grow((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
         let joined = x.join(&y).range();
         let both = x.range().hull(y.range());
         let slack = 1e-11 * (1e-280 + both.low().abs().max(both.high().abs()));
@@ -125,7 +125,7 @@ proptest! {
 
     /// Common parts cancel: bounds are as tight as rounding permits.
     #[test]
-    fn what_is_shared_cancels((x, _) in form(), symbols in prop::array::uniform3(unit())) {
+    fn shared_symbols_cancel((x, _) in form(), symbols in prop::array::uniform3(unit())) {
         let rests = rational(x.rest()) * rational(2.0);
         let rounding = rational(1e-14) * (rational(x.centre().abs()) + rational(x.radius())) + rational(1e-290);
         let difference = x.clone().minus(&x);

@@ -70,7 +70,7 @@ fn check_replaced(certificate: &Certificate, from: &str, to: &str) -> Result<Pro
 }
 
 #[test]
-fn what_is_written_is_canonical_with_any_whitespace() {
+fn files_are_canonical_with_any_whitespace() {
     for certificate in [unavoidable(), rate()] {
         check(&certificate).unwrap();
         let pretty = serde_json::to_string_pretty(&certificate).unwrap();
@@ -83,11 +83,11 @@ fn what_is_written_is_canonical_with_any_whitespace() {
 
 #[test]
 fn a_key_of_a_configuration_may_not_occur_twice() {
-    let twice = "\"controller\":\"idm\",\"controller\":\"policy\"";
+    let doubled = "\"controller\":\"idm\",\"controller\":\"policy\"";
     for version in [1, 2] {
         let mut certificate = rate();
         certificate.version = version;
-        let error = check_replaced(&certificate, "\"controller\":\"idm\"", twice).unwrap_err();
+        let error = check_replaced(&certificate, "\"controller\":\"idm\"", doubled).unwrap_err();
         assert!(error.contains("duplicate key \"controller\" at line 1"), "{error}");
     }
 }
@@ -114,7 +114,7 @@ fn the_same_in_other_words_is_refused() {
 #[test]
 fn a_statement_is_bound_to_the_text_it_names() {
     let digest = unavoidable().provenance.scenario_sha256;
-    for (from, to, said) in [
+    for (from, to, message) in [
         (digest.as_str(), "", "`provenance.scenario_sha256` is not the digest"),
         (digest.as_str(), sha256("another").as_str(), "`provenance.scenario_sha256` is not the digest"),
         ("by hand\\\"\\n", "by foot\\\"\\n", "`provenance.scenario_sha256` is not the digest"),
@@ -126,7 +126,7 @@ fn a_statement_is_bound_to_the_text_it_names() {
         ),
     ] {
         let error = check_replaced(&unavoidable(), from, to).unwrap_err();
-        assert!(error.contains(said) || to.is_empty() && error.contains("canonical"), "{to}: {error}");
+        assert!(error.contains(message) || to.is_empty() && error.contains("canonical"), "{to}: {error}");
     }
     let mut without = unavoidable();
     without.provenance.scenario_text = None;
@@ -174,7 +174,7 @@ fn a_registration_and_its_provenance_say_the_same() {
 
 #[test]
 fn blocks_cover_the_runs_and_add_up() {
-    for (from, to, said) in [
+    for (from, to, message) in [
         ("\"failures\":3", "\"failures\":2", "do not add up"),
         ("[[1,", "[[101,", "counts more runs than it has"),
         ("[2,\"", "[51,\"", "counts more runs than it has"),
@@ -182,7 +182,7 @@ fn blocks_cover_the_runs_and_add_up() {
         (&sha256("1"), &sha256("1")[1..], "must have a SHA-256"),
     ] {
         let error = check_replaced(&rate(), from, to).unwrap_err();
-        assert!(error.contains(said), "{to}: {error}");
+        assert!(error.contains(message), "{to}: {error}");
     }
     let mut short = rate();
     let Statement::Rate(claim) = &mut short.statement else { panic!("a rate") };
@@ -201,7 +201,7 @@ fn claim_without_blocks(certificate: &mut Certificate) {
 }
 
 #[test]
-fn version_1_is_read_and_said_to_be_old() {
+fn version_1_is_read_and_reported_as_old() {
     let mut old = unavoidable();
     old.version = 1;
     old.provenance = CertificateProvenance {
@@ -219,8 +219,8 @@ fn version_1_is_read_and_said_to_be_old() {
 }
 
 #[test]
-fn how_far_a_claim_reaches_is_said() {
-    let said = unavoidable().scope().to_string();
+fn the_scope_of_a_claim_is_printed() {
+    let message = unavoidable().scope().to_string();
     for words in [
         "for 1 s from the start and no longer",
         "scenario `by hand`, SHA-256 ",
@@ -229,19 +229,19 @@ fn how_far_a_claim_reaches_is_said() {
         "behind: no vehicle is part of the claim",
         "10 steps of 0.1 s",
     ] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(message.contains(words), "{words}: {message}");
     }
     for (left_out, words) in [
         (0, "\nbehind: no vehicle\n"),
         (1, "\nbehind: 1 vehicle, not part of the claim\n"),
         (2, "\nbehind: 2 vehicles, not part of the claim\n"),
     ] {
-        let said = unavoidable().scope_with_uncovered_vehicles(None, left_out).to_string();
-        assert!(said.contains(words), "{words}: {said}");
+        let message = unavoidable().scope_with_uncovered_vehicles(None, left_out).to_string();
+        assert!(message.contains(words), "{words}: {message}");
     }
     let accepted = check(&unavoidable()).unwrap().to_string();
     assert!(accepted.ends_with("m or more within 1 s"), "{accepted}");
-    let said = rate().scope().to_string();
+    let message = rate().scope().to_string();
     for words in [
         "for 15 s from the start",
         "space `paper`, SHA-256 ",
@@ -249,7 +249,7 @@ fn how_far_a_claim_reaches_is_said() {
         "seeing through truth",
         "250 runs drawn with seed 3; a failure is: vehicles touch",
     ] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(message.contains(words), "{words}: {message}");
     }
     assert!(check(&rate()).unwrap().to_string().ends_with("if its counts are right"));
     assert!(rate().caveat().unwrap().contains("the maker's word"));
@@ -335,11 +335,11 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
     assert_eq!(of_rate([0, 101, 0]), "`blocks[1]` counts more runs than it has");
     assert_eq!(of_rate([0, 0, 51]), "`blocks[2]` counts more runs than it has");
     for block_runs in [None, Some(0)] {
-        let said = check_mutated(rate(), |certificate| {
+        let message = check_mutated(rate(), |certificate| {
             let Statement::Rate(claim) = &mut certificate.statement else { panic!("a rate") };
             claim.registration.block_runs = block_runs;
         });
-        assert_eq!(said, "`registration.block_runs` must be positive");
+        assert_eq!(message, "`registration.block_runs` must be positive");
     }
     let of_two = |change: fn(&mut ComparisonClaim)| {
         check_mutated(comparison(), |certificate| {
@@ -363,9 +363,13 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
 }
 
 #[test]
-fn what_is_about_no_scenario_names_none() {
-    let bound = |certificate: Certificate, said: &str, why: &str| {
-        assert!(check_mutated(certificate.clone(), |_| ()).starts_with(said), "{}", check_mutated(certificate, |_| ()));
+fn claims_about_no_scenario_name_none() {
+    let bound = |certificate: Certificate, message: &str, why: &str| {
+        assert!(
+            check_mutated(certificate.clone(), |_| ()).starts_with(message),
+            "{}",
+            check_mutated(certificate, |_| ())
+        );
         type ProvenanceMutation = fn(&mut CertificateProvenance);
         let changes: [(&str, ProvenanceMutation); 4] = [
             ("scenario", |provenance| provenance.scenario = "paper-1".to_owned()),
@@ -374,8 +378,8 @@ fn what_is_about_no_scenario_names_none() {
             ("box_text", |provenance| provenance.box_text = Some(String::new())),
         ];
         for (field, change) in changes {
-            let said = check_mutated(certificate.clone(), |certificate| change(&mut certificate.provenance));
-            assert_eq!(said, format!("`provenance.{field}` must be absent: {why}"));
+            let message = check_mutated(certificate.clone(), |certificate| change(&mut certificate.provenance));
+            assert_eq!(message, format!("`provenance.{field}` must be absent: {why}"));
         }
     };
     bound(kernel(), "kernel: full braking avoids", "a kernel does not belong to a scenario");
@@ -414,7 +418,7 @@ fn a_network_is_named_after_its_digest_and_where_it_is_from() {
 }
 
 #[test]
-fn what_a_claim_is_about_follows_from_its_kind_and_its_texts() {
+fn the_subject_of_a_claim_follows_from_kind_and_texts() {
     let about = |certificate: &Certificate| certificate.scope().about;
     let digest = unavoidable().provenance.scenario_sha256;
     assert_eq!(about(&unavoidable()), format!("scenario `by hand`, SHA-256 {digest}"));
@@ -431,26 +435,26 @@ fn what_a_claim_is_about_follows_from_its_kind_and_its_texts() {
 }
 
 #[test]
-fn how_long_a_claim_holds_is_said_in_seconds() {
-    let said = |certificate: &Certificate| (certificate.scope().horizon_s, certificate.scope().to_string());
-    let (horizon_s, text) = said(&reach());
+fn the_duration_of_a_claim_is_printed_in_seconds() {
+    let message = |certificate: &Certificate| (certificate.scope().horizon_s, certificate.scope().to_string());
+    let (horizon_s, text) = message(&reach());
     assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
     assert!(text.contains("leader: 15 to 17 m ahead, 25 m/s, brakes at 3 m/s² from 0.5 to 1.5 s on"), "{text}");
-    let (horizon_s, text) = said(&cruise());
+    let (horizon_s, text) = message(&cruise());
     assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
-    let (horizon_s, text) = said(&kernel());
+    let (horizon_s, text) = message(&kernel());
     assert!(horizon_s == Some(f64::INFINITY) && text.contains("for ever"), "{text}");
     // A witness may establish safety after it.
     let Statement::Unavoidable(UnavoidableClaim { mut scene, .. }) = unavoidable().statement else { panic!() };
     scene.steps = 25;
     let avoidable = AvoidableClaim { scene, witness: Vec::new(), min_gap_m_at_least: None };
-    let (horizon_s, text) = said(&Certificate { statement: Statement::Avoidable(avoidable), ..unavoidable() });
+    let (horizon_s, text) = message(&Certificate { statement: Statement::Avoidable(avoidable), ..unavoidable() });
     assert_eq!(horizon_s, Some(2.5));
     assert!(text.contains("for 2.5 s from the start\n"), "{text}");
 }
 
 #[test]
-fn statements_are_called_what_they_are_called_in_files() {
+fn statements_have_the_names_used_in_files() {
     let Statement::Unavoidable(UnavoidableClaim { scene, branches }) = unavoidable().statement else { panic!() };
     let avoidable = AvoidableClaim { scene: scene.clone(), witness: Vec::new(), min_gap_m_at_least: None };
     let gap_bound = GapBoundClaim { scene: scene.clone(), gap_m: 1.0, branches };

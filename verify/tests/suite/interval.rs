@@ -71,7 +71,7 @@ proptest! {
 }
 
 #[test]
-fn what_has_no_value_is_the_whole_line() {
+fn undefined_values_are_the_whole_line() {
     let everything = |interval: Interval| interval.low() == f64::NEG_INFINITY && interval.high() == f64::INFINITY;
     let (zero, huge) = (Interval::ZERO, Interval::point(f64::MAX));
     assert!(everything(Interval::point(f64::NAN)) && everything(Interval::point(f64::INFINITY)));
@@ -89,7 +89,7 @@ fn what_has_no_value_is_the_whole_line() {
 }
 
 #[test]
-fn files_say_what_was_expected() {
+fn errors_of_files_name_the_expected_form() {
     for (text, expected) in [
         ("\"3\"", "a number or"),
         ("[1]", "a number or"),

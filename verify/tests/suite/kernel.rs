@@ -8,9 +8,9 @@ use num_rational::BigRational;
 
 fn check_kernel(kernel: &KernelClaim) -> Result<ProvedClaim, Rejection> {
     let statement = Statement::Kernel(kernel.clone());
-    let nobody = CertificateProvenance::default();
+    let absent = CertificateProvenance::default();
     let mut certificate =
-        Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement };
+        Certificate { version: 1, provenance: absent, assumptions: statement.assumptions(), statement };
     let text = serde_json::to_string(&certificate).unwrap();
     assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
     let result = check(&certificate);
@@ -52,7 +52,7 @@ fn demanded_gap_m(kernel: &KernelClaim, v: &BigRational, w: &BigRational) -> Big
 }
 
 #[test]
-fn closed_forms_are_accepted_whatever_the_limits() {
+fn closed_forms_are_accepted_for_any_limits() {
     for (b, c) in
         [("15/2", "15/2"), ("15/2", "6"), ("6", "15/2"), ("6", "6"), ("8", "5"), ("3/40", "30"), ("30", "1/10")]
     {
@@ -90,8 +90,8 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder() {
     let rss = KernelClaim { catching_up_squared: None, ..kernel("8", "5") };
     assert!(check_kernel(&rss).unwrap_err().to_string().contains("catching_up_squared"));
-    let needless = KernelClaim { catching_up_squared: kernel("8", "5").catching_up_squared, ..kernel("5", "8") };
-    assert!(check_kernel(&needless).unwrap_err().to_string().contains("catching_up_squared"));
+    let unnecessary = KernelClaim { catching_up_squared: kernel("8", "5").catching_up_squared, ..kernel("5", "8") };
+    assert!(check_kernel(&unnecessary).unwrap_err().to_string().contains("catching_up_squared"));
     let none = KernelClaim { margin_m: "0".to_owned(), ..kernel("8", "5") };
     assert_eq!(check_kernel(&none).unwrap_err().to_string(), "`margin_m` must be positive");
 }

@@ -76,8 +76,12 @@ pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
     prop_oneof![Just(IDM), Just(ACC_AEB), idm, acc]
 }
 
-fn with_law_follower<'a>(actor: &'a NeuralController, ranges: InitialRanges, law: FollowerLaw) -> ReachProblem<'a> {
-    ReachProblem { follower: Some(FollowerModel::ByLaw(law)), ..paper_problem(actor, ranges) }
+fn with_law_follower<'a>(
+    controller: &'a NeuralController,
+    ranges: InitialRanges,
+    law: FollowerLaw,
+) -> ReachProblem<'a> {
+    ReachProblem { follower: Some(FollowerModel::ByLaw(law)), ..paper_problem(controller, ranges) }
 }
 
 proptest! {
@@ -86,14 +90,14 @@ proptest! {
     /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops, firing
     /// and releasing brakes, and collisions.
     #[test]
-    fn bounds_hold_whoever_follows(
+    fn bounds_hold_with_any_follower(
         ranges in any_ranges(), law in any_law(), seed: u64, gain in prop::option::of(0.2..1.2_f64),
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         // Stops within a step, and a brake that releases, matter in long steps.
         step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
-        let whole = with_law_follower(&actor, ranges, law);
+        let controller = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let whole = with_law_follower(&controller, ranges, law);
         let scene = ReachProblem { stop_when_undecided: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
         let bounded = reach_with_tube(&scene);
         for place in places {
@@ -107,11 +111,11 @@ proptest! {
 /// firing instant would be uncertain.
 #[test]
 fn verified_boxes_survive_search() {
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     let FollowerLaw::AccAeb(acc_aeb) = ACC_AEB else { panic!() };
     let acc = FollowerLaw::AccAeb(AccAebLaw { ttc_s: 0.0, time_headway_s: 1.6, ..acc_aeb });
     for (law, least_m) in [(IDM, 1.8), (acc, 0.0)] {
-        let scene = with_law_follower(&actor, paper_box(0.1, 0.02), law);
+        let scene = with_law_follower(&controller, paper_box(0.1, 0.02), law);
         let reached = reach(&scene);
         let found_m = min_gap_under_attack(&scene, 3000, 300, 9);
         let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);

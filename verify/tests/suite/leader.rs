@@ -51,8 +51,12 @@ pub fn unscripted(ranges: InitialRanges) -> InitialRanges {
     InitialRanges { leader_brake_mps2: Interval::ZERO, onset_steps: Interval::ZERO, ..ranges }
 }
 
-fn with_bounded_leader<'a>(actor: &'a NeuralController, ranges: InitialRanges, limit_mps2: f64) -> ReachProblem<'a> {
-    ReachProblem { leader_brakes_at_most_mps2: Some(limit_mps2), ..paper_problem(actor, unscripted(ranges)) }
+fn with_bounded_leader<'a>(
+    controller: &'a NeuralController,
+    ranges: InitialRanges,
+    limit_mps2: f64,
+) -> ReachProblem<'a> {
+    ReachProblem { leader_brakes_at_most_mps2: Some(limit_mps2), ..paper_problem(controller, unscripted(ranges)) }
 }
 
 fn any_limit() -> impl Strategy<Value = f64> {
@@ -70,10 +74,10 @@ proptest! {
         has_follower: bool, every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         members in prop::collection::vec((any_unit(), any_braking_pattern()), 12),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let controller = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
         let scene = ReachProblem {
             follower: has_follower.then_some(LATCHED), stop_when_undecided: false, steps: 400, decision_steps: every,
-            ..with_bounded_leader(&actor, ranges, limit_mps2)
+            ..with_bounded_leader(&controller, ranges, limit_mps2)
         };
         let bounded = reach_with_tube(&scene);
         for (place, habit) in members {
@@ -84,11 +88,11 @@ proptest! {
     }
 
     #[test]
-    fn a_limit_of_nothing_says_what_a_script_of_nothing_says(ranges in any_ranges(), seed: u64, has_follower: bool) {
-        let actor = any_network(seed);
+    fn a_zero_limit_equals_an_empty_script(ranges in any_ranges(), seed: u64, has_follower: bool) {
+        let controller = any_network(seed);
         let follower = has_follower.then_some(LATCHED);
         let scripted =
-            ReachProblem { follower, steps: 300, stop_when_undecided: false, ..paper_problem(&actor, unscripted(ranges)) };
+            ReachProblem { follower, steps: 300, stop_when_undecided: false, ..paper_problem(&controller, unscripted(ranges)) };
         let within = ReachProblem { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
         prop_assert_eq!(reach_with_tube(&scripted), reach_with_tube(&within));
         let nearly = reach(&ReachProblem { leader_brakes_at_most_mps2: Some(1e-13), ..scripted.clone() });
@@ -101,9 +105,9 @@ proptest! {
 
     #[test]
     fn a_larger_limit_proves_no_more(ranges in any_ranges(), seed: u64, limits in prop::array::uniform2(any_limit())) {
-        let actor = native_network(&[12, 9], 0.3, seed);
+        let controller = native_network(&[12, 9], 0.3, seed);
         let [less, more] = [limits[0].min(limits[1]), limits[0].max(limits[1])]
-            .map(|limit| reach(&ReachProblem { steps: 300, ..with_bounded_leader(&actor, ranges, limit) }));
+            .map(|limit| reach(&ReachProblem { steps: 300, ..with_bounded_leader(&controller, ranges, limit) }));
         if more.undecided.is_none() {
             prop_assert!(less.undecided.is_none(), "{less:?} {more:?}");
             for (less, more) in less.gaps_m.into_iter().zip(more.gaps_m) {
@@ -152,9 +156,9 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: four searches"]
     fn verified_boxes_survive_the_worst_leader_that_is_found() {
-        let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+        let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
         for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
-            let scene = with_bounded_leader(&actor, paper_box(0.1, 0.0), limit_mps2);
+            let scene = with_bounded_leader(&controller, paper_box(0.1, 0.0), limit_mps2);
             let reached = reach(&scene);
             assert_eq!(reached.undecided, None, "{limit_mps2}");
             let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
@@ -170,9 +174,9 @@ mod tier_2 {
 #[test]
 #[ignore = "takes a minute; for the table of corpora/boxes/README.md"]
 fn worst_leader_at_each_limit() {
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     for limit_mps2 in [0.1, 0.2, 0.3, 0.4, 0.46, 0.5, 1.0, 2.0, 3.0, 3.5, 4.0] {
-        let scene = with_bounded_leader(&actor, paper_box(0.7, 0.0), limit_mps2);
+        let scene = with_bounded_leader(&controller, paper_box(0.7, 0.0), limit_mps2);
         println!("{limit_mps2} m/s²: {:.3} m", min_gap_under_attack(&scene, 1000, 7));
     }
 }
@@ -202,8 +206,8 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         }
         other => panic!("{other:?}"),
     }
-    let said = check_claim(genuine.clone()).unwrap().to_string();
-    assert!(said.contains("however the leader brakes at up to 0.05 m/s²"), "{said}");
+    let message = check_claim(genuine.clone()).unwrap().to_string();
+    assert!(message.contains("however the leader brakes at up to 0.05 m/s²"), "{message}");
     let scope = certificate(genuine.clone()).scope().to_string();
     assert!(
         scope.contains("never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.05 m/s²"),
@@ -244,11 +248,11 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     let place = needed.iter().position(|one| *one == Assumption::LeaderWithinLimit).unwrap();
     let mut without = needed.clone();
     without.remove(place);
-    let mut twice = needed.clone();
-    twice.insert(place, Assumption::LeaderWithinLimit);
+    let mut doubled = needed.clone();
+    doubled.insert(place, Assumption::LeaderWithinLimit);
     let mut scripted = needed.clone();
     scripted[place] = Assumption::ScriptedLeader;
-    for assumptions in [without, twice, scripted.clone()] {
+    for assumptions in [without, doubled, scripted.clone()] {
         assert!(matches!(with(&genuine, assumptions), Err(Rejection::Assumptions { .. })));
     }
     assert!(matches!(with(&claim(), needed), Err(Rejection::Assumptions { .. })));

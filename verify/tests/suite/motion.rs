@@ -51,7 +51,7 @@ proptest! {
     }
 
     #[test]
-    fn leader_and_follower_are_where_the_scene_says(
+    fn leader_and_follower_are_at_the_positions_of_the_scene(
         (scene, profiles) in scenes(1).prop_flat_map(|scene| (Just(scene.clone()), profiles(&scene))),
         picks in prop::collection::vec(0.0..=1.0_f64, 32), fires in 0..9_u32,
     ) {
@@ -74,7 +74,7 @@ proptest! {
 }
 
 #[test]
-fn a_vehicle_at_rest_stays_whatever_it_brakes() {
+fn a_vehicle_at_rest_stays_with_any_braking() {
     let (covered, speed) =
         motion::distance_and_speed_after(Interval::ZERO, Interval::point(-5.0), Interval::point(1.0));
     assert!(covered.contains(0.0) && covered.high() < 1e-300 && covered.low() > -1e-300);

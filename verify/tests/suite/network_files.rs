@@ -14,10 +14,10 @@ use serde_json::{Value, json};
 use crate::support::networks::{any_network_with_file, encode_file};
 
 #[test]
-fn what_is_written_is_read() {
+fn written_files_are_read() {
     for seed in 0..500 {
-        let (actor, file) = any_network_with_file(seed);
-        assert_eq!(NeuralController::from_bytes(&file), Ok(actor), "{seed}");
+        let (controller, file) = any_network_with_file(seed);
+        assert_eq!(NeuralController::from_bytes(&file), Ok(controller), "{seed}");
     }
 }
 
@@ -33,7 +33,7 @@ fn with_text(file: &[u8], change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused() {
+fn meaningless_values_are_refused() {
     let (_, file) = any_network_with_file(1);
     assert!(NeuralController::from_bytes(&with_text(&file, |_| ())).is_ok());
     type NetworkTextMutation = fn(&mut Value);
@@ -55,9 +55,9 @@ fn what_makes_no_sense_is_refused() {
         ("not finite and in order", |text| text["output"]["low_mps2"] = json!(5.0)),
         ("must be positive", |text| text["decision_interval_s"] = json!(0.0)),
     ];
-    for (said, change) in changes {
+    for (message, change) in changes {
         let error = NeuralController::from_bytes(&with_text(&file, change)).unwrap_err();
-        assert!(error.contains(said), "{said}: {error}");
+        assert!(error.contains(message), "{message}: {error}");
     }
     // One product less leaves its tensors unused.
     let fewer = with_text(&file, |text| drop(text["steps"].as_array_mut().unwrap().remove(0)));
@@ -109,7 +109,7 @@ fn certificate(claim: ReachClaim) -> Certificate {
 }
 
 #[test]
-fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
+fn a_statement_about_a_network_names_its_source_and_assumptions() {
     let (_, file) = any_network_with_file(3);
     let genuine = certificate(claim(&file));
     let accepted = check_with(&genuine, Some(&file), WorkLimit::default());
@@ -191,20 +191,20 @@ fn numbers_of_functions_are_of_single_precision() {
         }
         for number in [0.1, 1e300, -1e39, 1e-46] {
             let read = constant_network(1, json!([{ (name): number }]), &[]).map(|_| ());
-            let said = "crumple_network: steps[0]: is not a number in single precision".to_owned();
-            assert_eq!(read, Err(said), "{name} {number}");
+            let message = "crumple_network: steps[0]: is not a number in single precision".to_owned();
+            assert_eq!(read, Err(message), "{name} {number}");
         }
     }
 }
 
 /// Only inputs about the follower may have a substitute: a leader is always present.
 #[test]
-fn what_stands_in_is_for_who_may_be_absent() {
+fn substitutes_are_for_vehicles_that_may_be_absent() {
     let read = |described: Value| {
         let mut input = json!({ "offset": 0.5, "scale": 2.0, "low": -1.0, "high": 1.0 });
         input.as_object_mut().unwrap().extend(described.as_object().unwrap().clone());
-        let actor = NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))?;
-        Ok::<_, String>((actor.inputs[0].constant, actor.inputs[0].absent_value))
+        let controller = NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))?;
+        Ok::<_, String>((controller.inputs[0].constant, controller.inputs[0].absent_value))
     };
     let refused = "crumple_network: inputs[0]: must be a quantity or a constant; `absent` is only for \
                    quantities of another vehicle";
@@ -239,7 +239,7 @@ fn an_input_has_a_scale_and_limits_in_order() {
     let read = |scale: f64, [low, high]: [f64; 2]| {
         let input = json!({ "quantity": "speed_mps", "offset": 0.5, "scale": scale, "low": low, "high": high });
         NeuralController::from_bytes(&encode_file(&with_inputs(vec![input], json!([])), &[]))
-            .map(|actor| actor.inputs[0].low)
+            .map(|controller| controller.inputs[0].low)
     };
     for (scale, limits) in [(2.0, [1.0, 1.0]), (-2.0, [-1.0, 1.0]), (f64::MIN_POSITIVE, [0.0, 0.0])] {
         assert_eq!(read(scale, limits), Ok(limits[0]), "{scale} {limits:?}");
@@ -268,7 +268,7 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
                 [of("low", 0), of("high", 1)]
             })
             .collect();
-        NeuralController::from_bytes(&encode_file(&text, &tensors)).map(|actor| actor.is_clipped)
+        NeuralController::from_bytes(&encode_file(&text, &tensors)).map(|controller| controller.is_clipped)
     };
     for scale in [2.0, -2.0] {
         assert_eq!(is_cut(scale, [2.0, 4.0], json!(["clip"])), Ok(false), "{scale}");
@@ -282,21 +282,21 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
         assert_eq!(is_cut(1.0_f64.next_up(), [2.0, 4.0], json!([bounded])), Ok(true), "{bounded}");
     }
     for bounds in [[4.0, 4.0], [4.0, 2.0]] {
-        let said = "crumple_network: output: numbers that are not finite and in order".to_owned();
-        assert_eq!(is_cut(1.0, bounds, json!(["clip"])), Err(said), "{bounds:?}");
+        let message = "crumple_network: output: numbers that are not finite and in order".to_owned();
+        assert_eq!(is_cut(1.0, bounds, json!(["clip"])), Err(message), "{bounds:?}");
     }
 }
 
 #[test]
 fn a_header_is_as_long_as_is_allowed_and_no_longer() {
-    let (actor, file) = any_network_with_file(5);
+    let (controller, file) = any_network_with_file(5);
     let length = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
     let padded = |to: usize| {
         let spaces = " ".repeat(to - length);
         let parts = [&(to as u64).to_le_bytes()[..], &file[8..8 + length], spaces.as_bytes(), &file[8 + length..]];
         NeuralController::from_bytes(&parts.concat())
     };
-    assert_eq!(padded(1 << 20), Ok(actor));
+    assert_eq!(padded(1 << 20), Ok(controller));
     for longer in [1, 2, 1 << 20] {
         assert_eq!(padded((1 << 20) + longer).map(|_| ()), Err("has a header that is too long".to_owned()), "{longer}");
     }

@@ -9,8 +9,8 @@ use crumple_verify::{
 };
 
 fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
-    let nobody = CertificateProvenance::default();
-    check(&Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement })
+    let absent = CertificateProvenance::default();
+    check(&Certificate { version: 1, provenance: absent, assumptions: statement.assumptions(), statement })
 }
 
 fn registration(runs: u64, confidence: f64) -> Registration {
@@ -90,7 +90,7 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 }
 
 #[test]
-fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
+fn the_better_of_two_is_decided_by_discordant_samples() {
     let registration = registration(100_000, 0.99);
     let shown = |only_first_failed, only_second_failed| {
         let comparison = ComparisonClaim {
@@ -140,7 +140,7 @@ fn rejection_text(statement: Statement) -> String {
 }
 
 #[test]
-fn limits_of_what_is_registered_and_claimed_are_exact() {
+fn limits_of_registrations_and_claims_are_exact() {
     for confidence in [-1.0, 0.4, 0.5, 1.0, 1.1, f64::NAN] {
         let refused = rejection_text(Statement::Rate(rate(0, 100, 0.9, confidence)));
         assert_eq!(refused, "`registration.confidence` must be between 1/2 and 1", "{confidence}");

@@ -14,7 +14,7 @@ use crumple_verify::{
 use proptest::prelude::*;
 
 use crate::support::closed_loop::{
-    InitialState, XorShiftRng, network_outputs, scripted_braking, simulate, simulate_with_errors,
+    ReachPoint, XorShiftRng, network_outputs, scripted_braking, simulate, simulate_with_errors,
 };
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, native_network};
@@ -43,9 +43,9 @@ pub fn paper_box(gap_m: f64, brake_mps2: f64) -> InitialRanges {
     }
 }
 
-pub fn paper_problem<'a>(actor: &'a NeuralController, ranges: InitialRanges) -> ReachProblem<'a> {
+pub fn paper_problem<'a>(controller: &'a NeuralController, ranges: InitialRanges) -> ReachProblem<'a> {
     ReachProblem {
-        controller: actor,
+        controller,
         ranges,
         follower: Some(LATCHED),
         leader_brakes_at_most_mps2: None,
@@ -57,15 +57,15 @@ pub fn paper_problem<'a>(actor: &'a NeuralController, ranges: InitialRanges) -> 
     }
 }
 
-pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> InitialState {
+pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> ReachPoint {
     std::array::from_fn(|i| {
         let range = ranges.get(BoxDimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
     })
 }
 
-fn widen_network(actor: &NeuralController, copies: usize) -> NeuralController {
-    let last = actor.layers.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
+fn widen_network(controller: &NeuralController, copies: usize) -> NeuralController {
+    let last = controller.layers.iter().rposition(|step| matches!(step, NetworkLayer::Linear(_)));
     let widen = |(index, step): (usize, &NetworkLayer)| {
         let NetworkLayer::Linear(layer) = step else { return step.clone() };
         let (in_copies, out_copies) =
@@ -77,7 +77,7 @@ fn widen_network(actor: &NeuralController, copies: usize) -> NeuralController {
         let biases = (0..outputs).map(|o| layer.biases[o / out_copies]).collect();
         NetworkLayer::Linear(LinearLayer { inputs, outputs, weights, biases })
     };
-    NeuralController { layers: actor.layers.iter().enumerate().map(widen).collect(), ..actor.clone() }
+    NeuralController { layers: controller.layers.iter().enumerate().map(widen).collect(), ..controller.clone() }
 }
 
 pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
@@ -112,8 +112,8 @@ proptest! {
         at in prop::collection::vec(prop::array::uniform8(-1.0..=1.0_f64), 10),
     ) {
         let mut numbers = XorShiftRng(seed | 1);
-        let actor = any_network(seed);
-        let inputs = actor.inputs.len();
+        let controller = any_network(seed);
+        let inputs = controller.inputs.len();
         let centre: Vec<f64> = (0..inputs).map(|_| numbers.next_signed()).collect();
         let share: Vec<[f64; 8]> =
             (0..inputs).map(|i| std::array::from_fn(|_| radii[i % 8] * numbers.next_signed())).collect();
@@ -123,12 +123,12 @@ proptest! {
                 form
             })
         }).collect();
-        let answer = network_output(&actor.layers, &forms);
+        let answer = network_output(&controller.layers, &forms);
         for at in at {
             let of = |i: usize| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>();
             // Inputs are in single precision: their rounding is not part of these forms.
             let seen: Vec<f64> = (0..inputs).map(of).collect();
-            let exact = network_outputs(&actor.layers, seen)[0];
+            let exact = network_outputs(&controller.layers, seen)[0];
             let expected = answer.centre() + answer.terms().iter().zip(&at).map(|(term, at)| term * at).sum::<f64>();
             prop_assert!((exact - expected).abs() <= answer.rest() + 1e-9, "{exact} {expected} {}", answer.rest());
         }
@@ -168,14 +168,14 @@ proptest! {
     /// Every observation is inside the bounds at every decision, and every gap above its bound, through stops, firings
     /// and collisions.
     #[test]
-    fn bounds_hold_whatever_happens(
+    fn bounds_hold_for_any_motion(
         ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), has_follower: bool,
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
+        let controller = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
         let scene = ReachProblem {
             follower: has_follower.then_some(LATCHED), stop_when_undecided: false, steps: 400, decision_steps: every,
-            ..paper_problem(&actor, ranges)
+            ..paper_problem(&controller, ranges)
         };
         let bounded = reach_with_tube(&scene);
         let corner = |i: usize| std::array::from_fn(|j| f64::from(u8::from(i >> j & 1 == 1)));
@@ -189,14 +189,18 @@ proptest! {
 /// An ego that stands from the start may trigger the follower's brake: here the follower rolls up to two millimetres
 /// from it.
 #[test]
-fn who_stands_is_not_forgotten() {
-    let actor = native_network(&[12, 9], 0.2, 0);
+fn standing_members_are_kept() {
+    let controller = native_network(&[12, 9], 0.2, 0);
     let mut ranges = paper_box(0.0, 0.0);
     for (dimension, value) in BoxDimension::ALL.into_iter().zip([0.004, 21.59, 18.6, 0.0, 5.397, 0.0, 0.0, 0.0]) {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
-    let scene =
-        ReachProblem { steps: 400, decision_steps: 1, stop_when_undecided: false, ..paper_problem(&actor, ranges) };
+    let scene = ReachProblem {
+        steps: 400,
+        decision_steps: 1,
+        stop_when_undecided: false,
+        ..paper_problem(&controller, ranges)
+    };
     let (_, least) = simulate(&scene, box_member(&ranges, [0.0; 8]));
     assert!(least[1] > 0.0 && least[1] < 0.01, "{least:?}");
     assert!(!reach(&scene).surely_collides);
@@ -235,14 +239,14 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: three searches"]
     fn verified_boxes_survive_search() {
-        let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+        let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
         let mut light = paper_box(0.4, 0.1);
         light.follower_brake_mps2 = between(7.3, 7.7);
         let mut other = paper_box(0.1, 0.05);
         (other.gap_ahead_m, other.gap_behind_m) = (between(18.0, 18.3), between(17.0, 17.2));
         (other.follower_speed_mps, other.onset_steps) = (between(25.0, 25.1), between(120.0, 123.5));
         for (ranges, least_m) in [(paper_box(0.5, 0.1), 1.8), (light, 2.7), (other, 1.2)] {
-            let scene = paper_problem(&actor, ranges);
+            let scene = paper_problem(&controller, ranges);
             let reached = reach(&scene);
             assert_eq!(reached.undecided, None);
             let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
@@ -294,8 +298,8 @@ pub fn sha256(bytes: &[u8]) -> String {
 
 pub fn certificate(claim: ReachClaim) -> Certificate {
     let statement = Statement::Reach(claim);
-    let nobody = CertificateProvenance::default();
-    Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement }
+    let absent = CertificateProvenance::default();
+    Certificate { version: 1, provenance: absent, assumptions: statement.assumptions(), statement }
 }
 
 #[test]
@@ -372,8 +376,9 @@ fn one_changed_weight_is_another_policy() {
     let changed = check_with(&certificate(claim()), Some(&bytes), WorkLimit::default());
     assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
     // With its own digest the claim is checked for the changed network: false if the change is large.
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
-    let Some(NetworkLayer::Linear(last)) = actor.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_)))
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let Some(NetworkLayer::Linear(last)) =
+        controller.layers.iter().rfind(|step| matches!(step, NetworkLayer::Linear(_)))
     else {
         panic!()
     };
@@ -388,9 +393,9 @@ fn one_changed_weight_is_another_policy() {
 }
 
 #[test]
-fn what_survives_a_change_is_true() {
+fn accepted_changed_certificates_are_true() {
     let bytes = reference_policy_bytes();
-    let actor = NeuralController::from_bytes(&bytes).unwrap();
+    let controller = NeuralController::from_bytes(&bytes).unwrap();
     let original = serde_json::to_value(certificate(claim())).unwrap();
     let (mut accepted, mut rejected) = (0, 0);
     for (change, mutant) in mutants(&original) {
@@ -406,7 +411,7 @@ fn what_survives_a_change_is_true() {
         let Statement::Reach(claim) = certificate.statement else { panic!("another statement") };
         let (mut verified, mut falsified) = (0.0, 0.0);
         for (cell, ranges, share) in claim.leaves().unwrap() {
-            let scene = ReachProblem { ranges, ..claim.problem(&actor).unwrap() };
+            let scene = ReachProblem { ranges, ..claim.problem(&controller).unwrap() };
             match cell {
                 PartitionCell::Verified => {
                     verified += share;
@@ -434,14 +439,14 @@ fn what_survives_a_change_is_true() {
 }
 
 #[test]
-fn why_a_box_is_undecided_is_said() {
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+fn the_reason_of_an_undecided_box_is_reported() {
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     let mut wide = paper_box(3.0, 1.0);
-    let reached = reach(&paper_problem(&actor, wide));
+    let reached = reach(&paper_problem(&controller, wide));
     assert!(matches!(reached.undecided, Some(Undecided::MayCollide { .. })) && !reached.surely_collides, "{reached:?}");
     assert!(reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0, "{reached:?}");
     wide.ego_speed_mps = between(0.0, 100.0);
-    assert!(matches!(reach(&paper_problem(&actor, wide)).undecided, Some(Undecided::TooWide { step: 0 })));
+    assert!(matches!(reach(&paper_problem(&controller, wide)).undecided, Some(Undecided::TooWide { step: 0 })));
 }
 
 /// A policy that decides at every step stops at hundreds of instants, none of which may add a set.
@@ -449,8 +454,8 @@ fn why_a_box_is_undecided_is_said() {
 fn a_decision_at_every_step_is_bounded_as_well() {
     let reference = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     let wide = widen_network(&reference, 4);
-    for (actor, ranges) in [(&reference, paper_box(0.1, 0.02)), (&wide, paper_box(0.02, 0.0))] {
-        let scene = ReachProblem { decision_steps: 1, stop_when_undecided: false, ..paper_problem(actor, ranges) };
+    for (controller, ranges) in [(&reference, paper_box(0.1, 0.02)), (&wide, paper_box(0.02, 0.0))] {
+        let scene = ReachProblem { decision_steps: 1, stop_when_undecided: false, ..paper_problem(controller, ranges) };
         let begin = std::time::Instant::now();
         let (reached, tube) = reach_with_tube(&scene);
         println!("{:?}, {:?}", begin.elapsed(), reached.gaps_m);
@@ -481,10 +486,10 @@ fn a_decision_at_every_step_is_bounded_as_well() {
 /// Times are for optimised builds on idle machines.
 #[test]
 fn a_box_takes_a_fraction_of_a_second() {
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     let wide = native_network(&[256, 256, 256], 0.3, 5);
-    for (name, actor) in [("reference", &actor), ("3 x 256", &wide)] {
-        let scene = ReachProblem { stop_when_undecided: false, ..paper_problem(actor, paper_box(0.1, 0.02)) };
+    for (name, controller) in [("reference", &controller), ("3 x 256", &wide)] {
+        let scene = ReachProblem { stop_when_undecided: false, ..paper_problem(controller, paper_box(0.1, 0.02)) };
         let timed = |_| {
             let begin = std::time::Instant::now();
             assert_eq!(reach(&scene).undecided, None);
@@ -531,13 +536,13 @@ proptest! {
 #[ignore = "takes minutes; for the table of corpora/boxes/README.md"]
 fn worst_errors_at_each_size() {
     const BLOCK: u32 = 5;
-    let actor = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
     // Output of `cargo run -p crumple-experiments -- filter_errors paper-1`.
     let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
     let mut ranges = paper_box(0.7, 0.2);
     (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));
     for factor in [0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0] {
-        let scene = paper_problem(&actor, ranges);
+        let scene = paper_problem(&controller, ranges);
         let mut numbers = XorShiftRng(3);
         let gap = |place: [f64; 8], signs: &[[f64; 8]]| {
             let start = box_member(&ranges, place);

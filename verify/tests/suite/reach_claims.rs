@@ -51,7 +51,7 @@ fn claim() -> ReachClaim {
 }
 
 #[test]
-fn what_makes_no_sense_is_named() {
+fn meaningless_values_are_named() {
     let scene = claim().problem(&zero_controller()).map(|scene| (scene.steps, scene.decision_steps));
     assert_eq!(scene, Ok((300, 10)));
     assert!(ReachClaim { steps: 10, ..claim() }.problem(&zero_controller()).is_ok(), "one decision");
@@ -165,18 +165,18 @@ fn insert_residual(text: &mut String, how: &str) {
 
 /// Absent parameters are those of the simulator.
 #[test]
-fn a_policy_that_departs_from_a_law_is_read_with_it() {
+fn a_residual_policy_is_read_with_its_base_controller() {
     let how = |how: &str| NeuralController::from_bytes(&with_header(|text, _| insert_residual(text, how))).unwrap();
     let FollowerLaw::Idm(idm) = IDM else { panic!() };
-    let departure = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm };
-    let actor = how("\"dead_zone\":0.3,\"rate_per_s\":200");
-    assert_eq!((actor.residual_over, actor.scale_mps2, actor.offset_mps2), (Some(departure), 1.0, 0.0));
-    assert_eq!(actor.action_bounds_mps2, [-7.5, 3.0]);
+    let residual = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm };
+    let controller = how("\"dead_zone\":0.3,\"rate_per_s\":200");
+    assert_eq!((controller.residual_over, controller.scale_mps2, controller.offset_mps2), (Some(residual), 1.0, 0.0));
+    assert_eq!(controller.action_bounds_mps2, [-7.5, 3.0]);
     let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
     let idm = IdmLaw { time_headway_s: 1.3, ..idm };
-    assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..departure }));
+    assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..residual }));
     // A step of 0.01 s completes any change at 200 1/s, but not at 199.
-    assert!(claim().problem(&actor).is_ok());
+    assert!(claim().problem(&controller).is_ok());
     let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
     let refused = claim().problem(&slow).unwrap_err();
     assert!(matches!(refused, Rejection::Policy { .. }), "{refused:?}");
@@ -184,7 +184,7 @@ fn a_policy_that_departs_from_a_law_is_read_with_it() {
 }
 
 #[test]
-fn what_the_simulator_does_not_drive_with_is_refused() {
+fn controllers_that_the_simulator_rejects_are_refused() {
     assert!(NeuralController::from_bytes(&with_header(|_, _| ())).is_ok());
     type PolicyTextMutation = fn(&mut String, &mut String);
     let changes: [(&str, PolicyTextMutation); 18] = [
@@ -211,8 +211,8 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         }),
         ("unknown field `note`", |_, header| replace(header, "\"crumple_policy\"", "\"note\":\"\",\"crumple_policy\"")),
         ("duplicate key \"actor.0.bias\"", |_, header| {
-            let twice = "\"actor.0.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"actor.0.bias\"";
-            replace(header, "\"actor.0.bias\"", twice);
+            let doubled = "\"actor.0.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"actor.0.bias\"";
+            replace(header, "\"actor.0.bias\"", doubled);
         }),
         ("tensor \"more\" is not part", |_, header| {
             let more = "\"more\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"actor.0.bias\"";
@@ -221,9 +221,9 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("unknown field `sparse`", |_, header| replace(header, "\"dtype\"", "\"sparse\":true,\"dtype\"")),
         ("bytes outside all tensors", |_, header| replace(header, "\"data_offsets\":[0,", "\"data_offsets\":[4,")),
     ];
-    for (said, change) in changes {
+    for (message, change) in changes {
         let error = NeuralController::from_bytes(&with_header(change)).unwrap_err();
-        assert!(error.contains(said), "{said}: {error}");
+        assert!(error.contains(message), "{message}: {error}");
     }
     let longer = [with_header(|_, _| ()), vec![0; 4]].concat();
     assert!(NeuralController::from_bytes(&longer).unwrap_err().contains("bytes outside all tensors"));

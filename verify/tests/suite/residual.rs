@@ -17,7 +17,7 @@ use crate::support::closed_loop::{XorShiftRng, scripted_braking, simulate, simul
 use crate::support::networks::residual_network;
 
 /// Generates residual policies over any `idm`, some with a slow rate.
-pub fn any_departure() -> impl Strategy<Value = ResidualPolicy> {
+pub fn any_residual_policy() -> impl Strategy<Value = ResidualPolicy> {
     let law = any_law().prop_map(|law| match law {
         FollowerLaw::Idm(idm) => idm,
         FollowerLaw::AccAeb(_) => native_idm(),
@@ -45,17 +45,17 @@ proptest! {
     /// collisions.
     #[test]
     fn bounds_hold_however_an_ego_departs(
-        ranges in any_ranges(), departure in any_departure(), seed: u64, gain in 0.2..3.0_f64,
+        ranges in any_ranges(), residual in any_residual_policy(), seed: u64, gain in 0.2..3.0_f64,
         follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(FollowerModel::ByLaw)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), largest in prop::sample::select(vec![1e-9, 0.02]),
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
     ) {
-        let actor = residual_network(&[12, 9], gain, seed, Some(departure));
+        let controller = residual_network(&[12, 9], gain, seed, Some(residual));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let scene = ReachProblem {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error: [largest; 8], stop_when_undecided: false,
-            steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..paper_problem(&actor, ranges)
+            steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..paper_problem(&controller, ranges)
         };
         let bounded = reach_with_tube(&scene);
         for (run, place) in places.into_iter().enumerate() {
@@ -65,30 +65,30 @@ proptest! {
                 std::array::from_fn(|_| largest * numbers.next_signed().signum() * f64::from(u8::from(run > 0)))
             };
             let brakes = |k| limit_mps2.map(|limit_mps2| limit_mps2 * XorShiftRng::for_index(seed, k / 20).next_unit().round());
-            let told = simulate_with_errors(&scene, start, |k| brakes(k).unwrap_or_else(|| scripted_braking(&start)(k)), error);
-            is_bounded(&scene, &bounded, told, &(start, departure))?;
+            let run = simulate_with_errors(&scene, start, |k| brakes(k).unwrap_or_else(|| scripted_braking(&start)(k)), error);
+            is_bounded(&scene, &bounded, run, &(start, residual))?;
         }
     }
 }
 
-fn constant_action_controller(action: f64, departure: ResidualPolicy) -> NeuralController {
-    let mut actor = residual_network(&[], 0.0, 1, Some(departure));
-    let Some(NetworkLayer::Linear(layer)) = actor.layers.first_mut() else { panic!("a layer") };
+fn constant_action_controller(action: f64, residual: ResidualPolicy) -> NeuralController {
+    let mut controller = residual_network(&[], 0.0, 1, Some(residual));
+    let Some(NetworkLayer::Linear(layer)) = controller.layers.first_mut() else { panic!("a layer") };
     layer.weights.fill(0.0);
     layer.biases.fill(f64::from(action.atanh() as f32));
-    actor
+    controller
 }
 
 /// Non-vacuous bounds around scenario 1, behind a leader that brakes at 0.7 m/s².
 #[test]
 fn verified_boxes_survive_search() {
-    let departure = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
+    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
     let mut ranges = paper_box(0.5, 0.0);
     ranges.leader_brake_mps2 = Interval::new(0.6, 0.8).unwrap();
     // The law alone, and a third and all of the way to full braking.
     for (action, beyond_m) in [(0.39, 0.5), (-0.6, 0.5), (-0.999, 0.5)] {
-        let actor = constant_action_controller(action, departure);
-        let scene = ReachProblem { follower: None, ..paper_problem(&actor, ranges) };
+        let controller = constant_action_controller(action, residual);
+        let scene = ReachProblem { follower: None, ..paper_problem(&controller, ranges) };
         let reached = reach(&scene);
         let found_m = min_gap_under_attack(&scene, 1000, 200, 9);
         println!("{action}: proved {:.3} m, found {found_m:.3} m", reached.gaps_m[0]);
@@ -103,9 +103,9 @@ fn road_policy_bytes() -> Vec<u8> {
 
 /// The check reads the base controller, which the statement omits, and adds it to the scope.
 #[test]
-fn what_is_departed_from_is_said_with_the_scope() {
+fn the_base_controller_is_printed_with_the_scope() {
     let bytes = road_policy_bytes();
-    let departure = NeuralController::from_bytes(&bytes).unwrap().residual_over.unwrap();
+    let residual = NeuralController::from_bytes(&bytes).unwrap().residual_over.unwrap();
     let claim = ReachClaim {
         policy_sha256: sha256(&bytes),
         partition: vec![PartitionCell::Undecided],
@@ -115,17 +115,17 @@ fn what_is_departed_from_is_said_with_the_scope() {
     };
     let certificate = certificate(claim);
     let accepted = check_with(&certificate, Some(&bytes), WorkLimit::default()).unwrap();
-    assert!(matches!(accepted, ProvedClaim::Reach { residual_over: Some(found), .. } if found == departure));
-    let ResidualPolicy { dead_zone, rate_per_s, idm } = departure;
+    assert!(matches!(accepted, ProvedClaim::Reach { residual_over: Some(found), .. } if found == residual));
+    let ResidualPolicy { dead_zone, rate_per_s, idm } = residual;
     let (scope, plain) = (certificate.scope_with_result(&accepted).to_string(), certificate.scope().to_string());
-    for said in [
+    for text in [
         format!(
             "; it drives idm towards {} m/s with a time headway of {} s",
             idm.desired_speed_mps, idm.time_headway_s
         ),
         format!("where the network's action is beyond {dead_zone}; departures come and go at {rate_per_s} 1/s"),
     ] {
-        assert!(scope.contains(&said) && !plain.contains(&said), "{said}: {scope}");
+        assert!(scope.contains(&text) && !plain.contains(&text), "{text}: {scope}");
     }
     // The digest rejects another policy with this claim.
     assert!(check_with(&certificate, Some(&reference_policy_bytes()), WorkLimit::default()).is_err());
@@ -135,11 +135,11 @@ fn what_is_departed_from_is_said_with_the_scope() {
 /// stops.
 #[test]
 fn a_box_of_a_learned_policy_survives_search() {
-    let actor = NeuralController::from_bytes(&road_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&road_policy_bytes()).unwrap();
     let mut ranges = paper_box(0.007, 0.002);
     ranges.follower_brake_mps2 = Interval::new(5.998, 6.002).unwrap();
     ranges.onset_steps = Interval::new(124.75, 125.25).unwrap();
-    let scene = paper_problem(&actor, ranges);
+    let scene = paper_problem(&controller, ranges);
     let reached = reach(&scene);
     let (found_m, proved_m) = (min_gap_under_attack(&scene, 300, 100, 3), reached.gaps_m[0].min(reached.gaps_m[1]));
     println!("proved {proved_m:.3} m, found {found_m:.3} m {reached:?}");
@@ -149,15 +149,15 @@ fn a_box_of_a_learned_policy_survives_search() {
 
 /// An ego that restarts within a decision interval and brakes again is not standing from then on.
 #[test]
-fn who_starts_within_an_interval_is_followed_on() {
-    let departure = ResidualPolicy { dead_zone: 0.0, rate_per_s: 1000.0, idm: native_idm() };
-    let actor = residual_network(&[12, 9], 1.760_118_541_084_301_7, 15_521_200_961_166_277_192, Some(departure));
+fn members_that_start_within_an_interval_are_propagated() {
+    let residual = ResidualPolicy { dead_zone: 0.0, rate_per_s: 1000.0, idm: native_idm() };
+    let controller = residual_network(&[12, 9], 1.760_118_541_084_301_7, 15_521_200_961_166_277_192, Some(residual));
     let start = [28.457_4, 0.0, 12.064_57, 0.0, 0.0, 4.290_4, 0.0, 72.658];
     let mut ranges = paper_box(0.0, 0.0);
     for (dimension, value) in BoxDimension::ALL.into_iter().zip(start) {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
-    let whole = paper_problem(&actor, ranges);
+    let whole = paper_problem(&controller, ranges);
     let scene = ReachProblem {
         follower: None,
         stop_when_undecided: false,
@@ -175,14 +175,14 @@ fn who_starts_within_an_interval_is_followed_on() {
 /// The law uses an observed own speed below 0 unclipped.
 #[test]
 fn a_speed_that_is_seen_below_0_counts_as_it_is() {
-    let departure = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
-    let actor = constant_action_controller(0.0, departure);
+    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
+    let controller = constant_action_controller(0.0, residual);
     let mut ranges = paper_box(0.0, 0.0);
     for (dimension, value) in BoxDimension::ALL.into_iter().zip([4.0, 0.0, 25.0, 0.0, 0.0, 0.0, 0.0, 0.0]) {
         *ranges.get_mut(dimension) = Interval::point(value);
     }
     let observation_error = [0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0];
-    let whole = paper_problem(&actor, ranges);
+    let whole = paper_problem(&controller, ranges);
     let scene = ReachProblem { follower: None, observation_error, stop_when_undecided: false, steps: 10, ..whole };
     let start = box_member(&ranges, [0.0; 8]);
     let error = |_| std::array::from_fn(|i| if i == 3 { -0.02 } else { 0.0 });

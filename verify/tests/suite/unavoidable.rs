@@ -23,9 +23,9 @@ prop_compose! {
 fn sum_m(scene: &Scene, branch: &Branch, picks: &[f64], profiles: &[Vec<f64>]) -> (f64, Vec<(f64, f64, bool)>, u32) {
     let mut picks = picks.iter().cycle();
     let member = pick_member(scene, || *picks.next().unwrap());
-    let drive = simulate_scene(scene, &member, profiles);
-    let rows = row_values(scene, &member, &drive, branch);
-    (rows.iter().map(|(y, value, _)| y * value).sum(), rows, drive.fired)
+    let run = simulate_scene(scene, &member, profiles);
+    let rows = row_values(scene, &member, &run, branch);
+    (rows.iter().map(|(y, value, _)| y * value).sum(), rows, run.fired)
 }
 
 proptest! {
@@ -76,10 +76,10 @@ proptest! {
 
     #[test]
     fn every_escape_satisfies_every_row((scene, branch, member, profiles) in (1..3_usize).prop_flat_map(any_case)) {
-        let drive = simulate_scene(&scene, &member, &profiles);
-        prop_assume!(drive.min_gap_m > 0.0);
-        prop_assume!((branch.first..=branch.last).contains(&drive.fired));
-        for (_, value, _) in row_values(&scene, &member, &drive, &branch) {
+        let run = simulate_scene(&scene, &member, &profiles);
+        prop_assume!(run.min_gap_m > 0.0);
+        prop_assume!((branch.first..=branch.last).contains(&run.fired));
+        for (_, value, _) in row_values(&scene, &member, &run, &branch) {
             prop_assert!(value <= 1e-9);
         }
     }
@@ -89,7 +89,7 @@ proptest! {
     #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::with_cases(500) })]
 
     #[test]
-    fn no_profile_escapes_what_is_accepted(
+    fn no_profile_escapes_an_accepted_proof(
         (scene, branches) in prop_oneof![3 => Just(1), 1 => Just(2)].prop_flat_map(proofs),
         picks in prop::collection::vec(0.0..=1.0_f64, 32),
     ) {
@@ -162,7 +162,7 @@ fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
 }
 
 #[test]
-fn what_would_prove_anything_is_refused() {
+fn certificates_that_prove_anything_are_refused() {
     let follower = follower_at(-9.0, 20.0);
     let sound = |scene: Scene| UnavoidableClaim {
         branches: match scene.follower {
@@ -261,19 +261,19 @@ fn gap_bound(scene: &Scene, branches: &[Branch], gap_m: f64) -> Result<ProvedCla
 }
 
 #[test]
-fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
+fn the_largest_unkept_gap_is_that_of_full_braking() {
     let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping_scene(gap_m, None), &[final_branch(0)], stated_m);
     let Ok(ProvedClaim::GapBound { gap_m, horizon_s }) = with(30.0, 5.5) else { panic!("{:?}", with(30.0, 5.5)) };
     assert!(gap_m >= 5.0 && gap_m - 5.0 < 1e-12 && horizon_s == 2.5, "{gap_m} {horizon_s}");
     assert_eq!(with(30.0, gap_m), Ok(ProvedClaim::GapBound { gap_m, horizon_s }));
     let stated_m = gap_m.next_down();
     assert_eq!(with(30.0, stated_m), Err(Rejection::GapBound { stated_m, gap_m }));
-    let said = with(30.0, 4.0).unwrap_err().to_string();
-    assert_eq!(said, format!("`gap_m` is 4, and only {gap_m} m is proved"));
+    let text = with(30.0, 4.0).unwrap_err().to_string();
+    assert_eq!(text, format!("`gap_m` is 4, and only {gap_m} m is proved"));
     assert_eq!(with(20.0, 0.0), Ok(ProvedClaim::GapBound { gap_m: 0.0, horizon_s }));
     for stated_m in [-1e-300, -5.0, f64::NAN, f64::INFINITY] {
-        let said = with(30.0, stated_m).unwrap_err().to_string();
-        assert_eq!(said, "`gap_m` must be 0 or more", "{stated_m}");
+        let text = with(30.0, stated_m).unwrap_err().to_string();
+        assert_eq!(text, "`gap_m` must be 0 or more", "{stated_m}");
     }
     let speed = vec![vec![(5, 1.0)]];
     for nothing in [Branch { last: 5, ..Branch::default() }, Branch { last: 5, speed, ..Branch::default() }] {
@@ -284,7 +284,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
 
 /// The standing follower never brakes: a branch in which it does is empty.
 #[test]
-fn a_branch_that_nobody_is_in_takes_nothing_away() {
+fn an_empty_branch_takes_nothing_away() {
     let follower = follower_at(-50.0, 0.0);
     let fires = |k: u32| Branch { first: k, last: k, fired: 1.0, ..Branch::default() };
     let branches: Vec<Branch> = (0..5).map(fires).chain([final_branch(5)]).collect();

@@ -9,9 +9,9 @@ use crate::law_follower::IDM;
 const POLICY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors");
 
 fn certificate_from_json(name: &str, assumptions: &[&str], claim: Value) -> Certificate {
-    let nobody = json!({"crumple": "", "scenario": "", "scenario_sha256": ""});
+    let absent = json!({"crumple": "", "scenario": "", "scenario_sha256": ""});
     let statement = Value::Object([(name.to_owned(), claim)].into_iter().collect());
-    let file = json!({"version": 1, "provenance": nobody, "assumptions": assumptions, "statement": statement});
+    let file = json!({"version": 1, "provenance": absent, "assumptions": assumptions, "statement": statement});
     Certificate::from_json(&file.to_string()).unwrap()
 }
 
@@ -80,7 +80,7 @@ fn is_too_much(result: &Result<ProvedClaim, Rejection>) -> bool {
 }
 
 #[test]
-fn what_announces_much_is_given_up() {
+fn excessive_announced_work_is_refused() {
     // 32 767 cells of a hundred thousand steps in half a megabyte: many hours.
     let endless = reach_certificate(14, 100_000);
     let limit = WorkLimit::from_billions(1);
@@ -97,7 +97,7 @@ fn what_announces_much_is_given_up() {
 }
 
 #[test]
-fn limits_are_said_in_whole_billions() {
+fn limits_are_printed_in_whole_billions() {
     for (operations, billions) in [(0, 0), (999_999_999, 0), (1_000_000_000, 1), (7_999_999_999, 7)] {
         assert_eq!(WorkLimit::from_operations(operations).to_billions(), billions);
     }
@@ -106,7 +106,7 @@ fn limits_are_said_in_whole_billions() {
 
 /// A follower with a law costs operations in every step, about 300 000 here, however rare the decisions.
 #[test]
-fn who_follows_by_a_law_is_counted() {
+fn a_modelled_follower_is_counted() {
     let (mut claim, limit) = (reach_certificate(0, 3000), WorkLimit::from_operations(600_000_000));
     assert!(check_with(&claim, Some(&policy()), limit).is_ok());
     let Statement::Reach(of) = &mut claim.statement else { panic!() };
@@ -138,7 +138,7 @@ fn the_limit_is_where_it_was() {
 }
 
 #[test]
-fn no_list_is_longer_than_what_it_is_about() {
+fn no_list_is_longer_than_its_subject() {
     let [avoidable, unavoidable, .., rate, _] = &other_certificates()[..] else { panic!("five kinds") };
     let reach = reach_certificate(1, 100);
     let empty: Vec<()> = Vec::new();

@@ -60,8 +60,8 @@ pub struct RatePerExposure {
     /// Observed episodes that the space describes.
     pub episodes: u64,
     /// Brakings that the space omits; rates per hour and per 1000 km assume that they fail as often.
-    #[serde(default)]
-    pub left_out: u64,
+    #[serde(rename = "left_out", default)]
+    pub undescribed_brakings: u64,
     /// Clusters of the episodes.
     #[serde(rename = "waves")]
     pub clusters: u64,
@@ -169,7 +169,7 @@ impl RatePerExposure {
         let [low, high] = known.interval(CONFIDENCE)?;
         let counted = expected_count_interval(seen, 1.0 - alpha / 2.0);
         let episodes = exposure.episodes as f64;
-        let stands_for = (episodes + exposure.left_out as f64) / episodes;
+        let stands_for = (episodes + exposure.undescribed_brakings as f64) / episodes;
         let figures = |apart: [f64; 3], jointly: [f64; 2]| {
             let [estimate, low, high] = apart;
             let per = |amount: f64| IntervalEstimate {
@@ -201,7 +201,7 @@ impl RatePerExposure {
         });
         Some(Self {
             episodes: exposure.episodes,
-            left_out: exposure.left_out,
+            undescribed_brakings: exposure.undescribed_brakings,
             clusters: seen.clusters,
             hours: exposure.hours,
             kilometres: exposure.kilometres,
@@ -219,8 +219,8 @@ fn episode_clusters(space: &ScenarioSpace) -> EpisodeClusters {
         return EpisodeClusters::singletons(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));
     };
     let mut sizes = vec![0; observed.braking_clusters.len()];
-    for wave in &observed.braking_clusters {
-        if let Some(size) = sizes.get_mut(*wave as usize) {
+    for cluster in &observed.braking_clusters {
+        if let Some(size) = sizes.get_mut(*cluster as usize) {
             *size += 1;
         }
     }

@@ -53,7 +53,8 @@ fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut
     let mut spec = truth.spec().clone();
     let episodes = columns[0].len();
     let (kilometres, sources) = (70.0 * hours, Vec::new());
-    spec.exposure = Some(DrivingExposure { episodes: episodes as u64, hours, kilometres, left_out: 0, sources });
+    spec.exposure =
+        Some(DrivingExposure { episodes: episodes as u64, hours, kilometres, undescribed_brakings: 0, sources });
     let parameters = truth.parameters().iter().zip(columns).map(|(parameter, values)| ObservedParameter {
         name: parameter.name().to_owned(),
         low: parameter.range()[0],
@@ -121,21 +122,24 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
 
-fn exposure_for(hours: f64, left_out: u64) -> DrivingExposure {
-    DrivingExposure { episodes: 50, hours, kilometres: 100.0, left_out, sources: Vec::new() }
+fn exposure_for(hours: f64, undescribed_brakings: u64) -> DrivingExposure {
+    DrivingExposure { episodes: 50, hours, kilometres: 100.0, undescribed_brakings, sources: Vec::new() }
 }
 
 #[test]
 fn brakings_that_were_left_out_count_in_rates_per_hour() {
     let known = FailureProbability::Counted { failures: 30, unknown: 0, runs: 1000 };
-    let rate = |left_out: u64| {
+    let rate = |undescribed_brakings: u64| {
         let mut spec = traffic().spec().clone();
-        spec.exposure = Some(exposure_for(2.0, left_out));
+        spec.exposure = Some(exposure_for(2.0, undescribed_brakings));
         let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
         RatePerExposure::new(&space, known, Err(&ResamplingError::NotRequested)).unwrap()
     };
     let (all, half) = (rate(0), rate(50));
-    assert_eq!((all.left_out, half.left_out, half.fitted.per_episode), (0, 50, all.fitted.per_episode));
+    assert_eq!(
+        (all.undescribed_brakings, half.undescribed_brakings, half.fitted.per_episode),
+        (0, 50, all.fitted.per_episode)
+    );
     let of = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
     for (one, two) in [(all.fitted.per_hour, half.fitted.per_hour), (all.fitted.per_1000_km, half.fitted.per_1000_km)] {
         assert!(of(one).iter().zip(of(two)).all(|(one, two)| (2.0 * one - two).abs() < 1e-12), "{one:?} {two:?}");

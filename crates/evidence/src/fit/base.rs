@@ -63,9 +63,9 @@ fn longest_braking_s(sample: &EpisodeSample) -> f64 {
 
 pub(super) fn describe_space(sample: &EpisodeSample) -> String {
     let EpisodeSample { extraction: taken, observed, exposure, exclusions: left_out, sizes, .. } = sample;
-    let waves = observed.braking_clusters.iter().max().map_or(0, |last| last + 1);
+    let clusters = observed.braking_clusters.iter().max().map_or(0, |last| last + 1);
     let mut about = format!(
-        "Fitted to {} braking episodes in {waves} waves of {} vehicles each, in {:.3} h and {:.1} km of following, from {} m/s² on. The leader \
+        "Fitted to {} braking episodes in {clusters} waves of {} vehicles each, in {:.3} h and {:.1} km of following, from {} m/s² on. The leader \
          brakes at its hardest second's deceleration down to its lowest speed; a scenario lasts until the slowest braking of the space is over, \
          and {TAIL_S} s more.",
         exposure.episodes,
@@ -74,10 +74,10 @@ pub(super) fn describe_space(sample: &EpisodeSample) -> String {
         exposure.kilometres,
         taken.min_brake.mps2(),
     );
-    for said in
+    for text in
         left_out.sentences(taken.vehicles).into_iter().chain(sizes.iter().enumerate().map(|(at, one)| one.sentence(at)))
     {
-        about += &format!(" {said}.");
+        about += &format!(" {text}.");
     }
     about
 }

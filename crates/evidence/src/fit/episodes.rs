@@ -231,9 +231,9 @@ impl EpisodeSample {
                 most += &format!(", {nobody_behind} have no known follower, {impossible} have impossible speeds");
             }
             // A recording in which no braking is detectable looks like one without braking.
-            let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
+            let mut evaluated = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
             if let Some((recording, why)) =
-                judged.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
+                evaluated.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
             {
                 most += &format!("; {}: {why}", source_name(recording));
             }
@@ -261,7 +261,7 @@ impl EpisodeSample {
             episodes: found as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
-            left_out: left_out.count_in_exposure() as u64,
+            undescribed_brakings: left_out.count_in_exposure() as u64,
             sources,
         };
         let observed = ObservedData {
@@ -316,7 +316,7 @@ impl EpisodeCollector {
         let (before, left_out) = (self.clusters.len(), self.exclusions.count_in_exposure());
         let first_wave = self.clusters.iter().max().map_or(0, |last| last + 1);
         found.dropped.iter().for_each(|dropped| self.exclusions.add(dropped));
-        for (episode, wave) in found.episodes.iter().zip(braking_clusters(&found.episodes)) {
+        for (episode, cluster) in found.episodes.iter().zip(braking_clusters(&found.episodes)) {
             let Some(values) = feature_values(episode, vehicles) else {
                 self.exclusions.too_few_vehicles += 1;
                 continue;
@@ -328,7 +328,7 @@ impl EpisodeCollector {
                 self.out_of_range[which] += 1;
                 continue;
             }
-            self.clusters.push(first_wave + wave);
+            self.clusters.push(first_wave + cluster);
             self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
             let lengths = episode.vehicles.iter().map(|placed| placed.length_m);
             self.lengths.iter_mut().zip(lengths).for_each(|(known, length_m)| known.push(length_m));
@@ -339,7 +339,7 @@ impl EpisodeCollector {
             episodes: (self.clusters.len() - before) as u64,
             hours: driven.hours,
             kilometres: driven.kilometres,
-            left_out: (self.exclusions.count_in_exposure() - left_out) as u64,
+            undescribed_brakings: (self.exclusions.count_in_exposure() - left_out) as u64,
         });
         Ok(())
     }
@@ -349,7 +349,7 @@ fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
     let mut known: Vec<u32> = waves.to_vec();
     known.sort_unstable();
     known.dedup();
-    waves.iter().map(|wave| known.partition_point(|other| other < wave) as u32).collect()
+    waves.iter().map(|cluster| known.partition_point(|other| other < cluster) as u32).collect()
 }
 
 fn source_name(recording: &Recording) -> String {

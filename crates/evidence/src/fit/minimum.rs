@@ -11,12 +11,12 @@ pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2
 }
 
 fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
-    let judged = |at: [f64; 2]| {
+    let evaluated = |at: [f64; 2]| {
         let value = of(at);
         (at, if value.is_finite() { value } else { f64::INFINITY })
     };
     let [x, y] = start;
-    let mut corners = [judged(start), judged([x + size, y]), judged([x, y + size])];
+    let mut corners = [evaluated(start), evaluated([x + size, y]), evaluated([x, y + size])];
     for _ in 0..MAX_STEPS {
         corners.sort_by(|a, b| a.1.total_cmp(&b.1));
         let [best, middle, worst] = corners;
@@ -29,7 +29,7 @@ fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64
                 let centre = 0.5 * (best.0[axis] + middle.0[axis]);
                 centre + share * (centre - worst.0[axis])
             };
-            judged([along(0), along(1)])
+            evaluated([along(0), along(1)])
         };
         let reflected = towards(1.0);
         let replaced = if reflected.1 < best.1 {
@@ -44,7 +44,7 @@ fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64
         match replaced {
             Some(better) => corners[2] = better,
             None => {
-                let half = |corner: [f64; 2]| judged([0.5 * (corner[0] + best.0[0]), 0.5 * (corner[1] + best.0[1])]);
+                let half = |corner: [f64; 2]| evaluated([0.5 * (corner[0] + best.0[0]), 0.5 * (corner[1] + best.0[1])]);
                 corners = [best, half(middle.0), half(worst.0)];
             }
         }

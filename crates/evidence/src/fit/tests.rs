@@ -94,19 +94,19 @@ fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
 #[test]
 fn the_p_value_is_even_where_the_family_is_right() {
     let (distribution, family, _, range) = known_distributions().remove(2);
-    let judged = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
+    let evaluated = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
         values.sort_by(f64::total_cmp);
         let fit = family.fit(values, range).unwrap();
         GoodnessOfFit::bootstrap(values, range, &fit, &fit.distribution.build().unwrap(), (99, trial, 0))
     };
     let mut low = 0;
     for trial in 0..60 {
-        let goodness = judged(&mut draw_values(&distribution, 100, 500 + trial), family, trial);
+        let goodness = evaluated(&mut draw_values(&distribution, 100, 500 + trial), family, trial);
         low += u32::from(goodness.cramer_von_mises_p <= 0.2);
     }
     assert!((4..=22).contains(&low), "{low} of 60 below 0.2");
     let two_humps: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 1.0 } else { 5.0 } + 0.01 * f64::from(i)).collect();
-    let goodness = judged(&mut two_humps.clone(), DistributionFamily::Normal, 0);
+    let goodness = evaluated(&mut two_humps.clone(), DistributionFamily::Normal, 0);
     assert!(goodness.cramer_von_mises_p <= 0.01 && goodness.kolmogorov_smirnov_p <= 0.01, "{goodness:?}");
 }
 
@@ -245,7 +245,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
 }
 
 #[test]
-fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
+fn refit_names_changed_values_and_keeps_unobserved_ones() {
     let space = dependent_space();
     let observed = observe_draws(&space, 300, 4);
     let fitted = refit(space.spec(), &observed).unwrap();
@@ -332,12 +332,12 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 }
 
 #[test]
-fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
+fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
     let taken = ExtractionConfig { vehicles: 2, min_brake: MinBrake::default(), leaders: LeaderSelection::Any };
     let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], taken).unwrap();
     let left_out = ExclusionCounts { no_follower: 1, impossible_speeds: 1, ..ExclusionCounts::default() };
-    assert_eq!((sample.exclusions, sample.exposure.episodes, sample.exposure.left_out), (left_out, 38, 1));
-    assert_eq!(sample.exposure.sources[0].left_out, 1);
+    assert_eq!((sample.exclusions, sample.exposure.episodes, sample.exposure.undescribed_brakings), (left_out, 38, 1));
+    assert_eq!(sample.exposure.sources[0].undescribed_brakings, 1);
     // 39 leaders with a follower, for 19.9 s each; braking cannot begin in the last second.
     assert!((sample.exposure.hours * 3600.0 - 39.0 * 18.9).abs() < 1e-6, "{}", sample.exposure.hours);
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
@@ -350,10 +350,10 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     assert_eq!((sizes[0].values[1].at, sizes[0].values[1].count), (12.5, 10));
     assert_eq!(depending.len(), 6);
     let about = &space.spec().about;
-    for said in
+    for message in
         ["1 episodes without a known follower", "1 episodes with impossible speeds", "10 heavy ones (median 12.5 m)"]
     {
-        assert!(about.contains(said), "{about}");
+        assert!(about.contains(message), "{about}");
     }
     let drawn: Vec<_> = (0..400).map(|index| space.draw(1, index).unwrap()).collect();
     let heavy = drawn.iter().filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
@@ -373,7 +373,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
 }
 
 #[test]
-fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
+fn thresholds_are_kept_and_unobservable_values_are_named() {
     let taken =
         |mps2| ExtractionConfig { vehicles: 2, min_brake: MinBrake::new(mps2).unwrap(), leaders: LeaderSelection::Any };
     assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
@@ -389,8 +389,8 @@ fn thresholds_are_kept_and_what_cannot_be_seen_is_said() {
         })
         .collect();
     let slow = read(format!("{header}{rows}").as_bytes(), Path::new("slow.csv"), None).unwrap();
-    let said = EpisodeSample::from_recordings(&[slow], taken(1.3)).unwrap_err().to_string();
-    assert!(said.contains("; slow.csv: the speeds of a vehicle are 1.000 s apart"), "{said}");
+    let message = EpisodeSample::from_recordings(&[slow], taken(1.3)).unwrap_err().to_string();
+    assert!(message.contains("; slow.csv: the speeds of a vehicle are 1.000 s apart"), "{message}");
 }
 
 #[test]

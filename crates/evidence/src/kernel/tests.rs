@@ -107,7 +107,7 @@ fn stated_gap_m(stated: &crumple_verify::KernelClaim, v: Rational, w: Rational) 
 
 /// Compares with the shield's function in exact arithmetic, so that any wrong coefficient is detected.
 #[test]
-fn what_is_certified_is_what_the_shield_computes() {
+fn certificate_and_shield_compute_the_same() {
     let quarter = |over: i128| Rational::new(over, 4).unwrap();
     let speeds = || (0..=60).chain([75, 100, 140]).map(quarter);
     for (b, c) in [(7.5, 7.5), (7.5, 6.0), (6.0, 7.5), (6.0, 6.0), (8.0, 5.0), (0.25, 30.0), (30.0, 0.5)] {

@@ -162,7 +162,7 @@ impl LimitState for RarePlan {
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let margins = simulate_batch(&runs, specification.recording_level(), |index, result| {
-            runs.get(index).map(|run| specification.judge(run, &result).map(|verdict| verdict.robustness))
+            runs.get(index).map(|run| specification.evaluate(run, &result).map(|verdict| verdict.robustness))
         });
         let margins = margins.into_iter().flatten().collect::<Result<_, _>>()?;
         self.controller.ensure_trusted()?;

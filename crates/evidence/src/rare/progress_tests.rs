@@ -72,7 +72,7 @@ proptest! {
 
     /// Repeated interruptions, with any number of threads, do not change the bytes of the result.
     #[test]
-    fn what_is_interrupted_goes_on_to_the_same_bytes(
+    fn an_interrupted_estimate_resumes_to_the_same_bytes(
         (importance, seed, shard) in (any::<bool>(), 0..20_u64, prop::option::of(1..=2_u32)),
         interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
     ) {
@@ -105,7 +105,7 @@ fn repetitions_are_kept_as_they_end() {
 }
 
 #[test]
-fn what_is_half_done_is_gone_on_with_by_nothing_else() {
+fn only_the_same_estimate_resumes_an_unfinished_folder() {
     let (plan, root) = (plan(RareMethod::Importance, 1), tempfile::tempdir().unwrap());
     assert_eq!(with_threads(1, || run_until(&plan, None, root.path(), 3000)), None);
     assert!(root.path().join(PROGRESS_FILE).exists());

@@ -406,13 +406,13 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Self { problem, samples, random, evaluations: 0, counter }
     }
 
-    /// Moves a population down the levels and returns the number of failed initial runs. Calls `told` with the
+    /// Moves a population down the levels and returns the number of failed initial runs. Calls `on_level` with the
     /// statistics and the survivors of each level. Moves below the last level need a `last_step`.
     fn climb(
         &mut self,
         stages: &[SplittingStage],
         last_step: Option<f64>,
-        mut told: impl FnMut(LevelStats, &[Particle]),
+        mut on_level: impl FnMut(LevelStats, &[Particle]),
     ) -> Result<u64, P::Error> {
         let mut population = self.sample_initial()?;
         let failures = count_failures(&population);
@@ -429,7 +429,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
                         LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
-            told(here, &population);
+            on_level(here, &population);
             if population.is_empty() {
                 break;
             }

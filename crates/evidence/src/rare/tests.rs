@@ -286,7 +286,7 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
 }
 
 #[test]
-fn what_cannot_fail_is_not_given_a_probability() {
+fn without_a_failure_there_is_no_probability() {
     let never = [
         |state: &RandomInputs| 1.0 + state.normal.iter().sum::<f64>().exp(),
         |_: &RandomInputs| 1.0,

@@ -24,7 +24,7 @@ fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
     let named = |name: &str| ControllerSpec::from_name(name).unwrap().into();
     RatePlan::new(RateConfig {
         controller: named(controller),
-        against: against.map(named),
+        second_controller: against.map(named),
         space: built_in_space("high-risk").unwrap(),
         seed,
         estimator: EstimatorKind::Truth,
@@ -102,7 +102,7 @@ fn random_shards(random: &mut impl Rng) -> Vec<ShardId> {
 }
 
 #[test]
-fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
+fn random_splits_merge_to_the_single_run_or_name_missing_shards() {
     let plan = plan(3);
     let (single, tally) = count_whole(&plan);
     assert!(tally.failures > 0 && tally.failures < tally.runs, "{}", tally.failures);
@@ -178,7 +178,7 @@ fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
 }
 
 #[test]
-fn what_is_foreign_tampered_or_contradicts_is_refused() {
+fn foreign_changed_or_contradictory_shards_are_refused() {
     let (mine, other) = (plan(3), plan(4));
     let (mut own, mut foreign) = (Shards::new(&mine), Shards::new(&other));
     let mut merged = None;

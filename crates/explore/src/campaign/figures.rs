@@ -120,7 +120,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
                 markers[series % 2],
                 Ink::Series(series),
             );
-            let said = format!(
+            let text = format!(
                 "{}: robustness {}, ln likelihood {}",
                 point.kind,
                 format_number(point.robustness, 2),
@@ -128,7 +128,7 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
             );
             panel.add_overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
                 Some(index) => html! {
-                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(said) { title { (said) } (drawn) }
+                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(text) { title { (text) } (drawn) }
                 },
                 // The evaluation of this point is not stored.
                 None => drawn,
@@ -195,10 +195,10 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
         @for (index, cell) in map.cells.iter().enumerate() {
             @if let Some((worst, robustness)) = cell.worst {
                 @let PixelRect { left, top, width, height } = cell_frame(index);
-                @let said = format!("{}, {}: {} of {} fail, worst robustness {}", map.x_axis.cell_label(index % columns), map.y_axis.cell_label(index / columns),
+                @let text = format!("{}, {}: {} of {} fail, worst robustness {}", map.x_axis.cell_label(index % columns), map.y_axis.cell_label(index / columns),
                     cell.failing, cell.total, format_number(robustness, 2));
-                a href={ "./?campaign=" (shown.index) "&evaluation=" (worst) } aria-label=(said) {
-                    title { (said) }
+                a href={ "./?campaign=" (shown.index) "&evaluation=" (worst) } aria-label=(text) {
+                    title { (text) }
                     rect class="cell" x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill="transparent" {}
                 }
             }

@@ -35,10 +35,10 @@ pub(crate) struct CampaignRequest {
     #[serde(default)]
     against: Option<usize>,
     /// Names of the parameters of the failure grid.
-    #[serde(default)]
-    across: Option<String>,
-    #[serde(default)]
-    up: Option<String>,
+    #[serde(default, rename = "across")]
+    x_parameter: Option<String>,
+    #[serde(default, rename = "up")]
+    y_parameter: Option<String>,
     #[serde(default)]
     method: Option<String>,
     #[serde(default)]
@@ -56,8 +56,10 @@ pub(crate) struct CampaignResponse {
     #[serde(rename = "words")]
     summaries: Vec<String>,
     coordinates: Vec<String>,
-    across: String,
-    up: String,
+    #[serde(rename = "across")]
+    x_parameter: String,
+    #[serde(rename = "up")]
+    y_parameter: String,
     methods: Vec<String>,
     kinds: Vec<String>,
     best: String,
@@ -135,14 +137,14 @@ pub(crate) fn show_campaigns(
             .position(|known| known == name)
             .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
-    let (across, up) = (place("across", &request.across, 0)?, place("up", &request.up, 1)?);
+    let (x, y) = (place("across", &request.x_parameter, 0)?, place("up", &request.y_parameter, 1)?);
     let kinds = failure_kinds(look);
     let chosen = EvaluationFilter { method: request.method.as_deref(), kind: request.kind.as_deref() };
     let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
         div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
             @for one in &shown {
-                @match FailureGrid::from_campaign(one.reader, [&name(across), &name(up)], &chosen) {
+                @match FailureGrid::from_campaign(one.reader, [&name(x), &name(y)], &chosen) {
                     Some(map) => (figures::failure_grid_figure(one, &map, request.narrow || shown.len() > 1)),
                     None => p.hint { (TerminalText(one.name)) " does not vary both of these." },
                 }
@@ -153,8 +155,8 @@ pub(crate) fn show_campaigns(
         running: shown.iter().any(|one| one.reader.summary().is_none()),
         loading,
         summaries: shown.iter().map(summary_line).collect(),
-        across: name(across),
-        up: name(up),
+        x_parameter: name(x),
+        y_parameter: name(y),
         methods: look.methods().iter().map(Method::to_string).collect(),
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
         front: escape_markup(figures::pareto_front_figure(&shown, request.narrow)),

@@ -71,7 +71,7 @@ fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
 }
 
 #[test]
-fn what_is_wrong_with_units_is_refused_with_its_line() {
+fn unit_errors_name_their_line() {
     let with =
         |unit: &str| fmi2_description(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
     let cases = [
@@ -90,9 +90,9 @@ fn what_is_wrong_with_units_is_refused_with_its_line() {
             "relativeQuantity: \"maybe\" is neither true nor false",
         ),
     ];
-    for (text, said) in cases {
-        let error = ModelDescription::from_xml(&text).expect_err(said).to_string();
-        assert!(error.contains(said), "{error}\n  should say\n{said}");
+    for (text, message) in cases {
+        let error = ModelDescription::from_xml(&text).expect_err(message).to_string();
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
 }
 
@@ -113,9 +113,12 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
         (whole.replace("fmiModelDescription", "other"), "there is no root element of a known name"),
         (String::new(), "there is no root element of a known name"),
     ];
-    for (text, said) in cases {
-        let error = ModelDescription::from_xml(&text).expect_err(said).to_string();
-        assert!(error.starts_with("modelDescription.xml, ") && error.contains(said), "{error}\n  should say\n{said}");
+    for (text, message) in cases {
+        let error = ModelDescription::from_xml(&text).expect_err(message).to_string();
+        assert!(
+            error.starts_with("modelDescription.xml, ") && error.contains(message),
+            "{error}\n  should say\n{message}"
+        );
     }
     let escaped = whole.replace("name=\"x\"", "name=\"&lt;&#120;&gt;\"");
     assert_eq!(ModelDescription::from_xml(&escaped).unwrap().variables[0].name, "<x>");

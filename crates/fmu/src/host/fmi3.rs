@@ -92,7 +92,7 @@ impl Fmi3 {
 impl FmiFunctions for Fmi3 {
     fn instantiate(&mut self) -> Result<(), String> {
         let (token, resources) = (self.token.as_ptr(), self.resources.as_ptr());
-        let (none, nobody) = (ptr::null(), ptr::null_mut());
+        let (none, absent) = (ptr::null(), ptr::null_mut());
         // SAFETY: the texts end in NUL and live as long as the instance; no variables need intermediate updates.
         self.instance = unsafe {
             (self.instantiate)(
@@ -105,7 +105,7 @@ impl FmiFunctions for Fmi3 {
                 false,
                 none,
                 0,
-                nobody,
+                absent,
                 log,
                 ptr::null(),
             )

@@ -26,7 +26,7 @@ pub(super) struct VariableRef {
 
 /// Checks the status of a call; both editions use the same numbers.
 pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
-    let said = match status {
+    let text = match status {
         // Success, and success with a warning, which the FMU has logged.
         0 | 1 => return Ok(()),
         2 => "discarded it",
@@ -35,7 +35,7 @@ pub(super) fn check_status(call: &str, status: i32) -> Result<(), String> {
         5 => "returned `pending`, which is not supported",
         other => return Err(format!("{call} returned {other}, which is not a status of the FMI standard")),
     };
-    Err(format!("the FMU {said} ({call})"))
+    Err(format!("the FMU {text} ({call})"))
 }
 
 /// Calls of both editions. All but `instantiate` require an instance that is not yet freed.

@@ -13,34 +13,36 @@ use crumple_world::sim::{AfterContact, Outcome, VehiclePair};
 /// [`Invariant::MetricsAgree`], [`Invariant::Limits`] or [`Invariant::ContactRole`].
 pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result, scenario) = (question.trace()?, &question.result, &question.test_case.scenario);
-    let story = |holds: bool, finding: &dyn Fn() -> String| ensure(holds, Invariant::MetricsAgree, finding);
+    let ensure_consistent = |holds: bool, finding: &dyn Fn() -> String| ensure(holds, Invariant::MetricsAgree, finding);
     let stops = question.run.options().after_contact == AfterContact::Stop;
     let first = result.impacts.first().map(|impact| impact.contact);
-    let told = result.outcome.contact().copied() == first || result.outcome.failed_controller().is_some();
-    story(told, &|| "the outcome is not the first impact".to_owned())?;
+    let is_first = result.outcome.contact().copied() == first || result.outcome.failed_controller().is_some();
+    ensure_consistent(is_first, &|| "the outcome is not the first impact".to_owned())?;
     let in_order = result.impacts.windows(2).all(|pair| match pair {
         [before, after] => before.contact.time_s <= after.contact.time_s,
         _ => true,
     });
-    story(in_order, &|| "impacts are not in order of time".to_owned())?;
+    ensure_consistent(in_order, &|| "impacts are not in order of time".to_owned())?;
     let end_s = trace.time_s.last().copied().unwrap_or(f64::NAN);
     let ended = match &result.outcome {
         Outcome::Collision(contact) if stops => end_s == contact.time_s,
         Outcome::ControllerFailed(failed) => end_s == failed.time_s && can_controller_fail(question),
         _ => (end_s - scenario.spec().duration_s).abs() < 1e-9,
     };
-    story(ended, &|| format!("the trace ends at {end_s} s, with {:?}", result.outcome))?;
-    story(result.vehicles.len() == scenario.vehicles().len(), &|| "a vehicle is missing".to_owned())?;
+    ensure_consistent(ended, &|| format!("the trace ends at {end_s} s, with {:?}", result.outcome))?;
+    ensure_consistent(result.vehicles.len() == scenario.vehicles().len(), &|| "a vehicle is missing".to_owned())?;
     for (index, (summary, track)) in result.vehicles.iter().zip(&trace.vehicles).enumerate() {
         // The last sample is not held for a step, and an impact just before it may have changed its acceleration.
         let held = track.acceleration_mps2.len().saturating_sub(usize::from(!result.impacts.is_empty() && !stops));
         let hardest_mps2 = track.acceleration_mps2.iter().take(held).fold(0.0_f64, |hardest, a| hardest.max(-a));
         let braked = summary.max_brake_mps2 == hardest_mps2;
-        story(braked, &|| {
+        ensure_consistent(braked, &|| {
             format!("vehicle {index} braked at {hardest_mps2} m/s², reported {}", summary.max_brake_mps2)
         })?;
         let stopped = track.speed_mps.last() == Some(&0.0);
-        story(summary.stopped == stopped, &|| format!("vehicle {index} stands: {stopped}, reported otherwise"))?;
+        ensure_consistent(summary.stopped == stopped, &|| {
+            format!("vehicle {index} stands: {stopped}, reported otherwise")
+        })?;
         let pairs = trace.pairs(index);
         if pairs.is_empty() {
             continue;
@@ -49,22 +51,28 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
         let sampled_m = gaps_m.iter().copied().fold(f64::INFINITY, f64::min);
         let min_gap_m = summary.min_gap_m.unwrap_or(f64::NAN);
         let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
-        story(below, &|| format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m"))?;
+        ensure_consistent(below, &|| {
+            format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m")
+        })?;
         let ends_m = gaps_m.last().copied().unwrap_or(f64::NAN);
-        story(min_gap_m >= 0.0, &|| format!("vehicle {index}: the reported smallest gap is {min_gap_m} m"))?;
-        let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
+        ensure_consistent(min_gap_m >= 0.0, &|| {
+            format!("vehicle {index}: the reported smallest gap is {min_gap_m} m")
+        })?;
+        let collides = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
         // A run ends at its first collision, the foremost of simultaneous ones; the others are not recorded.
-        let at_once = stops && first.is_some() && !touches && ends_m.abs() < ROUNDING_M;
+        let at_once = stops && first.is_some() && !collides && ends_m.abs() < ROUNDING_M;
         if at_once {
             continue;
         }
-        story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} collides: {touches}, gap {min_gap_m} m"))?;
-        let through = !touches && sampled_m <= 0.0 && !is_grazing(result);
-        story(!through, &|| {
+        ensure_consistent(collides == (min_gap_m == 0.0), &|| {
+            format!("vehicle {index} collides: {collides}, gap {min_gap_m} m")
+        })?;
+        let through = !collides && sampled_m <= 0.0 && !is_grazing(result);
+        ensure_consistent(!through, &|| {
             format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no collision")
         })?;
-        let in_contact = !touches || ends_m.abs() < ROUNDING_M;
-        story(in_contact, &|| format!("vehicle {index} collides, but ends with a gap of {ends_m} m"))?;
+        let in_contact = !collides || ends_m.abs() < ROUNDING_M;
+        ensure_consistent(in_contact, &|| format!("vehicle {index} collides, but ends with a gap of {ends_m} m"))?;
     }
     check_limits(question)?;
     check_contact_role(question)?;
@@ -100,7 +108,7 @@ fn check_limits(question: &OracleContext<'_>) -> Result<(), (Invariant, String)>
 fn check_contact_role(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     let Some(contact) = question.result.outcome.contact() else { return Ok(()) };
-    let told = question.system.contact_role(contact, scenario);
+    let role = question.system.contact_role(contact, scenario);
     let closed = |rear: &usize| {
         let gap_m = trace.pairs(*rear).last().and_then(|pair| pair.gaps_m().last());
         gap_m.is_some_and(|(_, gap_m)| gap_m < ROUNDING_M)
@@ -108,10 +116,10 @@ fn check_contact_role(question: &OracleContext<'_>) -> Result<(), (Invariant, St
     let touching = (1..trace.vehicles.len()).find(closed);
     let under_test = |index: usize| scenario.vehicles().get(index).is_some_and(|v| v.driver == Driver::UnderTest);
     let tested = (under_test(contact.rear_vehicle), under_test(contact.front_vehicle));
-    let agrees = match told {
+    let agrees = match role {
         ContactRole::Hits => tested.0 && touching.is_some(),
-        ContactRole::IsHit => tested == (false, true),
+        ContactRole::HitFromBehind => tested == (false, true),
         ContactRole::Bystander => tested == (false, false),
     };
-    ensure(agrees, Invariant::ContactRole, || format!("the reported role in the collision is {told:?}: {contact:?}"))
+    ensure(agrees, Invariant::ContactRole, || format!("the reported role in the collision is {role:?}: {contact:?}"))
 }

@@ -51,8 +51,8 @@ fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: 
             track.acceleration_mps2.chunks_exact(substeps).zip(trace.time_s.chunks_exact(substeps)).enumerate()
         {
             let (Some(&from_s), Some(&to_s)) = (times.first(), times.last()) else { continue };
-            let touched = impacts_s.iter().any(|t| (from_s - 1e-9..=to_s + (to_s - from_s) + 1e-9).contains(t));
-            if !touched && held.iter().any(|a| Some(a) != held.first()) {
+            let collided = impacts_s.iter().any(|t| (from_s - 1e-9..=to_s + (to_s - from_s) + 1e-9).contains(t));
+            if !collided && held.iter().any(|a| Some(a) != held.first()) {
                 return Err(format!("vehicle {vehicle} changes its acceleration within step {step}, {from_s} s"));
             }
         }

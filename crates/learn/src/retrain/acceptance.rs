@@ -249,7 +249,7 @@ mod tests {
         let in_spaces = |high_risk: &[u64], of_no_use: &[u64]| {
             let space = |name: &str, contacts: &[u64], of_no_use| RegressionSpaceResult {
                 space: name.to_owned(),
-                draws: 100,
+                sample_count: 100,
                 contacts: contacts.to_vec(),
                 not_useful: of_no_use,
             };

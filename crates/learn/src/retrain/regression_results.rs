@@ -37,7 +37,7 @@ impl RegressionResults {
         regression: &RegressionSpaces,
     ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
-        let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
+        let collided = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
             let contacts = first_contacts(scenarios, &controller, estimator)?;
             Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
         };
@@ -45,16 +45,16 @@ impl RegressionResults {
         let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in_scenario(name)).collect();
         let mut paper = Vec::new();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let found = touched(&scenarios, estimator)?;
+            let found = collided(&scenarios, estimator)?;
             paper.extend(
                 found.iter().filter_map(|&place| Some(format!("{} ({})", names.get(place)?, estimator.name()))),
             );
         }
         let draws = PaperDistribution { seed: NOMINAL_SEED };
         let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
-        let nominal = touched(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
+        let nominal = collided(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
         let indices: Vec<u64> = kept_aside.indices().collect();
-        let aside = touched(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
+        let aside = collided(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
         let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
         Ok(Self { paper, nominal, validation_set: kept_aside, regression: regression.evaluate(&controller)? })
     }

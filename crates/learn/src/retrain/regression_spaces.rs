@@ -24,7 +24,8 @@ pub struct RegressionSpaceResult {
     /// Name of the space.
     pub space: String,
     /// Number of random scenarios.
-    pub draws: u64,
+    #[serde(rename = "draws")]
+    pub sample_count: u64,
     /// Indices of the scenarios that ended in a collision.
     pub contacts: Vec<u64>,
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
@@ -82,19 +83,19 @@ impl RegressionSpace {
         for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
             let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
             let found = simulate_batch(&runs, level, |_, result| {
-                let touched = result.outcome.contact().is_some();
-                (touched, touched || measure_usefulness(&result).is_some_and(is_not_useful))
+                let collided = result.outcome.contact().is_some();
+                (collided, collided || measure_usefulness(&result).is_some_and(is_not_useful))
             });
-            for (index, (touched, is_useless)) in found.into_iter().enumerate() {
+            for (index, (collided, is_useless)) in found.into_iter().enumerate() {
                 let index = (block * BATCH_SIZE + index) as u64;
-                contacts.extend(touched.then_some(index));
+                contacts.extend(collided.then_some(index));
                 of_no_use.extend(is_useless.then_some(index));
             }
         }
         let of_no_use = self.checks_usefulness.then_some(of_no_use);
         Ok(RegressionSpaceResult {
             space: self.name.clone(),
-            draws: self.draws.len() as u64,
+            sample_count: self.draws.len() as u64,
             contacts,
             not_useful: of_no_use,
         })
@@ -102,7 +103,7 @@ impl RegressionSpace {
 }
 
 fn is_not_useful(found: UsefulnessMeasures) -> bool {
-    !found.hard.is_empty() || found.following.is_some_and(|following| following.left_behind)
+    !found.hard.is_empty() || found.following.is_some_and(|following| following.fell_behind)
 }
 
 #[cfg(test)]

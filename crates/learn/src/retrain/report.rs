@@ -96,7 +96,7 @@ impl RetrainingReport {
         (first_standing, retrained_standing): (RegressionResults, RegressionResults),
         rounds: Vec<Round>,
         ending: RetrainingEnding,
-        judged: TestSetResults,
+        evaluated: TestSetResults,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
             Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_required(name)?) })
@@ -121,9 +121,9 @@ impl RetrainingReport {
             ending,
             first_results: first_standing,
             retrained_results: retrained_standing,
-            test_draws: judged.corpus.avoidable,
-            tallies: judged.tallies,
-            pairs: judged.pairs,
+            test_draws: evaluated.corpus.avoidable,
+            tallies: evaluated.tallies,
+            pairs: evaluated.pairs,
             files,
         })
     }
@@ -175,7 +175,7 @@ impl RetrainingReport {
             episodes,
             budget,
             draws,
-            validation_draws: kept_aside,
+            validation_draws: validation_set,
             nominal,
             nominal_share,
             case_share,
@@ -203,7 +203,7 @@ impl RetrainingReport {
         writeln!(
             out,
             "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
-             are all avoidable scenarios collected up to the round. The *validation set* has {kept_aside} avoidable \
+             are all avoidable scenarios collected up to the round. The *validation set* has {validation_set} avoidable \
              random scenarios of the space. *paper-1..3* are the paper's scenarios, each through the filter and with \
              the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round is accepted if \
              there is no new failure in the last two columns, no more collisions in the validation set, and the \
@@ -288,7 +288,7 @@ impl RetrainingReport {
              useful |\n|---|---|---|---|"
         )?;
         for (was, is) in self.first_results.regression.iter().zip(&self.retrained_results.regression) {
-            let told = |was: &[u64], is: &[u64]| {
+            let change = |was: &[u64], is: &[u64]| {
                 format!("{} (p = {:.2})", FailureChange::between(was, is), discordant_pairs(was, is).p_value())
             };
             let drives = was.not_useful.as_ref().zip(is.not_useful.as_ref());
@@ -296,9 +296,9 @@ impl RetrainingReport {
                 out,
                 "| {} | {} | {} | {} |",
                 MarkdownText(&is.space),
-                is.draws,
-                told(&was.contacts, &is.contacts),
-                drives.map_or("–".to_owned(), |(was, is)| told(was, is))
+                is.sample_count,
+                change(&was.contacts, &is.contacts),
+                drives.map_or("–".to_owned(), |(was, is)| change(was, is))
             )?;
         }
         out.push('\n');

@@ -202,17 +202,17 @@ impl RoundContext<'_> {
         watch.notify(&RetrainingProgress::SimulatingDraws { round, draws: plan.settings.draws })?;
         let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
         let contacts = first_contacts(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
-        let touched = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
-        let (indices, touched): (Vec<usize>, Vec<Scenario>) = touched.map(|(one, _)| one).unzip();
-        let mut survived = vec![false; touched.len()];
+        let collided = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
+        let (indices, collided): (Vec<usize>, Vec<Scenario>) = collided.map(|(one, _)| one).unzip();
+        let mut survived = vec![false; collided.len()];
         for witness in witnesses(&[]) {
-            let contacts = first_contacts(&touched, &witness.kind, plan.estimator())?;
+            let contacts = first_contacts(&collided, &witness.kind, plan.estimator())?;
             survived.iter_mut().zip(contacts).for_each(|(survived, contact)| *survived |= contact.is_none());
         }
-        let classes = classify_scenarios(&touched, &survived);
+        let classes = classify_scenarios(&collided, &survived);
         let avoidable = indices.into_iter().zip(classes).filter(|(_, class)| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
-        Ok((touched.len(), CollidingDraws { round, seed, indices }))
+        Ok((collided.len(), CollidingDraws { round, seed, indices }))
     }
 
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
@@ -259,7 +259,7 @@ impl RoundContext<'_> {
             None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
             None => decide_acceptance(&self.results, &after),
         };
-        let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
+        let collided = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
             let contacts =
                 first_contacts(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
             Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
@@ -272,8 +272,8 @@ impl RoundContext<'_> {
             training: trained,
             candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
             in_cases: FailureChange::between(
-                &touched(&self.policy)?,
-                &touched(candidate.as_ref().unwrap_or(&self.policy))?,
+                &collided(&self.policy)?,
+                &collided(candidate.as_ref().unwrap_or(&self.policy))?,
             ),
             in_validation_set: FailureChange::between(&self.results.validation_set, &after.validation_set),
             in_paper: FailureChange::between(&self.results.paper, &after.paper),

@@ -95,8 +95,8 @@ impl RetrainingPlan {
             contender(&self.initial_policy_name, &self.initial_policy),
             contender(RETRAINED_NAME, &policy),
         ]);
-        let judged = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
-        let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, judged)?;
+        let evaluated = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
+        let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, evaluated)?;
         report.write_files(&work, (self.render_svg)(&report))?;
         work.finish()?;
         Ok(report)

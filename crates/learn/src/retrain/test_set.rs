@@ -80,16 +80,16 @@ impl TestSetResults {
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let (space, wanted) = (&plan.space, plan.settings.test_draws);
-        let mut judged = match read_json(work, name)? {
-            Some(judged) => judged,
+        let mut evaluated = match read_json(work, name)? {
+            Some(evaluated) => evaluated,
             None => Self {
                 corpus: Corpus::empty(space, TEST_SET_SEED)?,
                 tallies: contenders.iter().map(ControllerTally::new).collect(),
                 pairs: PairedOutcomes::default(),
             },
         };
-        while judged.corpus.scenarios_sha256.is_empty() {
-            let Self { corpus, tallies, pairs } = &mut judged;
+        while evaluated.corpus.scenarios_sha256.is_empty() {
+            let Self { corpus, tallies, pairs } = &mut evaluated;
             watch.notify(&RetrainingProgress::Gathering { file: name, done: corpus.avoidable, wanted })?;
             if corpus.avoidable < wanted {
                 let count = |contacts: &[Option<Contact>]| {
@@ -100,9 +100,9 @@ impl TestSetResults {
             } else {
                 corpus.seal(space)?;
             }
-            write_json(work, name, &judged)?;
+            write_json(work, name, &evaluated)?;
         }
-        Ok(judged)
+        Ok(evaluated)
     }
 }
 
@@ -122,8 +122,8 @@ impl ControllerTally {
 
 impl PairedOutcomes {
     fn add(&mut self, contacts: &[Option<Contact>]) {
-        let touched = |index: usize| contacts.get(index).is_some_and(Option::is_some);
-        *match (touched(0), touched(1)) {
+        let collided = |index: usize| contacts.get(index).is_some_and(Option::is_some);
+        *match (collided(0), collided(1)) {
             (true, true) => &mut self.both,
             (true, false) => &mut self.first_only,
             (false, true) => &mut self.retrained_only,

@@ -40,7 +40,7 @@ impl TrainingConfigError {
     /// Adds the file and the line of the field, and reports numbers as written, because `found` may have been rounded.
     #[must_use]
     pub fn with_location(self, text: &str, path: &Path) -> Self {
-        let (field, said) = match &self {
+        let (field, message) = match &self {
             Self::UnknownPreset(_) | Self::Located(_) => return self,
             Self::Field { field, .. } => (field, self.to_string()),
             Self::Range { field, low, high, .. } => {
@@ -49,7 +49,7 @@ impl TrainingConfigError {
                 (field, written.unwrap_or_else(|| self.to_string()))
             }
         };
-        Self::Located(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
+        Self::Located(format!("{}:{}: {message}", path.display(), file::line_in_toml(text, field)))
     }
 }
 

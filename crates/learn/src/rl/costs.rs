@@ -16,8 +16,8 @@ const MAX_WEIGHT: f64 = 100.0;
 /// | `relative_speed` | speed difference to the leader / 10 m/s, at most 1 |
 /// | `acceleration` | (acceleration / 7.5 m/s²)² |
 /// | `jerk` | jerk / 75 m/s³ |
-/// | `imposed` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
-/// | `needless` | unnecessary braking: more than 1 m/s² beyond [`caused_brake_mps2`] / 7.5 m/s² |
+/// | `induced` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
+/// | `unnecessary` | unnecessary braking: more than 1 m/s² beyond [`caused_brake_mps2`] / 7.5 m/s² |
 /// | `departure` | size of the residual action, in `[0, 1]` |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about an absent vehicle are 0.
@@ -112,8 +112,8 @@ impl CostConfig {
             relative_speed,
             acceleration,
             jerk,
-            induced_braking: imposed,
-            unnecessary_braking: needless,
+            induced_braking: induced,
+            unnecessary_braking: unnecessary,
             residual: departure,
         } = *self;
         Self {
@@ -124,8 +124,8 @@ impl CostConfig {
             relative_speed: relative_speed * times,
             acceleration: acceleration * times,
             jerk: jerk * times,
-            induced_braking: imposed * times,
-            unnecessary_braking: needless * times,
+            induced_braking: induced * times,
+            unnecessary_braking: unnecessary * times,
             residual: departure * times,
         }
     }

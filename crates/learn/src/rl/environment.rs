@@ -46,14 +46,14 @@ pub struct StepOutcome {
 
 /// Constants of all episodes of a configuration, shared to save memory traffic when many episodes are stepped in turn.
 #[derive(Debug, Clone, PartialEq)]
-pub struct EpisodeConfig {
+pub struct EpisodeConstants {
     environment: EnvironmentConfig,
     discount: f64,
     scaling: ObservationScaling,
     action_bounds: ActionBounds,
 }
 
-impl EpisodeConfig {
+impl EpisodeConstants {
     /// Creates the constants of a configuration. `discount` is per decision.
     #[must_use]
     pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
@@ -87,7 +87,7 @@ impl EpisodeConfig {
 /// Episode in progress.
 pub struct TrainingEpisode {
     stepper: Stepper,
-    config: Arc<EpisodeConfig>,
+    config: Arc<EpisodeConstants>,
     reward_tracker: RewardTracker,
     held_action: HeldAction,
     total_steps: usize,
@@ -99,12 +99,12 @@ pub struct TrainingEpisode {
 impl TrainingEpisode {
     /// Starts an episode of a run with one vehicle under test behind the leader.
     #[must_use]
-    pub fn new(run: &Run, terms: &Arc<EpisodeConfig>) -> Self {
+    pub fn new(run: &Run, constants: &Arc<EpisodeConstants>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            reward_tracker: RewardTracker::new(&stepper, run.scenario().spec().step_s, &terms.environment.costs),
+            reward_tracker: RewardTracker::new(&stepper, run.scenario().spec().step_s, &constants.environment.costs),
             stepper,
-            config: Arc::clone(terms),
+            config: Arc::clone(constants),
             held_action: HeldAction::default(),
             total_steps: run.scenario().steps(),
             min_rest_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
@@ -123,26 +123,26 @@ impl TrainingEpisode {
         self.held_action.set(action);
         let Self {
             stepper,
-            config: terms,
+            config: constants,
             reward_tracker: earnings,
             held_action: held,
             steps_at_rest: standing_steps,
             ..
         } = self;
-        let EpisodeConfig { environment: config, action_bounds: bounds, .. } = &**terms;
+        let EpisodeConstants { environment: config, action_bounds: bounds, .. } = &**constants;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
-        let departure = Cell::new(0.0);
+        let residual = Cell::new(0.0);
         let mut acceleration_mps2 = None;
         let command = |seen: &Observation| match acceleration_mps2 {
             Some(held_mps2) if bounds.residual_over.is_none() => held_mps2,
             _ => {
                 let wanted_mps2 = held.acceleration_mps2(bounds, seen, PAPER_STEP_S);
-                departure.set(held.residual());
+                residual.set(held.residual());
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
         let after = |now: &StepView<'_>| {
-            of_last_step = earnings.step_reward(now, config, departure.get());
+            of_last_step = earnings.step_reward(now, config, residual.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
             *standing_steps = if at_rest { *standing_steps + 1 } else { 0 };
@@ -226,7 +226,7 @@ mod tests {
     fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<StepOutcome>) {
         let scenario = built_in_scenario("paper-2").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
+        let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));
         let mut all = vec![episode.step(action)];
         while all.last().unwrap().ending == EpisodeEnding::None {
             all.push(episode.step(action));
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn the_time_limit_is_no_end_unless_it_is_said_to_be() {
+    fn the_time_limit_is_terminal_only_if_configured() {
         // At 0 m/s² behind a leader of constant speed no vehicle stops.
         let scenario = built_in_scenario("paper-2").unwrap();
         let hold = Driver::Profile(LeadProfile::ConstantSpeed);
@@ -271,7 +271,7 @@ mod tests {
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::Termination, false)] {
             let config = EnvironmentConfig { time_limit, ..config() };
-            let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
+            let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));
             let last = (0..150).map(|_| episode.step((2.25 / 5.25) as f32)).last().unwrap();
             assert_eq!((last.ending, last.continues), (EpisodeEnding::TimeLimit, continues));
         }

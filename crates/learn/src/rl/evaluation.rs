@@ -35,7 +35,8 @@ const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PolicyEvaluation {
     /// True for each of the paper's scenarios without a collision, both with the filter and with the true state.
-    pub paper_safe: [bool; 3],
+    #[serde(rename = "paper_safe")]
+    pub is_safe_in_paper: [bool; 3],
     /// Share of screening scenarios without a collision.
     pub safe_share: f64,
     /// Mean reward of the screening scenarios, as in the paper.
@@ -60,13 +61,13 @@ impl PolicyEvaluation {
     pub(crate) fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
         [
-            self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
+            self.safe_share + safe(self.is_safe_in_paper[0]) + safe(self.is_safe_in_paper[1]),
             match (self.combined_penalty, self.ranking_contacts) {
                 (Some(both_sides), _) => -both_sides,
                 (None, Some(contacts)) => -(contacts as f64),
                 (None, None) => f64::NEG_INFINITY,
             },
-            safe(self.paper_safe[2]),
+            safe(self.is_safe_in_paper[2]),
             self.smallest_gap_m,
             self.mean_reward,
         ]
@@ -76,7 +77,7 @@ impl PolicyEvaluation {
     /// ranking scenarios always false, because the screening scenarios are too few.
     #[must_use]
     pub fn is_mastered(&self, gap_m: f64) -> bool {
-        self.paper_safe == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
+        self.is_safe_in_paper == [true; 3] && self.ranking_contacts == Some(0) && self.smallest_gap_m >= gap_m
     }
 }
 
@@ -129,11 +130,11 @@ impl EvaluationSet {
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
     pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<PolicyEvaluation, RunError> {
         let of = self.environment.estimator;
-        let mut paper_safe = [true; 3];
+        let mut is_safe_in_paper = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
             let driven = drive(&self.paper, policy, estimator)?;
-            for (safe, run) in paper_safe.iter_mut().zip(&driven) {
+            for (safe, run) in is_safe_in_paper.iter_mut().zip(&driven) {
                 *safe &= run.contact_s.is_none();
             }
             smallest_gap_m = smallest_gap_m.min(min_gap_m(&driven));
@@ -141,7 +142,7 @@ impl EvaluationSet {
         let draws = drive(&self.screening, policy, of)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
         let mut evaluation = PolicyEvaluation {
-            paper_safe,
+            is_safe_in_paper,
             safe_share: safe as f64 / draws.len().max(1) as f64,
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
             ranking_contacts: None,
@@ -149,8 +150,8 @@ impl EvaluationSet {
             usefulness: None,
             combined_penalty: None,
         };
-        let is_paper_safe = paper_safe.iter().take(self.required_paper_scenarios).all(|&safe| safe);
-        if safe == draws.len() && is_paper_safe && !self.ranking.is_empty() {
+        let is_safe = is_safe_in_paper.iter().take(self.required_paper_scenarios).all(|&safe| safe);
+        if safe == draws.len() && is_safe && !self.ranking.is_empty() {
             let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);

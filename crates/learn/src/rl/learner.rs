@@ -63,7 +63,7 @@ struct UpdateWorkspace {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Losses {
     /// Mean squared error of the (first) critic.
-    pub critic: f64,
+    pub critic_loss: f64,
     /// Mean value of the batch.
     pub mean_value: f64,
 }
@@ -175,7 +175,7 @@ impl Learner {
         value_gradients.clear();
         for (&value, &goal) in values.iter().zip(td_targets.iter()) {
             let error = value - goal;
-            losses.critic += f64::from(error * error) / n;
+            losses.critic_loss += f64::from(error * error) / n;
             losses.mean_value += f64::from(value) / n;
             value_gradients.push(2.0 * error / batch.len() as f32);
         }

@@ -51,8 +51,8 @@ impl TrainingConfig {
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
         terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.environment.observation.check()?;
-        let mut departure = self.environment.residual_over.iter().flat_map(ResidualControl::parameters);
-        departure.try_for_each(|(name, value, range)| {
+        let mut residual = self.environment.residual_over.iter().flat_map(ResidualControl::parameters);
+        residual.try_for_each(|(name, value, range)| {
             check_range(&format!("environment.departs_from.{name}"), value, range)
         })?;
         let layers = self.network.hidden.len();
@@ -168,10 +168,10 @@ mod tests {
         };
         refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
         refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
-        let judged = |config: &mut TrainingConfig| {
+        let evaluated = |config: &mut TrainingConfig| {
             (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (900_000, 1_000_000);
         };
-        refused("evaluation.ranking_draws", changed(&judged));
+        refused("evaluation.ranking_draws", changed(&evaluated));
         let wide = |config: &mut TrainingConfig| {
             (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
         };

@@ -41,7 +41,7 @@ pub use config::{
 pub use config_error::TrainingConfigError;
 pub use costs::CostConfig;
 pub use curve::{learning_curve, parse_episode};
-pub use environment::{EpisodeConfig, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds};
+pub use environment::{EpisodeConstants, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds};
 pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, TrainableNetwork};

@@ -213,7 +213,7 @@ mod tests {
     use crumple_world::observation::{Neighbour, Observation};
 
     #[test]
-    fn the_default_is_what_policies_have_always_seen_and_what_is_left_out_is_0() {
+    fn the_default_observation_is_unchanged_and_omitted_values_are_0() {
         assert_eq!(ObservationConfig::default().scaling(), ObservationScaling::default());
         let mut config = ObservationConfig::default();
         config.inputs.gap_behind_m = None;

@@ -63,18 +63,18 @@ impl<'s> PrivilegedInfo<'s> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::{EpisodeConfig, TrainingConfig};
+    use crate::rl::{EpisodeConstants, TrainingConfig};
     use crumple_world::scenario::built_in_scenario;
     use crumple_world::scenario::space::built_in_space;
     use crumple_world::sim::{Run, RunOptions};
 
     #[test]
-    fn a_critic_knows_the_road_who_drives_and_what_the_leader_will_do() {
+    fn a_critic_observes_road_drivers_and_future_leader_motion() {
         let config = TrainingConfig::preset("fast").unwrap().environment;
         // Speed 25 m/s, a leader that brakes at 3 m/s² from 1 s on, and a lorry that can brake at 6 m/s².
         let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
+        let mut episode = TrainingEpisode::new(&run, &EpisodeConstants::new(config.clone(), 0.99));
         let privileged = PrivilegedInfo::new(&scenario, 10.0);
         let expected = |soon: f64, later: f64| {
             [1.0, 0.5, 0.5, 0.5, 0.4, 0.0, 1.0, 1.0, soon / 7.5, later / 7.5].map(|number| number as f32)
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_behind_is_no_brake_no_delay_and_nobody_who_holds_a_speed() {
+    fn an_absent_follower_has_no_brake_no_delay_and_no_driver() {
         let scenario = built_in_space("alone").unwrap().draw(1, 2).unwrap();
         let [costs, .., behind, delay, is_there, holds] = PrivilegedInfo::new(&scenario, 0.0).episode_constants;
         assert_eq!([costs, behind, delay, is_there, holds], [-2.0, 0.0, 0.0, 0.0, 0.0]);

@@ -125,7 +125,7 @@ impl TrainingShard {
 pub struct MergedTrainings {
     reference: TrainingShard,
     config: TrainingConfig,
-    parts: Parts<()>,
+    shards: Parts<()>,
     finished_seeds: BTreeMap<u64, (PathBuf, CompletedRun)>,
 }
 
@@ -137,7 +137,7 @@ impl MergedTrainings {
     pub fn from_shard(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let whole = TrainingShard::read(folder)?;
         let config = whole.config(folder)?;
-        let mut merged = Self { reference: whole, config, parts: Parts::new(folder), finished_seeds: BTreeMap::new() };
+        let mut merged = Self { reference: whole, config, shards: Parts::new(folder), finished_seeds: BTreeMap::new() };
         merged.add_shard(folder)?;
         Ok(merged)
     }
@@ -148,14 +148,14 @@ impl MergedTrainings {
     /// [`MergeTrainingsError`] if it is damaged, of another training, or contradicts a shard added before.
     pub fn add_shard(&mut self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let shard = TrainingShard::read(folder)?;
-        let foreign = |field: &str| MergeTrainingsError::from(self.parts.foreign_error(folder, field.to_owned()));
+        let foreign = |field: &str| MergeTrainingsError::from(self.shards.foreign_error(folder, field.to_owned()));
         if shard.configuration != self.reference.configuration {
             return Err(foreign("the configuration"));
         }
         if shard.seeds != self.reference.seeds {
             return Err(foreign("the number of seeds"));
         }
-        self.parts.insert(folder, shard.shard, shard.seed_range()?, ())?;
+        self.shards.insert(folder, shard.shard, shard.seed_range()?, ())?;
         for seed in shard.seed_range()? {
             let place = seed_folder(folder, seed);
             if !place.is_dir() {
@@ -196,7 +196,7 @@ impl MergedTrainings {
     /// Returns the missing shards. A present shard may still lack seeds.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
-        self.parts.missing_shards()
+        self.shards.missing_shards()
     }
 
     /// Copies the finished seeds to the folder of the whole training.
@@ -226,10 +226,10 @@ pub fn is_trainings_folder(folder: &Path) -> bool {
         name.is_some_and(|number| number.parse::<u64>().is_ok()) && path.is_dir()
     };
     let entries = || std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let said = || disk::read(&folder.join(SHARD_FILE), MAX_BYTES).ok().flatten();
+    let text = || disk::read(&folder.join(SHARD_FILE), MAX_BYTES).ok().flatten();
     let says_seeds = || {
-        let said = said().and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
-        said.is_some_and(|said| said.get("seeds").is_some())
+        let text = text().and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
+        text.is_some_and(|text| text.get("seeds").is_some())
     };
     !folder.join(MANIFEST_FILE).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
 }

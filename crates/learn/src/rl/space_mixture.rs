@@ -161,7 +161,7 @@ pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn Scenar
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::{EpisodeConfig, TrainingConfig};
+    use crate::rl::{EpisodeConstants, TrainingConfig};
 
     fn training_space(space: &str, weight: f64) -> TrainingSpace {
         TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 }
@@ -228,19 +228,19 @@ mod tests {
 
     /// A cost multiplier affects only the episodes of its space, and changes the identity of the source.
     #[test]
-    fn costs_count_as_often_as_the_space_says() {
+    fn costs_are_weighted_by_the_space_multiplier() {
         let ten = TrainingSpace { cost_multiplier: 10.0, ..training_space("traffic", 1.0) };
         let blend = SpaceMixture::new(&[ten, training_space("paper", 1.0)]).unwrap();
         let config = TrainingConfig::preset("road").unwrap().environment;
         let weight = config.costs.jerk;
-        let terms = EpisodeConfig::new(config, 0.99);
+        let constants = EpisodeConstants::new(config, 0.99);
         assert!(weight > 0.0);
         let mut counts = [0; 2];
         for index in 0..100 {
             let is_traffic = blend.spaces().position(|space| space.draw(3, index) == blend.draw(3, index)) == Some(0);
             counts[usize::from(is_traffic)] += 1;
             let times = if is_traffic { 10.0 } else { 1.0 };
-            assert_eq!(terms.for_episode(&blend, 3, index).environment().costs.jerk, times * weight);
+            assert_eq!(constants.for_episode(&blend, 3, index).environment().costs.jerk, times * weight);
         }
         assert!(counts.iter().all(|count| *count > 20), "{counts:?}");
         let identity = blend.identity().unwrap().unwrap();

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{TimeLimit, TrainingConfig};
 use super::config_error::TrainingConfigError;
-use super::environment::{EpisodeConfig, EpisodeEnding, TrainingEpisode, action_bounds};
+use super::environment::{EpisodeConstants, EpisodeEnding, TrainingEpisode, action_bounds};
 use super::evaluation::{EvaluationSet, PolicyEvaluation};
 use super::learner::{Learner, Losses};
 use super::privileged::PrivilegedInfo;
@@ -235,8 +235,8 @@ impl Trainer {
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let terms = EpisodeConfig::new(self.config.environment.clone(), self.config.learning.discount);
-        let mut episode = TrainingEpisode::new(&run, &terms.for_episode(self.source.as_ref(), draws_seed, index));
+        let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
+        let mut episode = TrainingEpisode::new(&run, &constants.for_episode(self.source.as_ref(), draws_seed, index));
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplaySampling, index);
         let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
@@ -294,7 +294,7 @@ impl Trainer {
                 let share = self.config.replay.collision_fraction;
                 self.replay.sample(&mut draws, learning.batch, share, &mut self.batch);
                 let losses = self.learner.update(&self.batch, &mut target_noise);
-                sums.critic += losses.critic;
+                sums.critic_loss += losses.critic_loss;
                 sums.mean_value += losses.mean_value;
                 updates += 1;
                 self.update_weight_average();
@@ -310,7 +310,7 @@ impl Trainer {
             reward: episode.total_reward(),
             steps: episode.steps_made(),
             ending,
-            critic_loss: sums.critic / n,
+            critic_loss: sums.critic_loss / n,
             mean_value: sums.mean_value / n,
         };
         self.check_divergence(&record, scenario.steps())?;

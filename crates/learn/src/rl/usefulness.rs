@@ -23,14 +23,16 @@ const EXCESS_WEIGHT: f64 = 0.05;
 #[serde(deny_unknown_fields)]
 pub struct TrafficUsefulness {
     /// Number of random scenarios.
-    pub drives: u64,
+    #[serde(rename = "drives")]
+    pub scenario_count: u64,
     /// Scenarios that ended in a collision.
     pub contacts: u64,
     /// Scenarios with braking above 4 m/s² whose cause required less than 3 m/s².
     #[serde(rename = "hard")]
     pub hard_braking: u64,
     /// Scenarios in which the ego vehicle ended at less than half the leader's speed.
-    pub left_behind: u64,
+    #[serde(rename = "left_behind")]
+    pub fell_behind: u64,
     /// RMS of acceleration over all scenarios, relative to that of `idm`.
     pub acceleration_times_idm: f64,
     /// RMS of jerk, likewise.
@@ -47,7 +49,7 @@ impl TrafficUsefulness {
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
         let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
-        (self.contacts + self.hard_braking + self.left_behind) as f64 / self.drives.max(1) as f64
+        (self.contacts + self.hard_braking + self.fell_behind) as f64 / self.scenario_count.max(1) as f64
             + EXCESS_WEIGHT * excess
     }
 }
@@ -76,10 +78,10 @@ impl TrafficBenchmark {
         let sums = self.simulate(controller)?;
         let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm_rms);
         Ok(TrafficUsefulness {
-            drives: sums.drives,
+            scenario_count: sums.scenario_count,
             contacts: sums.contacts,
             hard_braking: sums.hard_braking,
-            left_behind: sums.left_behind,
+            fell_behind: sums.fell_behind,
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
             mean_time_gap_s: sums.time_gap_sum_s / sums.moving_drives.max(1) as f64,
@@ -94,7 +96,7 @@ impl TrafficBenchmark {
             (result.outcome.contact().is_some(), measure_usefulness(&result))
         });
         let mut sums = TrafficTotals::default();
-        each.into_iter().for_each(|(touched, found)| sums.add(touched, found));
+        each.into_iter().for_each(|(collided, found)| sums.add(collided, found));
         Ok(sums)
     }
 }
@@ -106,25 +108,25 @@ pub(crate) fn measure_usefulness(result: &SimulationResult) -> Option<Usefulness
 
 #[derive(Default)]
 struct TrafficTotals {
-    drives: u64,
+    scenario_count: u64,
     contacts: u64,
     hard_braking: u64,
-    left_behind: u64,
+    fell_behind: u64,
     sum_squares: [f64; 2],
     time_gap_sum_s: f64,
     moving_drives: u64,
 }
 
 impl TrafficTotals {
-    fn add(&mut self, touched: bool, found: Option<UsefulnessMeasures>) {
-        self.drives += 1;
-        self.contacts += u64::from(touched);
+    fn add(&mut self, collided: bool, found: Option<UsefulnessMeasures>) {
+        self.scenario_count += 1;
+        self.contacts += u64::from(collided);
         let Some(found) = found else { return };
         self.hard_braking += u64::from(!found.hard.is_empty());
         self.sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
         self.sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
         let Some(following) = found.following else { return };
-        self.left_behind += u64::from(following.left_behind);
+        self.fell_behind += u64::from(following.fell_behind);
         if let Some(time_gap_s) = following.mean_time_gap_s {
             self.time_gap_sum_s += time_gap_s;
             self.moving_drives += 1;
@@ -132,7 +134,7 @@ impl TrafficTotals {
     }
 
     fn rms(&self) -> [f64; 2] {
-        self.sum_squares.map(|sum| (sum / self.drives.max(1) as f64).sqrt())
+        self.sum_squares.map(|sum| (sum / self.scenario_count.max(1) as f64).sqrt())
     }
 }
 
@@ -142,13 +144,13 @@ mod tests {
     use crumple_world::policy::Policy;
 
     #[test]
-    fn idm_is_of_use_and_the_reference_policy_is_not() {
+    fn idm_is_useful_and_the_reference_policy_is_not() {
         let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
         let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
-        assert_eq!((idm.contacts, idm.hard_braking, idm.left_behind), (0, 0, 0));
+        assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
         assert!(idm.penalty() < 0.02, "{idm:?}");
         let policy = traffic.evaluate(&ControllerKind::Policy(Policy::reference())).unwrap();
-        assert!(policy.penalty() > 0.3 && policy.left_behind > 0, "{policy:?}");
+        assert!(policy.penalty() > 0.3 && policy.fell_behind > 0, "{policy:?}");
     }
 }

@@ -69,23 +69,17 @@ impl RoundedAvoidance {
         match self {
             Self::Avoidable { min_gap_m, min_gap_bound_m, min_gap_bound_is_certified, follower_brakes_s } => {
                 let fires =
-                    follower_brakes_s.map(|time_s| format!(", firing the follower's emergency brake at {time_s} s"));
-                let by = if *min_gap_bound_is_certified {
-                    "and the checker has accepted the proof"
-                } else {
-                    "by a computed bound without a certificate"
-                };
-                let bound = min_gap_bound_m.map(|bound_m| format!("; nobody keeps more than {bound_m} m, {by}"));
+                    follower_brakes_s.map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
+                let by = if *min_gap_bound_is_certified { "proved" } else { "computed, without a certificate" };
+                let bound = min_gap_bound_m.map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
                 format!(
-                    "Avoidable: the best escape found keeps a smallest gap of {min_gap_m} m{}{}.",
+                    "Avoidable: smallest gap of the best escape found {min_gap_m} m{}{}.",
                     fires.unwrap_or_default(),
                     bound.unwrap_or_default()
                 )
             }
-            Self::Unavoidable => {
-                "Unavoidable: whatever is done, vehicles touch; the checker has accepted the proof.".to_owned()
-            }
-            Self::Undecided { reason } => format!("Undecided whether anyone could have avoided a contact: {reason}."),
+            Self::Unavoidable => "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned(),
+            Self::Undecided { reason } => format!("Undecided if a driver could avoid the collision: {reason}."),
         }
     }
 
@@ -154,9 +148,6 @@ impl CertifiedAvoidance {
     }
 }
 
-pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a profile for the vehicles under test, from \
-    convex programming with knowledge of the future, held over steps of 0.1 s (or finer, where those do not decide), and \
-    replayed by the simulation; one on a finer grid may keep more. A controller's regret is its smallest gap less the controller's \
-    own, ahead or behind. The bound beside it comes from the multipliers of those programs and is of every driver; where it has a \
-    certificate (`crumple avoid --bound-certificate` writes it, too), regret understates what was lost by no more than the distance between \
-    the two.";
+pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a simulated acceleration profile of the vehicles under test \
+    from convex programming with knowledge of the future, on steps of 0.1 s or finer. The bound holds for every driver, and the \
+    checker has accepted its proof where the text says so; `crumple avoid --bound-certificate` also writes it.";

@@ -58,7 +58,7 @@ pub enum CacheError {
     #[error(transparent)]
     Disk(#[from] DiskError),
     /// Another process uses the folder.
-    #[error("{}: another assessment is under way there", .0.display())]
+    #[error("{}: another assessment uses this folder; wait until it ends, or use another --out", .0.display())]
     InUse(PathBuf),
     /// Evidence, or its inputs, cannot be encoded.
     #[error("cannot encode a piece of evidence: {0}")]
@@ -274,8 +274,8 @@ fn to_json(value: &impl Serialize) -> Result<String, CacheError> {
 mod tests {
     use super::*;
 
-    fn get(store: &EvidenceCache, inputs: &str, value: f64) -> f64 {
-        store.get_or_gather::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
+    fn get(cache: &EvidenceCache, inputs: &str, value: f64) -> f64 {
+        cache.get_or_gather::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
     }
 
     #[test]
@@ -283,11 +283,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let open = |program, fresh| EvidenceCache::open(folder.path(), program, fresh).unwrap();
         {
-            let store = open("program", false);
+            let cache = open("program", false);
             assert!(matches!(EvidenceCache::open(folder.path(), "program", false), Err(CacheError::InUse(_))));
-            assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
-            assert_eq!(get(&store, "other inputs", 0.3), 0.3);
-            assert_eq!((store.reuse_counts(), store.damaged_files().len()), ((3, 1), 0));
+            assert_eq!((get(&cache, "inputs", 0.1), get(&cache, "inputs", 0.2)), (0.1, 0.1));
+            assert_eq!(get(&cache, "other inputs", 0.3), 0.3);
+            assert_eq!((cache.reuse_counts(), cache.damaged_files().len()), ((3, 1), 0));
         }
         assert_eq!(get(&open("other program", false), "inputs", 0.4), 0.4);
         for file in fs::read_dir(folder.path()).unwrap() {
@@ -297,12 +297,12 @@ mod tests {
         assert_eq!(get(&open("program", false), "inputs", 0.5), 0.5, "altered evidence is not believed");
         assert_eq!(get(&EvidenceCache::disabled(), "inputs", 0.6), 0.6);
         assert_eq!(get(&open("program", true), "inputs", 0.7), 0.7);
-        let store = open("program", false);
+        let cache = open("program", false);
         let [one, other] = ["inputs", "other inputs"].map(|inputs| {
-            folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(to_json(&inputs).unwrap()))))
+            folder.path().join(format!("{}.json", cache.file_stem("a piece", &sha256(to_json(&inputs).unwrap()))))
         });
         fs::copy(&other, &one).unwrap();
-        assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
+        assert_eq!(get(&cache, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
     }
 
     /// Covers changed bytes, truncation, deletion and swapped files: gathering again restores the file.
@@ -311,16 +311,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let names = ["a piece", "another", "a third"];
         let gather = |name: &str| {
-            let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
-            let value = store.get_or_gather::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
+            let cache = EvidenceCache::open(folder.path(), "program", false).unwrap();
+            let value = cache.get_or_gather::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
             assert_eq!(value, format!("says {name}"));
-            store.reuse_counts() == (1, 1)
+            cache.reuse_counts() == (1, 1)
         };
         names.into_iter().for_each(|name| assert!(!gather(name)));
         names.into_iter().for_each(|name| assert!(gather(name)));
         let path = |name: &str| {
-            let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
-            folder.path().join(store.file_stem(name, &sha256(to_json(&"inputs").unwrap())) + ".json")
+            let cache = EvidenceCache::open(folder.path(), "program", false).unwrap();
+            folder.path().join(cache.file_stem(name, &sha256(to_json(&"inputs").unwrap())) + ".json")
         };
         let genuine = names.map(|name| fs::read(path(name)).unwrap());
         for (name, bytes) in names.into_iter().zip(&genuine) {

@@ -72,7 +72,8 @@ pub enum CaseVerdict {
         /// Index of the controller's vehicle.
         vehicle: usize,
         /// Reason in words.
-        because: String,
+        #[serde(rename = "because")]
+        reason: String,
     },
 }
 
@@ -134,11 +135,7 @@ impl CaseVerdict {
     #[must_use]
     pub fn new(simulated: &SimulationResult, scenario: &Scenario) -> Self {
         if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed_controller() {
-            return Self::ControllerFailed {
-                time_s: (*time_s).into(),
-                vehicle: *vehicle,
-                because: failure.to_string(),
-            };
+            return Self::ControllerFailed { time_s: (*time_s).into(), vehicle: *vehicle, reason: failure.to_string() };
         }
         let Some(contact) = simulated.outcome.contact() else {
             let tested = (1..scenario.vehicles().len())
@@ -148,7 +145,7 @@ impl CaseVerdict {
         };
         match ContactRole::new(contact, scenario) {
             ContactRole::Hits => Self::Hit(contact.into()),
-            ContactRole::IsHit => Self::WasHit(contact.into()),
+            ContactRole::HitFromBehind => Self::WasHit(contact.into()),
             ContactRole::Bystander => Self::OthersCollided(contact.into()),
         }
     }
@@ -163,8 +160,8 @@ impl CaseVerdict {
     #[must_use]
     pub(crate) fn unanswered(&self) -> Option<FailedControllerRuns> {
         match self {
-            Self::ControllerFailed { time_s, because, .. } => {
-                Some(FailedControllerRuns { runs: 1, because: format!("at {time_s} s, {because}") })
+            Self::ControllerFailed { time_s, reason, .. } => {
+                Some(FailedControllerRuns { runs: 1, because: format!("at {time_s} s, {reason}") })
             }
             Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::OthersCollided(_) => None,
         }
@@ -189,19 +186,19 @@ impl CaseVerdict {
     pub fn describe(&self) -> String {
         let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
         match self {
-            Self::Safe { closing_ttc_s: None } => "no contact".to_owned(),
+            Self::Safe { closing_ttc_s: None } => "no collision".to_owned(),
             Self::Safe { closing_ttc_s: Some(ttc_s) } => {
-                format!("no contact, but still closing at the end (TTC {ttc_s} s)")
+                format!("no collision, but TTC {ttc_s} s at the end")
             }
             Self::Hit(contact) => format!("{} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact)),
             Self::WasHit(contact) => {
                 format!("{} hit from behind by {} at {}", contact.front_vehicle, contact.rear_vehicle, at(contact))
             }
-            Self::ControllerFailed { time_s, vehicle, because } => {
-                format!("controller of {vehicle} failed at {time_s} s: {because}")
+            Self::ControllerFailed { time_s, vehicle, reason } => {
+                format!("controller of {vehicle} failed at {time_s} s: {reason}")
             }
             Self::OthersCollided(contact) => {
-                format!("traffic: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
+                format!("other vehicles: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
             }
         }
     }

@@ -136,7 +136,7 @@ impl AssessmentPlan {
                 add(network_path(&name), contents);
             }
         }
-        for own in self.distributions.iter().chain(&self.spaces).filter(|named| !named.is_built_in()) {
+        for own in self.rate_spaces.iter().chain(&self.search_spaces).filter(|named| !named.is_built_in()) {
             add(own.path(), own.text.clone().into_bytes());
         }
         for given in &self.certificates {
@@ -163,9 +163,9 @@ pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleComman
          # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.\n\
          cd \"$(dirname \"$0\")\" || exit 2\n\
          crumple=${CRUMPLE:-crumple}\n\
-         \"$crumple\" --version > /dev/null || { echo \"no program: CRUMPLE=/path/to/crumple sh replay.sh\" >&2; exit 2; }\n\
+         \"$crumple\" --version > /dev/null || { echo \"crumple not found; use CRUMPLE=/path/to/crumple sh replay.sh\" >&2; exit 2; }\n\
          failed=0\n\
-         run() { \"$crumple\" \"$@\" || { echo \"did not end as reported: crumple $*\" >&2; failed=1; }; }\n",
+         run() { \"$crumple\" \"$@\" || { echo \"result differs from the report: crumple $*\" >&2; failed=1; }; }\n",
     );
     // A command on an edited file may fail for another reason than reported.
     script += "run fsck .\nrun check --rerun certificates/*.json\n";

@@ -141,7 +141,7 @@ fn default_everyday_draws() -> u64 {
 impl AssessConfig {
     /// Returns the names of the scenario spaces whose failure rates are measured.
     #[must_use]
-    pub fn distributions(&self) -> Vec<String> {
+    pub fn rate_spaces(&self) -> Vec<String> {
         let unless_named = || vec![if self.paper { "paper" } else { "high-risk" }.to_owned()];
         self.distributions.clone().unwrap_or_else(unless_named)
     }

@@ -35,13 +35,13 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         let name = format!("best of {}", scenario.spec().name);
         add(name, Box::new(move |work| Ok(CertifiedAvoidance::load_or_compute(&scenario, work).map(drop)?)));
     }
-    for named in &plan.distributions {
+    for named in &plan.rate_spaces {
         add(format!("draws of {}", named.name), Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)));
     }
     if !plan.file_scenarios.is_empty() {
         add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(plan, work).map(drop)));
     }
-    for named in &plan.spaces {
+    for named in &plan.search_spaces {
         for one in plan.controllers.iter().enumerate() {
             let name = format!("search {} in {}", one.1.name, named.name);
             add(name, Box::new(move |work| FailureSearch::gather(plan, named, one, work).map(drop)));

@@ -105,8 +105,8 @@ pub enum AssessmentGate {
 
 fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::Error> {
     Err(D::Error::custom(
-        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, since it looks at `scenarios` and `recordings` only; \
-         `no-collision-in-space` with `space = \"traffic\"` looks at random scenarios of the space `traffic`",
+        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, because it evaluates only `scenarios` and \
+         `recordings`; for random scenarios of the space `traffic`, use `no-collision-in-space` with `space = \"traffic\"`",
     ))
 }
 
@@ -118,7 +118,7 @@ pub(super) struct SpaceTally {
     /// Number in which the controller gives no answer.
     pub(super) unanswered: u64,
     /// Number that end with a collision of other vehicles.
-    pub(super) cut_short: u64,
+    pub(super) ended_by_others: u64,
 }
 
 /// The result of a gate.
@@ -130,7 +130,8 @@ pub struct GateResult {
     /// True if the condition holds.
     pub holds: bool,
     /// Deciding fact, in words.
-    pub because: String,
+    #[serde(rename = "because")]
+    pub reason: String,
 }
 
 impl AssessmentGate {
@@ -164,7 +165,7 @@ impl AssessmentGate {
             }
             Self::RateAtMost { percent, space, .. } => share_problem(*percent).or_else(|| space_problem(space, config)),
             Self::RateNotAbove { controller, than, .. } if controller == than => {
-                Some(("than", "is the controller itself".to_owned()))
+                Some(("than", "is the controller itself: name another one".to_owned()))
             }
             Self::RateNotAbove { .. } if config.draws == 0 => Some(("require", "needs `draws` above 0".to_owned())),
             Self::RateNotAbove { space, .. } => space_problem(space, config),
@@ -182,14 +183,14 @@ impl AssessmentGate {
     }
 
     pub(super) fn evaluate(&self, plan: &AssessmentPlan, found: &AssessmentReport) -> GateResult {
-        let (holds, because) = match self {
+        let (holds, reason) = match self {
             Self::NoContactInPaperScenarios { controller } => {
                 let paper = found.paper_scenarios.as_ref().map_or(&[][..], |paper| &paper.scenarios);
                 check_no_contact(paper, controller)
             }
             Self::NoCollisionInScenarioFiles { controller } => match &found.file_scenarios {
                 Some(traffic) => check_no_contact(&traffic.scenarios, controller),
-                None => (false, "the configuration names no scenarios".to_owned()),
+                None => (false, "the configuration names no scenarios or recordings".to_owned()),
             },
             Self::NoCollisionInSpace { controller, space } => {
                 check_no_collision_in_space(plan, found, controller, space)
@@ -213,17 +214,17 @@ impl AssessmentGate {
             Self::NothingWorse {} => check_nothing_worse(found.comparison.as_ref()),
             Self::NoContactInTraffic(never) => match *never {},
         };
-        GateResult { gate: self.describe(plan), holds, because }
+        GateResult { gate: self.describe(plan), holds, reason }
     }
 
     fn describe(&self, plan: &AssessmentPlan) -> String {
         let named = |space: &Option<String>| {
-            let only = || plan.distributions.first().map(|named| named.name.clone()).unwrap_or_default();
+            let only = || plan.rate_spaces.first().map(|named| named.name.clone()).unwrap_or_default();
             space.clone().unwrap_or_else(only)
         };
         match self {
             Self::NoContactInPaperScenarios { controller } => {
-                format!("{controller}: no contact in the paper's scenarios")
+                format!("{controller}: no collision in the paper's scenarios")
             }
             Self::NoCollisionInScenarioFiles { controller } => {
                 format!("{controller}: no collision in scenario files and recordings")
@@ -235,23 +236,23 @@ impl AssessmentGate {
                 format!("{controller}: failure rate in `{}` at most {percent} %", named(space))
             }
             Self::RateNotAbove { controller, than, space } => {
-                format!("{controller}: no more failures than {than} in the same draws of `{}`", named(space))
+                format!("{controller}: no more failures than {than} in the same random scenarios of `{}`", named(space))
             }
             Self::NoAvoidableFailure { controller, space } => {
-                format!("{controller}: no avoidable failure in `{space}` within the budget")
+                format!("{controller}: the search of `{space}` finds no avoidable failure")
             }
             Self::UnnecessaryBrakingAtMost { controller, percent } => {
-                format!("{controller}: braking without cause in at most {percent} % of drives in everyday traffic")
+                format!("{controller}: unnecessary braking in at most {percent} % of drives in `traffic`")
             }
             Self::LeftBehindAtMost { controller, percent } => {
-                format!("{controller}: left behind in at most {percent} % of drives in everyday traffic")
+                format!("{controller}: falls behind in at most {percent} % of drives in `traffic`")
             }
-            Self::StringStable { controller } => format!("{controller}: no disturbance grows along a line"),
+            Self::StringStable { controller } => format!("{controller}: string stability"),
             Self::SuitePassed { controller, suite } => {
-                format!("{controller}: every test of suite `{suite}` passes that can be run")
+                format!("{controller}: passes every test of suite `{suite}` that can be run")
             }
-            Self::ProofsAccepted {} => "every proof is accepted".to_owned(),
-            Self::NothingWorse {} => "nothing is worse than before".to_owned(),
+            Self::ProofsAccepted {} => "the checker accepts every certificate".to_owned(),
+            Self::NothingWorse {} => "no result is worse than in the earlier assessment".to_owned(),
             Self::NoContactInTraffic(never) => match *never {},
         }
     }
@@ -265,9 +266,9 @@ fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bo
             own.map(|case| (scenario.scenario.as_str(), &case.verdict))
         })
     };
-    if let Some((name, silent)) = of_controller().find_map(|(name, verdict)| Some((name, verdict.unanswered()?))) {
+    if let Some((name, unanswered)) = of_controller().find_map(|(name, verdict)| Some((name, verdict.unanswered()?))) {
         let runs = of_controller().filter(|(_, verdict)| verdict.unanswered().is_some()).count() as u64;
-        let words = FailedControllerRuns { runs, ..silent }.describe(of_controller().count() as u64);
+        let words = FailedControllerRuns { runs, ..unanswered }.describe(of_controller().count() as u64);
         return (false, format!("it {words} (first in {name})"));
     }
     let cases = of_controller().map(|(name, verdict)| (name, verdict.is_failure()));
@@ -275,7 +276,7 @@ fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bo
     let names: Vec<_> = failing.iter().map(|(name, _)| *name).collect();
     match (names.is_empty(), passing.is_empty()) {
         (false, _) => (false, format!("it collides in {}", names.join(", "))),
-        (true, true) => (false, "it was never tried".to_owned()),
+        (true, true) => (false, "it has no run".to_owned()),
         (true, false) => (true, format!("0 of {} runs collide", passing.len())),
     }
 }
@@ -287,30 +288,30 @@ fn check_no_collision_in_space(
     controller: &str,
     space: &str,
 ) -> (bool, String) {
-    let place = plan.distributions.iter().position(|named| named.name == space);
-    let drawn = place.and_then(|place| found.distributions.spaces.get(place)).and_then(|drawn| {
+    let place = plan.rate_spaces.iter().position(|named| named.name == space);
+    let drawn = place.and_then(|place| found.rate_spaces.spaces.get(place)).and_then(|drawn| {
         let of_controller = drawn.controllers.iter().find(|sampled| sampled.controller == controller)?;
         Some(SpaceTally {
-            scenarios: drawn.draws,
+            scenarios: drawn.random_scenarios,
             collisions: of_controller.collisions,
             unanswered: of_controller.unanswered_runs(),
-            cut_short: of_controller.cut_short,
+            ended_by_others: of_controller.ended_by_others,
         })
     });
     let everyday = found.usefulness.as_ref().and_then(|all| all.space_tally(controller, space));
     // Both use the same seed: the larger sample contains the smaller one.
     let all = drawn.into_iter().chain(everyday).max_by_key(|tally| tally.scenarios);
-    let Some(SpaceTally { scenarios: scenarios @ 1.., collisions, unanswered, cut_short }) = all else {
-        return (false, "no random scenarios of it were simulated".to_owned());
+    let Some(SpaceTally { scenarios: scenarios @ 1.., collisions, unanswered, ended_by_others }) = all else {
+        return (false, "no random scenario of the space was simulated".to_owned());
     };
-    let mut because = format!("{collisions} of {scenarios} random scenarios collide");
+    let mut reason = format!("{collisions} of {scenarios} random scenarios collide");
     if unanswered > 0 {
-        because += &format!(", and in {unanswered} the controller gives no answer");
+        reason += &format!(", and the controller gives no answer in {unanswered}");
     }
-    if cut_short > 0 {
-        because += &format!(", and {cut_short} end early in a collision of other vehicles");
+    if ended_by_others > 0 {
+        reason += &format!(", and {ended_by_others} end early with a collision of other vehicles");
     }
-    (collisions + unanswered + cut_short == 0, because)
+    (collisions + unanswered + ended_by_others == 0, reason)
 }
 
 /// Uses the strongest known bound, with or without a certificate.
@@ -321,18 +322,20 @@ fn check_rate_at_most(
     percent: f64,
     space: Option<&str>,
 ) -> (bool, String) {
-    let named = space_index(plan, space).and_then(|place| plan.distributions.get(place));
+    let named = space_index(plan, space).and_then(|place| plan.rate_spaces.get(place));
     let place = plan.controllers.iter().position(|one| one.name == controller);
     let subject = place.and_then(|place| plan.claim_subject(place, plan.config.estimator));
-    let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
+    let (Some(named), Some(subject)) = (named, subject) else {
+        return (false, "no random scenario was simulated".to_owned());
+    };
     // Round the required rate down, never in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
-    let standing = found.evidence.claim_status(&AssuranceClaim {
+    let status = found.evidence.claim_status(&AssuranceClaim {
         subject,
         property,
         domain: Domain::Space { space: named.content_id.clone() },
     });
-    (matches!(standing.strength, Strength::Bounded { .. }), standing.describe())
+    (matches!(status.strength, Strength::Bounded { .. }), status.describe())
 }
 
 /// Counts a run that ended early against the controller.
@@ -342,36 +345,40 @@ fn check_rate_not_above(
     [controller, than]: [&str; 2],
     space: Option<&str>,
 ) -> (bool, String) {
-    let drawn = space_index(plan, space).and_then(|place| found.distributions.spaces.get(place));
-    let Some(drawn) = drawn.filter(|drawn| drawn.draws > 0) else { return (false, "no draws were made".to_owned()) };
+    let drawn = space_index(plan, space).and_then(|place| found.rate_spaces.spaces.get(place));
+    let Some(drawn) = drawn.filter(|drawn| drawn.random_scenarios > 0) else {
+        return (false, "no random scenario was simulated".to_owned());
+    };
     let of = |name: &str| drawn.controllers.iter().find(|sampled| sampled.controller == name);
     let (Some(own), Some(other)) = (of(controller), of(than)) else {
-        return (false, "it was not drawn for".to_owned());
+        return (false, "it has no run in this space".to_owned());
     };
-    let cut_short = match own.cut_short {
+    let ended_by_others = match own.ended_by_others {
         0 => String::new(),
-        cut_short => format!(", and {cut_short} were cut short"),
+        ended_by_others => format!(", and {ended_by_others} ended early with a collision of other vehicles"),
     };
-    let silent: String = [("it", own), ("the other, in whose favour or against whom that does not count,", other)]
+    let unanswered: String = [("it", own), ("the other controller, for which such runs do not count,", other)]
         .into_iter()
-        .filter_map(|(who, of)| Some(format!(", and {who} {}", of.unanswered.as_ref()?.describe(drawn.draws))))
+        .filter_map(|(who, of)| {
+            Some(format!(", and {who} {}", of.unanswered.as_ref()?.describe(drawn.random_scenarios)))
+        })
         .collect();
-    let because = format!(
-        "{} against {} of the same {} draws collide{cut_short}{silent}",
-        own.collisions, other.collisions, drawn.draws
+    let reason = format!(
+        "{} against {} of the same {} random scenarios collide{ended_by_others}{unanswered}",
+        own.collisions, other.collisions, drawn.random_scenarios
     );
-    let is_known = own.cut_short < drawn.draws && other.unanswered_runs() < drawn.draws;
-    (is_known && own.failures() + own.cut_short <= other.collisions, because)
+    let is_known = own.ended_by_others < drawn.random_scenarios && other.unanswered_runs() < drawn.random_scenarios;
+    (is_known && own.failures() + own.ended_by_others <= other.collisions, reason)
 }
 
 fn space_index(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
-    plan.distributions.iter().position(|named| space.is_none_or(|space| named.name == space))
+    plan.rate_spaces.iter().position(|named| space.is_none_or(|space| named.name == space))
 }
 
 fn check_no_avoidable_failure(found: &AssessmentReport, controller: &str, space: &str) -> (bool, String) {
     let searches = found.searches.spaces.iter().filter(|of| of.name == space).flat_map(|of| &of.controllers);
     let Some(search) = searches.into_iter().find(|search| search.controller == controller) else {
-        return (false, "it was not searched for".to_owned());
+        return (false, "there is no search for it".to_owned());
     };
     if let Some(words) = search.describe_unanswered() {
         return (false, format!("it {words}"));
@@ -380,9 +387,9 @@ fn check_no_avoidable_failure(found: &AssessmentReport, controller: &str, space:
     let (avoidable, undecided) =
         (search.count(AvoidabilityClass::Avoidable), search.count(AvoidabilityClass::Undecided));
     match avoidable + undecided {
-        0 if not_asked > 0 => (false, format!("of {not_asked} it was not asked")),
-        0 => (true, format!("none in {} evaluations", search.evaluations())),
-        _ => (false, format!("{avoidable} avoidable and {undecided} undecided ones were found")),
+        0 if not_asked > 0 => (false, format!("the avoidability of {not_asked} failures was not examined")),
+        0 => (true, format!("none in {} simulations", search.evaluations())),
+        _ => (false, format!("{avoidable} avoidable and {undecided} undecided failures")),
     }
 }
 
@@ -394,19 +401,20 @@ fn check_drives_at_most(
 ) -> (bool, String) {
     let all = found.usefulness.as_ref();
     let Some((all, useful)) = all.and_then(|all| Some((all, all.find(controller)?))) else {
-        return (false, "no such drives were made".to_owned());
+        return (false, "no drive was simulated".to_owned());
     };
     // The result of a drive without an answer is unknown: count it as the worse.
-    let [silent, _] = useful.unanswered_runs();
-    let share = 100.0 * (count(useful) + silent) as f64 / all.draws as f64;
-    let words =
-        useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.describe(all.draws)));
-    (share <= percent, format!("{} of {} drives{words}", count(useful), all.draws))
+    let [unanswered, _] = useful.unanswered_runs();
+    let share = 100.0 * (count(useful) + unanswered) as f64 / all.random_scenarios as f64;
+    let words = useful.unanswered[0]
+        .as_ref()
+        .map_or(String::new(), |unanswered| format!("; {}", unanswered.describe(all.random_scenarios)));
+    (share <= percent, format!("{} of {} drives{words}", count(useful), all.random_scenarios))
 }
 
 fn check_string_stable(found: &AssessmentReport, controller: &str) -> (bool, String) {
     let line = found.usefulness.as_ref().and_then(|all| Some(&all.find(controller)?.string_stability));
-    line.map_or((false, "no line was driven".to_owned()), |line| (line.is_string_stable(), line.describe()))
+    line.map_or((false, "no platoon was simulated".to_owned()), |line| (line.is_string_stable(), line.describe()))
 }
 
 fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Option<(&'static str, String)> {
@@ -431,16 +439,16 @@ fn check_suite_passed(
     let run: Vec<_> = outcomes.iter().filter(|(_, outcome)| outcome.points > 0).collect();
     let missed: Vec<_> =
         run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();
-    let (mut silent, mut runs) = (None, 0);
+    let (mut unanswered, mut runs) = (None, 0);
     for (_, outcome) in &run {
-        FailedControllerRuns::merge(&mut silent, outcome.total_unanswered());
+        FailedControllerRuns::merge(&mut unanswered, outcome.total_unanswered());
         runs += outcome.runs;
     }
-    let silent = silent.map_or(String::new(), |silent| format!("; it {}", silent.describe(runs)));
+    let unanswered = unanswered.map_or(String::new(), |unanswered| format!("; it {}", unanswered.describe(runs)));
     match (run.len(), missed.as_slice()) {
         (0, _) => (false, "no test could be run".to_owned()),
         (all, []) => (true, format!("{all} of {all} tests pass")),
-        (_, missed) => (false, format!("these do not pass: {}{silent}", missed.join(", "))),
+        (_, missed) => (false, format!("these tests do not pass: {}{unanswered}", missed.join(", "))),
     }
 }
 
@@ -450,17 +458,19 @@ fn share_problem(percent: f64) -> Option<(&'static str, String)> {
 }
 
 fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'static str, String)> {
-    let known = config.distributions();
+    let known = config.rate_spaces();
     match space {
         _ if known.is_empty() => Some(("require", "needs `distributions`".to_owned())),
         Some(space) if !known.contains(space) => Some(("space", format!("`{space}` is not among `distributions`"))),
-        None if known.len() > 1 => Some(("space", "must be named, since there are several `distributions`".to_owned())),
+        None if known.len() > 1 => {
+            Some(("space", "must be named, because there are several `distributions`".to_owned()))
+        }
         _ => None,
     }
 }
 
 fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'static str, String)> {
-    let is_drawn = config.distributions().iter().any(|known| known == space);
+    let is_drawn = config.rate_spaces().iter().any(|known| known == space);
     let is_driven = EVERYDAY_SPACES.contains(&space);
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,
@@ -482,15 +492,15 @@ fn check_proofs_accepted(found: &AssessmentReport) -> (bool, String) {
     let rejected: Vec<_> = certificates.iter().filter(|one| !one.is_accepted()).collect();
     match rejected.first() {
         None => (all > 0, format!("{all} of {all} certificates are accepted")),
-        Some(first) => (false, format!("{} of {all} are rejected, first {}", rejected.len(), first.name)),
+        Some(first) => (false, format!("{} of {all} are rejected; first: {}", rejected.len(), first.name)),
     }
 }
 
 fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> (bool, String) {
     match comparison {
-        None => (false, "there is no earlier assessment: name one with --against".to_owned()),
+        None => (false, "there is no earlier assessment; name one with --against".to_owned()),
         Some(comparison) if comparison.has_no_overlap() => {
-            (false, "the earlier assessment says nothing that this one says".to_owned())
+            (false, "the earlier assessment has no result in common with this one".to_owned())
         }
         Some(comparison) => {
             // A new failure, and a result other than a failure that is gone, count as worse.
@@ -498,8 +508,11 @@ fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> (bool, Stri
             let gone = comparison.gone.iter().filter(|change| !change.is_failure);
             let bad: Vec<_> = comparison.worse.iter().chain(new).chain(gone).collect();
             match bad.as_slice() {
-                [] => (true, "nothing is".to_owned()),
-                [first, ..] => (false, format!("{} worse, newly failing or gone, first {}", bad.len(), first.what)),
+                [] => (true, "no result is worse".to_owned()),
+                [first, ..] => (
+                    false,
+                    format!("{} results are worse, new failures, or missing; first: {}", bad.len(), first.description),
+                ),
             }
         }
     }

@@ -16,8 +16,8 @@ pub(super) struct GatherContext<'a> {
 }
 
 impl<'a> GatherContext<'a> {
-    pub(super) fn new(store: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
-        Self { cache: store, runs, controllers: &[] }
+    pub(super) fn new(cache: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
+        Self { cache, runs, controllers: &[] }
     }
 
     /// Sets the controllers of the runs. Evidence of a controller that is refused meanwhile is neither cached nor

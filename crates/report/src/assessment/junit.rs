@@ -10,9 +10,9 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
     for row in &assessment.summary.claims {
         let made = row.claims.iter().zip(&row.statuses).filter(|(claim, _)| claim.is_some());
-        for (claim, standing) in made {
+        for (claim, status) in made {
             let controller = claim.as_ref().map_or("", |claim| claim.subject.controller.name.as_str());
-            gates.properties.push((format!("{controller}: {}", row.claim), standing.describe()));
+            gates.properties.push((format!("{controller}: {}", row.claim), status.describe()));
         }
     }
     let suites = assessment.suites.iter().flat_map(|suites| suites.suites.iter().enumerate());
@@ -37,7 +37,7 @@ fn suite_tests(assessment: &AssessmentReport, place: usize, found: &SuiteFinding
                 Some(false) if is_required(controller) => JunitStatus::Failed,
                 Some(false) | None => JunitStatus::Skipped,
             };
-            let message = outcome.worst.as_ref().map_or(&*outcome.verdict, |worst| &*worst.what);
+            let message = outcome.worst.as_ref().map_or(&*outcome.verdict, |worst| &*worst.description);
             cases.push(JunitCase {
                 name: format!("{}: {controller}", test.test),
                 status,
@@ -58,7 +58,7 @@ fn gate_case(gate: &GateResult) -> JunitCase {
     JunitCase {
         name: gate.gate.to_string(),
         status: if gate.holds { JunitStatus::Passed } else { JunitStatus::Failed },
-        message: (!gate.holds).then(|| gate.because.clone()),
-        output: gate.because.clone(),
+        message: (!gate.holds).then(|| gate.reason.clone()),
+        output: gate.reason.clone(),
     }
 }

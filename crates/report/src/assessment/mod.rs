@@ -43,15 +43,15 @@ pub use document::ReportDocument;
 pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
     Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, BRAKING_MPS2,
-    BrakingTimes, BuildInfo, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary,
-    ComparisonError, ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment,
-    EscapeFile, FailureMap, FailureMapAxis, FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage,
-    FixedParameter, Glossary, GsnElement, GsnElementKind, KernelGap, LearnedPolicies, LearnedPolicy,
-    LimitingAssumption, MAX_EVIDENCE_BYTES, MapCell, MapRow, MethodResult, MildestAttack, NameExplanation,
-    PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs, SafetyAnswer, ScenarioCases,
-    SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SpaceSpecificationSearches,
-    SpecificationSearch, SpecificationSearches, SpecificationViolation, StringStabilityVerdict, SuiteFailure,
-    SuiteFindings, SuiteOutcome, SuiteTest, Suites, UnknownCell, UsefulnessReport, WorstProfile, WorstProfiles,
+    BrakingTimes, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError,
+    ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureMap,
+    FailureMapAxis, FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage, FixedParameter, Glossary,
+    GsnElement, GsnElementKind, KernelGap, LearnedPolicies, LearnedPolicy, LimitingAssumption, MAX_EVIDENCE_BYTES,
+    MapCell, MapRow, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
+    PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample,
+    SpaceSamples, SpaceSearches, SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches,
+    SpecificationViolation, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
+    UnknownCell, UsefulnessReport, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -88,7 +88,8 @@ pub struct AssessmentReport {
     /// Paper's three scenarios; absent if the plan leaves the paper out.
     pub paper_scenarios: Option<PaperScenarios>,
     /// Failures counted on random scenarios of scenario spaces.
-    pub distributions: SpaceSamples,
+    #[serde(rename = "distributions")]
+    pub rate_spaces: SpaceSamples,
     /// Scenarios from files; absent if the configuration names none.
     #[serde(rename = "traffic")]
     pub file_scenarios: Option<FileScenarios>,
@@ -159,7 +160,7 @@ pub enum AssessError {
     #[error(transparent)]
     Run(#[from] RunError),
     /// A random scenario of a space is invalid.
-    #[error("a draw is invalid: {0}")]
+    #[error("a random scenario is invalid: {0}")]
     Draw(#[from] InvalidField),
     /// The search for the worst braking fails.
     #[error(transparent)]
@@ -174,13 +175,13 @@ pub enum AssessError {
     #[error(transparent)]
     Rate(#[from] RateError),
     /// A certificate that was just written cannot be read back.
-    #[error("a certificate cannot be read back: {0}")]
+    #[error("a certificate that was just written cannot be read: {0}")]
     Certificate(String),
     /// Evidence cannot be cached.
     #[error(transparent)]
     Cache(#[from] CacheError),
     /// A specification does not fit a space.
-    #[error("a rule does not fit: {0}")]
+    #[error("a specification does not fit its space: {0}")]
     Specification(#[from] SpecificationError),
     /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
@@ -193,8 +194,8 @@ pub enum AssessError {
     Stopped(#[from] Stopped),
 }
 
-/// Gathers the evidence that a plan asks for, except for evidence that `store` holds. Nothing is cached if a controller
-/// has no identity. If `observer` stops the assessment, `store` keeps the evidence gathered so far.
+/// Gathers the evidence that a plan asks for, except for evidence that `cache` holds. Nothing is cached if a controller
+/// has no identity. If `observer` stops the assessment, `cache` keeps the evidence gathered so far.
 ///
 /// # Errors
 /// [`AssessError`] if a scenario cannot be run or drawn, evidence cannot be cached, or `observer` stops the assessment.
@@ -215,16 +216,16 @@ pub enum AssessError {
 /// ```
 pub fn assess(
     plan: &AssessmentPlan,
-    store: &EvidenceCache,
+    cache: &EvidenceCache,
     against: Option<&EarlierAssessment>,
     observer: &dyn Observer<RunProgress>,
 ) -> Result<AssessmentReport, AssessError> {
-    let nothing_kept = EvidenceCache::disabled();
-    let store = if plan.first_without_identity().is_none() { store } else { &nothing_kept };
-    let work = GatherContext::new(store, ProgressCounter::new(observer, Some(plan.runs())))
+    let disabled = EvidenceCache::disabled();
+    let cache = if plan.first_without_identity().is_none() { cache } else { &disabled };
+    let work = GatherContext::new(cache, ProgressCounter::new(observer, Some(plan.runs())))
         .with_controllers(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
-    let distributions = SpaceSamples::gather(plan, &work)?;
+    let rate_spaces = SpaceSamples::gather(plan, &work)?;
     let traffic = FileScenarios::gather(plan, &work)?;
     let suites = Suites::gather(plan, &work)?;
     let searches = FailureSearches::gather(plan, &work)?;
@@ -239,7 +240,7 @@ pub fn assess(
     let limits = AssessmentLimits::new(plan);
     let found = GatheredEvidence {
         paper: paper_scenarios.as_ref(),
-        distributions: &distributions,
+        rate_spaces: &rate_spaces,
         traffic: traffic.as_ref(),
         suites: suites.as_ref(),
         worst: worst_profiles.as_ref(),
@@ -250,12 +251,12 @@ pub fn assess(
     };
     let evidence = found.collect_ledger(plan);
     let summary = ClaimSummary::new(plan, &found, &evidence);
-    let first_page = FirstPage::new(plan, &summary, &searches, usefulness.as_ref(), &limits);
+    let first_page = FirstPage::new(plan, &summary, &found, &limits);
     let argument = Argument::new(plan, &summary, &limits);
     let mut assessment = AssessmentReport {
         version: EVIDENCE_VERSION,
         learned: paper_scenarios.as_ref().and_then(|paper| LearnedPolicies::new(plan, paper)),
-        provenance: AssessmentProvenance::new(plan, store),
+        provenance: AssessmentProvenance::new(plan, cache),
         comparison: None,
         space_descriptions: SpaceDescriptions::new(plan, usefulness.as_ref()),
         command_files: plan.command_files()?,
@@ -263,7 +264,7 @@ pub fn assess(
         summary,
         evidence,
         paper_scenarios,
-        distributions,
+        rate_spaces,
         file_scenarios: traffic,
         suites,
         searches,
@@ -291,12 +292,12 @@ impl AssessmentPlan {
         let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.file_scenarios.len()) as u64;
         // A search has a method and two reference searches.
         let searched_by = 1 + self.config.search.specifications.len() as u64;
-        let searches = 3 * self.spaces.len() as u64 * self.config.search.budget * searched_by;
+        let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget * searched_by;
         let each =
-            scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
+            scenarios + self.config.draws * self.rate_spaces.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
-        let counted = self.distributions.len() as u64 * (learned + 1);
+        let counted = self.rate_spaces.len() as u64 * (learned + 1);
         let tested: u64 = self.suites.iter().map(planned_suite::PlannedSuite::run_count).sum();
         tested + driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
     }
@@ -305,8 +306,8 @@ impl AssessmentPlan {
 impl AssessmentReport {
     /// Adds the time, program and machine of the assessment.
     #[must_use]
-    pub fn with_build_info(mut self, made: BuildInfo) -> Self {
-        self.provenance.build_info = Some(made);
+    pub fn with_run_info(mut self, made: RunInfo) -> Self {
+        self.provenance.run_info = Some(made);
         self
     }
 
@@ -318,8 +319,8 @@ impl AssessmentReport {
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn ReportPart));
         parts.extend(self.file_scenarios.as_ref().map(|traffic| traffic as &dyn ReportPart));
         parts.extend(self.suites.as_ref().map(|suites| suites as &dyn ReportPart));
-        let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
-        parts.extend(is_drawn.then_some(&self.distributions as &dyn ReportPart));
+        let (is_drawn, is_searched) = (!self.rate_spaces.spaces.is_empty(), !self.searches.spaces.is_empty());
+        parts.extend(is_drawn.then_some(&self.rate_spaces as &dyn ReportPart));
         parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
         parts.extend(self.specification_searches.as_ref().map(|rules| rules as &dyn ReportPart));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));

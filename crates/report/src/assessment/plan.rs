@@ -39,9 +39,9 @@ pub struct AssessmentPlan {
     pub(super) left_out: Vec<DroppedItem>,
     pub(super) suites: Vec<PlannedSuite>,
     /// Scenario spaces whose failure rates are measured.
-    pub(super) distributions: Vec<NamedSpace>,
+    pub(super) rate_spaces: Vec<NamedSpace>,
     /// Scenario spaces that are searched for failures.
-    pub(super) spaces: Vec<NamedSpace>,
+    pub(super) search_spaces: Vec<NamedSpace>,
     pub(super) certificates: Vec<GivenCertificate>,
 }
 
@@ -96,7 +96,7 @@ impl AssessmentPlan {
         let known = |names: &[String]| {
             names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
         };
-        let (distributions, spaces) = (known(&config.distributions()), known(&config.search_spaces()));
+        let (rate_spaces, search_spaces) = (known(&config.rate_spaces()), known(&config.search_spaces()));
         let (subject, certificates) = (default_subject(&controllers), shipped_certificates(&controllers));
         let (traffic, left_out, suites) = (Vec::new(), Vec::new(), Vec::new());
         Self {
@@ -106,8 +106,8 @@ impl AssessmentPlan {
             file_scenarios: traffic,
             left_out,
             suites,
-            distributions,
-            spaces,
+            rate_spaces,
+            search_spaces,
             certificates,
         }
     }
@@ -288,14 +288,19 @@ impl PlanLoader<'_> {
         }
         let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.import_recordings(&config)?;
         let traffic = self.load_scenarios(&config, recorded)?;
-        let spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
-        let distributions = self.load_spaces("distributions", &config.distributions())?;
-        self.normalize_specifications(&mut config.search.specifications, &spaces)?;
-        let clash = distributions.iter().find(|one| {
-            spaces.iter().any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id)
+        let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
+        let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
+        self.normalize_specifications(&mut config.search.specifications, &search_spaces)?;
+        let clash = rate_spaces.iter().find(|one| {
+            search_spaces
+                .iter()
+                .any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id)
         });
         if let Some(one) = clash {
-            let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
+            let problem = format!(
+                "the name `{}` belongs to another space in `search.spaces`; rename one of them",
+                one.space.name()
+            );
             return Err(self.field_error("distributions", problem));
         }
         let given = config.certificates.clone();
@@ -306,8 +311,8 @@ impl PlanLoader<'_> {
             file_scenarios: traffic,
             left_out,
             suites,
-            distributions,
-            spaces,
+            rate_spaces,
+            search_spaces,
             certificates: Vec::new(),
         };
         plan.certificates = match given {
@@ -324,7 +329,7 @@ impl PlanLoader<'_> {
         for (index, rule) in rules.iter_mut().enumerate() {
             let wrong = |problem: String| self.field_error(&format!("search.rules[{index}]"), problem);
             if rule == Specification::NO_CONTACT {
-                return Err(wrong("contacts are searched for anyway".to_owned()));
+                return Err(wrong("the search always looks for collisions; remove this entry".to_owned()));
             }
             for named in spaces {
                 let nominal = named.space.scenario(&named.space.nominal());
@@ -333,7 +338,7 @@ impl PlanLoader<'_> {
                 *rule = read.map_err(|error| wrong(format!("in {}: {error}", named.name)))?.to_string();
             }
             if earlier.contains(rule) {
-                return Err(wrong(format!("`{rule}` is named twice")));
+                return Err(wrong(format!("`{rule}` appears twice; remove one")));
             }
             earlier.push(rule.clone());
         }
@@ -347,7 +352,7 @@ impl PlanLoader<'_> {
         controller: NamedController,
     ) -> Result<(), AssessConfigError> {
         if controllers.iter().any(|known| known.name == controller.name) {
-            return Err(self.field_error(field, format!("`{}` is named twice", controller.name)));
+            return Err(self.field_error(field, format!("`{}` appears twice; remove one", controller.name)));
         }
         controllers.push(controller);
         Ok(())
@@ -398,7 +403,10 @@ impl PlanLoader<'_> {
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
         let imported = import(&paths, None, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
-            Some(empty) => Err(wrong(format!("{}: no braking episode that makes a scenario", empty.path.display()))),
+            Some(empty) => Err(wrong(format!(
+                "{}: the recording has no braking episode that fits a scenario",
+                empty.path.display()
+            ))),
             None => Ok(imported),
         }
     }
@@ -413,11 +421,11 @@ impl PlanLoader<'_> {
             let field = format!("scenarios[{index}]");
             let at = self.folder.join(named);
             if !at.exists() {
-                return Err(self.field_error(&field, format!("there is no {}", at.display())));
+                return Err(self.field_error(&field, format!("{} does not exist", at.display())));
             }
             let found = file::load_all(&at)?;
             if found.is_empty() {
-                let problem = format!("the folder {} holds no scenario file", named.display());
+                let problem = format!("the folder {} has no scenario file", named.display());
                 return Err(self.field_error(&field, problem));
             }
             let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
@@ -431,7 +439,8 @@ impl PlanLoader<'_> {
         for (found_at, scenario) in &traffic {
             let name = &scenario.spec().name;
             if names.contains(name) {
-                let problem = format!("{}: the name `{name}` is taken by another scenario", found_at.display());
+                let problem =
+                    format!("{}: another scenario has the name `{name}`; rename one of them", found_at.display());
                 return Err(self.field_error("scenarios", problem));
             }
             names.push(name.clone());
@@ -455,19 +464,25 @@ impl PlanLoader<'_> {
                 }
             };
             let nominal = space.scenario(&space.nominal());
-            let nominal =
-                nominal.map_err(|error| self.field_error(&field, format!("{name}: its nominal scenario: {error}")))?;
+            let nominal = nominal.map_err(|error| {
+                self.field_error(&field, format!("{name}: the nominal scenario is invalid: {error}"))
+            })?;
             if !nominal.has_vehicle_under_test() {
                 return Err(self.field_error(&field, format!("{name}: no vehicle is under test")));
             }
             if spaces.iter().any(|known| known.space.name() == space.name()) {
-                return Err(self.field_error(&field, format!("the name `{}` is taken by another space", space.name())));
+                return Err(self.field_error(
+                    &field,
+                    format!("another space has the name `{}`; rename one of them", space.name()),
+                ));
             }
             let named = NamedSpace::new(name, space).map_err(|error| self.field_error(&field, error.to_string()))?;
             let built_in = built_in_space(named.space.name()).and_then(|known| space_file::to_toml(&known).ok());
             if built_in.is_some_and(|built_in| built_in != named.text) {
-                let problem =
-                    format!("the name `{}` is that of a built-in space with other contents", named.space.name());
+                let problem = format!(
+                    "a built-in space with other contents has the name `{}`; rename this one",
+                    named.space.name()
+                );
                 return Err(self.field_error(&field, problem));
             }
             spaces.push(named);
@@ -490,10 +505,15 @@ impl PlanLoader<'_> {
                 .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
             if made_here.contains(&name) {
-                return Err(self.field_error(&field, format!("the name `{name}` is that of a certificate made here")));
+                return Err(self.field_error(
+                    &field,
+                    format!("this assessment writes a certificate with the name `{name}`; rename the file"),
+                ));
             }
             if given.iter().any(|known| known.name == name) {
-                return Err(self.field_error(&field, format!("the name `{name}` is taken by another certificate")));
+                return Err(
+                    self.field_error(&field, format!("another certificate has the name `{name}`; rename the file"))
+                );
             }
             let policy = certificate.read_policy(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
             given.push(GivenCertificate { name, certificate, policy });

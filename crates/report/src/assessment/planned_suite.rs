@@ -52,7 +52,7 @@ impl PlannedSuite {
             let field = format!("suites[{index}].suite");
             let suite = find_suite(&asked.suite, folder).map_err(|problem| (field.clone(), problem))?;
             if planned.iter().any(|known| known.suite.spec().name == suite.spec().name) {
-                return Err((field, format!("the name `{}` is taken by another suite", suite.spec().name)));
+                return Err((field, format!("another suite has the name `{}`; rename one of them", suite.spec().name)));
             }
             let mut tested = match &mut asked.controllers {
                 None => (0..controllers.len()).collect(),
@@ -104,12 +104,12 @@ fn find_suite(name: &str, folder: &Path) -> Result<TestSuite, String> {
     }
     if Path::new(name).extension().is_none_or(|ending| ending != "toml") {
         let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
-        return Err(format!("`{name}` is neither a suite that is shipped ({}) nor a .toml file", known.join(", ")));
+        return Err(format!("`{name}` is neither a built-in suite ({}) nor a .toml file", known.join(", ")));
     }
     let suite = TestSuite::load(&folder.join(name)).map_err(|error| error.to_string())?;
     match TestSuite::shipped(&suite.spec().name) {
         Some(Ok(shipped)) if shipped != suite => {
-            Err(format!("the name `{}` is that of a suite that is shipped, with other contents", suite.spec().name))
+            Err(format!("a built-in suite with other contents has the name `{}`; rename this one", suite.spec().name))
         }
         _ => Ok(suite),
     }

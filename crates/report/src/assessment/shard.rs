@@ -40,7 +40,7 @@ pub enum EvidenceShardError {
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// A controller has no identity.
-    #[error("the controller `{0}` states no identity, so that nothing of it is kept")]
+    #[error("the controller `{0}` states no identity, so crumple cannot store its evidence in a shard")]
     NoIdentity(String),
     /// Evidence cannot be gathered.
     #[error(transparent)]
@@ -73,7 +73,7 @@ impl Sharded for ShardedAssessment {
             return None;
         }
         Some(match self.assessment.program == other.assessment.program {
-            true => "the configuration, or something that it names,".to_owned(),
+            true => "the configuration, or a file that it names,".to_owned(),
             false => "the build".to_owned(),
         })
     }
@@ -86,7 +86,7 @@ impl Mergeable for ShardedAssessment {
     fn check(&self, kept: Vec<CacheEntry>, _: ShardId, _: &Range<u64>) -> Result<Vec<CacheEntry>, String> {
         match kept.iter().all(|one| one.is_intact(&self.assessment.program)) {
             true => Ok(kept),
-            false => Err("not evidence of that build".to_owned()),
+            false => Err("the evidence is from another build".to_owned()),
         }
     }
 }
@@ -130,11 +130,11 @@ pub fn gather_shard(
     let work = open_shard(&ShardedAssessment { assessment }, shard, folder, true)?;
     let under_way = folder.join(CACHE_FOLDER);
     if !work.is_complete() {
-        let store = EvidenceCache::open(&under_way, program, false)?;
+        let cache = EvidenceCache::open(&under_way, program, false)?;
         let gathering =
-            Gathering::new(&store, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
+            Gathering::new(&cache, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
-        work.write(EVIDENCE_FILE, to_json_line(&store.entries()?)?)?;
+        work.write(EVIDENCE_FILE, to_json_line(&cache.entries()?)?)?;
         work.finish()?;
     }
     // An earlier run may have stopped before this removal.
@@ -192,14 +192,14 @@ impl MergedEvidence {
     /// # Errors
     /// [`CacheError`] if it cannot be written, or is in use.
     pub fn write_to_cache(&self, folder: &Path) -> Result<usize, CacheError> {
-        let store = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
+        let cache = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
         let all = self.0.results().flatten();
-        all.map(|kept| store.insert(kept)).sum()
+        all.map(|kept| cache.insert(kept)).sum()
     }
 }
 
 fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
-    let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
+    let spaces: Vec<_> = plan.rate_spaces.iter().chain(&plan.search_spaces).map(|named| named.text.as_str()).collect();
     let traffic = plan.file_scenarios.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(CacheError::encoding)?;
     let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.content_id.sha256).collect();

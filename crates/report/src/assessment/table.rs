@@ -97,6 +97,10 @@ impl ReportTable {
         table
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
     pub(super) fn push_row(&mut self, cells: Vec<ReportCell>) {
         self.rows.push(cells);
     }

@@ -102,7 +102,7 @@ pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFi
     };
     let width = drawn.iter().map(|svg| svg.size().0 + COLUMN_GAP).sum::<f64>() - COLUMN_GAP;
     let height = drawn.iter().map(|svg| svg.size().1).fold(0.0, f64::max);
-    Svg::new(prefix, (width.max(0.0), height), title, "The runs beside each other, on the same axes.", content)
+    Svg::new(prefix, (width.max(0.0), height), title, "The runs next to each other, on the same axes.", content)
 }
 
 const COLUMN_GAP: f64 = 20.0;

@@ -17,7 +17,7 @@ pub enum DrawError {
     #[error("the figure is not valid SVG: {0}")]
     Svg(#[from] usvg::Error),
     /// The picture would be empty or too large.
-    #[error("a picture of {width} by {height} pixels cannot be made: from 1 pixel to {limit} are possible", limit = MAX_PIXELS)]
+    #[error("the picture has {width} by {height} pixels; use 1 to {limit} pixels", limit = MAX_PIXELS)]
     Size {
         /// Width in pixels.
         width: f64,
@@ -25,7 +25,7 @@ pub enum DrawError {
         height: f64,
     },
     /// The pixels could not be compressed.
-    #[error("the picture could not be encoded as PNG: {0}")]
+    #[error("cannot encode the picture as PNG: {0}")]
     Encode(String),
 }
 

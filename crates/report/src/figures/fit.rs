@@ -25,7 +25,7 @@ pub fn draw_fit(fitted: &FittedSpace) -> Svg {
     let panels: Vec<_> = panels.collect();
     let rows = panels.len().div_ceil(2) as f64;
     let size = (LEFT_MARGIN + 24.0 + 2.0 * PANEL_SIZE.0 + PANEL_SPACING + 24.0, rows * step.1);
-    let description = "Shares at most so large: steps are what was observed, lines what was fitted.";
+    let description = "Cumulative distributions: steps are observed, lines are fitted.";
     Svg::new("fitted", size, fitted.space.name(), description, html! { @for panel in &panels { (panel) } })
 }
 

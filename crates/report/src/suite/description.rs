@@ -9,7 +9,7 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
     match verdict {
         TestVerdict::Passed => "PASSED".to_owned(),
         TestVerdict::Failed { time_s, impact_speed_mps } => {
-            format!("FAILED, contact at {time_s:.2} s with {impact_speed_mps:.1} m/s")
+            format!("FAILED, collision at {time_s:.2} s with {impact_speed_mps:.1} m/s")
         }
         TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
@@ -21,7 +21,7 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
             format!(
-                "FAILED within the ranges of the clause, though every stated point passes: {}",
+                "FAILED within the tolerances of the clause; every stated point passes: {}",
                 describe_verdict(&within.verdict)
             )
         }
@@ -32,20 +32,20 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
 /// Describes the impact up to which a test passes nevertheless.
 pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
     let ImpactLimit { value, unit, origin, .. } = limit;
-    format!("passes with a contact of at most {value} {unit} ({})", origin.label())
+    format!("passes if the impact is at most {value} {unit} ({})", origin.label())
 }
 
 pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     let WorstInTolerance { point, verdict: found, min_gap_m, points_run: tried, .. } = within;
     let gap =
         min_gap_m.filter(|_| found.is_passed()).map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m"));
-    format!("worst of {tried} points that the clause allows: {}{gap}, at {point}", describe_verdict(found))
+    format!("worst of {tried} points within the tolerances: {}{gap}, at {point}", describe_verdict(found))
 }
 
 /// Describes the least margin in each direction, and the number of margins.
 pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
     let told = |(least, many): (&Margin, usize)| {
-        let of = if many > 1 { format!(" (the least of {many})") } else { String::new() };
+        let of = if many > 1 { format!(" (the smallest of {many})") } else { String::new() };
         describe_margin(least) + &of
     };
     min_margins(margins).into_iter().map(told).collect()
@@ -78,7 +78,7 @@ fn describe_margin(margin: &Margin) -> String {
     let push = push.label();
     match end {
         MarginEnd::None { failure: beyond } => {
-            format!("margin of {push}{held}: none, it {} at {from} {unit}", describe_beyond(*beyond))
+            format!("margin of {push}{held}: none, the test {} at {from} {unit}", describe_beyond(*beyond))
         }
         MarginEnd::Holds { parts } => {
             format!("margin of {push}{held}: passes from {from} to {to} {unit} at the ends of {parts} parts")
@@ -93,7 +93,7 @@ fn describe_margin(margin: &Margin) -> String {
             match is_monotone {
                 true => words,
                 false => {
-                    format!("{words}: the first end found on {parts} parts to {to} {unit}, and it passes again beyond")
+                    format!("{words}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond")
                 }
             }
         }

@@ -10,7 +10,7 @@ use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
 const NO_PUBLISHED_COUNTS: &str =
-    "No counts of published maps could be read, so none are compared: the lines of closed forms and stated points are.";
+    "There are no readable counts of published maps. The map shows closed forms and stated points for comparison.";
 
 pub(super) fn cell_letter(cell: &CrashCell) -> char {
     match cell.verdict {
@@ -40,7 +40,7 @@ impl PanelSummary<'_> {
         let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = self.0;
         let mut words = format!("contact in {contacts} of {} cells", cells.len());
         if *without_reaction > 0 {
-            words += &format!(" ({without_reaction} without having braked)");
+            words += &format!(" ({without_reaction} without braking)");
         }
         for (letter, what) in LEGEND.iter().skip(3) {
             let count = self.count(*letter);
@@ -49,7 +49,7 @@ impl PanelSummary<'_> {
             }
         }
         if let Some(unlike) = unlike_closed_form {
-            words += &format!(", unlike its closed form in {unlike}");
+            words += &format!(", different from the closed form in {unlike}");
         }
         words
     }
@@ -101,16 +101,16 @@ pub fn render_map_html(map: &CrashMap) -> String {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     h1 { (title) }
                     p.answer { (map.statement) }
-                    p { (map.situation.description()) " Reference drivers see the truth; the controllers look through " (describe_estimator(map.estimator)) "." }
+                    p { (map.situation.description()) " Reference drivers observe the true state. Sensors of the controllers: " (describe_estimator(map.estimator)) "." }
                 }
                 main {
                     figure { (map_figure::draw_responsive(map)) }
                     div.scroll tabindex="0" { table {
-                        thead { tr { th scope="col" { "driver" } th scope="col" { "what came of it" } } }
+                        thead { tr { th scope="col" { "driver" } th scope="col" { "result" } } }
                         tbody { @for panel in &map.panels { tr { th scope="row" { (panel_title(panel)) } td { (PanelSummary(panel).describe()) } } } }
                     } }
                     ul { @for line in &map.boundaries { li { (line.label) } } }
-                    p { "Every cell is the scenario at its middle, run once for every driver. " (NO_PUBLISHED_COUNTS) }
+                    p { "Each cell is the scenario at its centre, simulated for every driver. " (NO_PUBLISHED_COUNTS) }
                 }
                 footer.statement { (map.statement) }
             }

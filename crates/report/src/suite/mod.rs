@@ -30,14 +30,14 @@ pub fn render_text(result: &SuiteResult, replay: impl Fn(&FailedPoint, &Controll
     // Writing to a string cannot fail.
     let _ = writeln!(out, "{}: {}, {}", result.suite, result.document, result.edition);
     let _ = writeln!(out, "  {}", result.statement);
-    let _ = writeln!(out, "  figures from: {}", result.parameter_source);
+    let _ = writeln!(out, "  source of the parameters: {}", result.parameter_source);
     for clause in &result.clauses {
         let _ = writeln!(out, "\n{}  {}", clause.clause, clause.summary);
         for test in &clause.tests {
             write_test(&mut out, test, &replay);
         }
     }
-    for (title, list) in [("outside the model", &result.not_modelled), ("left out", &result.omitted_parameters)] {
+    for (title, list) in [("not modelled", &result.not_modelled), ("omitted", &result.omitted_parameters)] {
         if !list.is_empty() {
             let _ = writeln!(out, "\n{title}");
         }
@@ -53,7 +53,7 @@ fn write_test(
     test: &TestResult,
     replay: &impl Fn(&FailedPoint, &ControllerResult) -> Option<String>,
 ) {
-    let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
+    let chosen = if test.is_as_stated { "" } else { " (some parameters are chosen)" };
     let _ = writeln!(out, "  {}{chosen}", test.name);
     if let Some(limit) = &test.impact_at_most {
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));

@@ -51,17 +51,17 @@ impl Page<'_> {
                         p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                         h1 { (title) }
                         p.answer { (statement) }
-                        p { (edition) ". Figures from: " (figures_from) " The controllers look through " (describe_estimator(self.result.estimator)) "." }
+                        p { (edition) ". Source of the parameters: " (figures_from) " Sensors of the controllers: " (describe_estimator(self.result.estimator)) "." }
                         nav {
                             a href="#matrix" { "Matrix" }
                             @for (index, clause) in clauses.iter().enumerate() { " " a href={ "#clause-" (index) } { (clause.clause) } }
-                            " " a href="#outside" { "What it does not say" }
+                            " " a href="#outside" { "Limits" }
                         }
                     }
                     main {
                         section id="matrix" { h2 { "Matrix" } (self.matrix()) }
                         @for (index, clause) in clauses.iter().enumerate() { (self.clause(index, clause)) }
-                        section id="outside" { h2 { "What it does not say" } (self.limitations()) }
+                        section id="outside" { h2 { "Limits" } (self.limitations()) }
                     }
                     footer.statement { (statement) }
                 }
@@ -85,7 +85,7 @@ impl Page<'_> {
                     @for tested in &test.controllers { td.judged.(css_class(tested)) { (matrix_cell(tested)) } }
                 } } }
             } }
-            p.kicker { "✓ every point of the grid passes, and none was found to fail that the clause allows; ✗ some point fails; – cannot be run." }
+            p.kicker { "✓ every point of the grid passes, and no failure was found within the tolerances; ✗ some point fails; – cannot be run." }
         }
     }
 
@@ -104,7 +104,7 @@ impl Page<'_> {
             h3 id={ "test-" (test.name) } { (test.name) }
             @if test.parameters.iter().next().is_some() { (parameter_list(test)) }
             div.scroll tabindex="0" { table {
-                thead { tr { @for name in ["controller", "verdict", "margins", "worst that the clause allows"] { th scope="col" { (name) } } } }
+                thead { tr { @for name in ["controller", "verdict", "margins", "worst within tolerances"] { th scope="col" { (name) } } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
                     td.judged.(css_class(tested)) { (verdict_sign(tested)) (describe_outcome(tested)) (format_points(tested)) }
@@ -131,23 +131,23 @@ impl Page<'_> {
                 div.scroll tabindex="0" { table {
                     thead { tr {
                         th scope="col" { "point" }
-                        th scope="col" { "what happened" }
+                        th scope="col" { "outcome" }
                         @for run in drivers.into_iter().flatten() { th scope="col" { (run.driver) } }
-                        th scope="col" { "could anybody?" }
+                        th scope="col" { "avoidable" }
                     } }
                     tbody { @for failed in tested.failures() { tr {
                         th scope="row" { (failed.point) }
                         td { (describe_verdict(&failed.verdict)) }
                         @for run in &failed.references { td { (describe_prevention(run.prevention)) } }
                         @for _ in failed.references.len()..asked { td { "–" } }
-                        td { (failed.avoidability.describe().unwrap_or_else(|| "not asked".to_owned())) }
+                        td { (failed.avoidability.describe().unwrap_or_else(|| "not examined".to_owned())) }
                     } } }
                 } }
                 @for failed in tested.failures() {
                     @if let Some(command) = (self.replay)(failed, tested) { p.replay { code { (command) } } }
                 }
                 @for failed in &worst { (self.figure(failed, tested)) }
-                @if all > worst.len() { p.kicker { "Drawn are the fastest impacts, " (worst.len()) " of " (all) "." } }
+                @if all > worst.len() { p.kicker { "Figures of the fastest impacts, " (worst.len()) " of " (all) "." } }
             }
         }
     }
@@ -162,7 +162,7 @@ impl Page<'_> {
         let title = format!("{}, {}", failed.point, tested.controller);
         let labels = vehicle_names(&failed.scenario);
         html! {
-            @if named.is_none() { p.kicker { "Not drawn: the recorded controller is not available here." } }
+            @if named.is_none() { p.kicker { "No figure, because the recorded controller is not available here." } }
             @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
                 @let impacts = &simulated.impacts;
                 figure {
@@ -175,11 +175,11 @@ impl Page<'_> {
 
     fn limitations(&self) -> Markup {
         html! {
-            @for (title, list) in [("Outside the model", &self.result.not_modelled), ("Left out", &self.result.omitted_parameters)] {
+            @for (title, list) in [("Not modelled", &self.result.not_modelled), ("Omitted", &self.result.omitted_parameters)] {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
             }
-            p { "Preventable is said by the reference drivers, who see the truth, and by a search for an escape of anybody who knows the future, \
-                 of the first three points of a test and controller. That nothing failed at the points that were run proves nothing of others." }
+            p { "Reference drivers, who observe the true state, and a search for an escape with knowledge of the future show if a failure is \
+                 preventable, for the first three points of a test and controller. The points that passed prove nothing about others." }
         }
     }
 }
@@ -198,8 +198,8 @@ pub(super) fn html_head(title: &str) -> Markup {
 
 pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     match estimator {
-        EstimatorKind::Truth => "nothing: they see the true state",
-        EstimatorKind::Kalman => "noisy sensors and a Kalman filter",
+        EstimatorKind::Truth => "none, they observe the true state",
+        EstimatorKind::Kalman => "noisy, with a Kalman filter",
     }
 }
 

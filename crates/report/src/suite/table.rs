@@ -10,11 +10,11 @@ use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResul
 pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     let tests = || results.iter().flat_map(|result| result.tests().map(move |(_, test)| (result, test)));
     let mut text = Markdown::default();
-    text.heading(1, "Suites after regulations");
+    text.heading(1, "Suites modelled on regulations");
     text.paragraph(DISCLAIMER);
     text.paragraph(
-        "✓: every point of the grid passes, and none was found to fail that the clause allows; ✗: some point fails; –: it cannot be run. \
-         Then how many points pass, the fastest impact, or the least margin of the first direction.",
+        "✓: every point of the grid passes, and no failure was found within the tolerances; ✗: some point fails; –: cannot be run. Then \
+         the number of passed points, and the fastest impact or the smallest margin in the first direction.",
     );
     let Some((_, first)) = tests().next() else { return text.into_string() };
     let names = first.controllers.iter().map(|tested| tested.controller.clone());
@@ -26,7 +26,7 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
         head.into_iter().chain(test.controllers.iter().map(format_cell)).collect()
     };
     text.table(&header, &columns, tests().map(row));
-    text.paragraph("*: some figures are chosen, not the document's.");
+    text.paragraph("*: some parameters are chosen, because the document does not state them.");
     text.into_string()
 }
 

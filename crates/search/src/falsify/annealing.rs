@@ -73,13 +73,13 @@ impl SearchAlgorithm for Annealing {
 
     fn tell(&mut self, robustness: &[f64]) {
         let values = robustness.iter().map(|&value| nan_as_infinity(value));
-        let told: Vec<(f64, Vec<f64>)> = values.zip(std::mem::take(&mut self.pending)).collect();
-        let Some(least) = told.iter().min_by(|a, b| a.0.total_cmp(&b.0)).cloned() else { return };
+        let costs: Vec<(f64, Vec<f64>)> = values.zip(std::mem::take(&mut self.pending)).collect();
+        let Some(least) = costs.iter().min_by(|a, b| a.0.total_cmp(&b.0)).cloned() else { return };
         if least.0 < self.best.0 {
             self.best = least.clone();
         }
         if self.warm_up_values.is_empty() {
-            self.warm_up_values = told.iter().map(|(value, _)| *value).collect();
+            self.warm_up_values = costs.iter().map(|(value, _)| *value).collect();
             self.current = least;
             return;
         }

@@ -30,11 +30,11 @@ impl Evaluator<'_> {
     /// Returns the verdicts of many scenarios, which are simulated together.
     pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
         let own = self.evaluate_with(self.controller, asked);
-        let Some(contrast) = self.failure_criterion else { return own };
-        let partners: Vec<Option<Scenario>> = asked.iter().map(|(scenario, _)| contrast.partner(scenario)).collect();
+        let Some(criterion) = self.failure_criterion else { return own };
+        let partners: Vec<Option<Scenario>> = asked.iter().map(|(scenario, _)| criterion.partner(scenario)).collect();
         let there: Vec<(&Scenario, u32)> =
             partners.iter().zip(asked).filter_map(|(partner, (_, parts))| Some((partner.as_ref()?, *parts))).collect();
-        let mut beside = self.evaluate_with(contrast.partner_controller(self.controller), &there).into_iter();
+        let mut beside = self.evaluate_with(criterion.partner_controller(self.controller), &there).into_iter();
         let pairs = own.into_iter().zip(&partners);
         pairs
             .map(|(own, partner)| {
@@ -46,9 +46,9 @@ impl Evaluator<'_> {
 
     /// Returns the reason why the controller of the partner simulation gives no answer; `None` if it answers.
     pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
-        let contrast = self.failure_criterion?;
-        let partner = contrast.partner(scenario)?;
-        let options = run_options(contrast.partner_controller(self.controller), self.estimator, &partner, 1);
+        let criterion = self.failure_criterion?;
+        let partner = criterion.partner(scenario)?;
+        let options = run_options(criterion.partner_controller(self.controller), self.estimator, &partner, 1);
         let run = Run::new(&partner, options.with_after_contact(self.specification.after_contact())).ok()?;
         simulate(&run, RecordingLevel::Summary).outcome.failed_controller().map(FailedController::reason)
     }
@@ -71,7 +71,7 @@ impl Evaluator<'_> {
         }
         let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> =
             simulate_batch(&runs, self.specification.recording_level(), |index, result| match runs.get(index) {
-                Some(run) => self.specification.judge(run, &result),
+                Some(run) => self.specification.evaluate(run, &result),
                 None => Err(SpecificationError::NoTrace),
             });
         // Insert in ascending order, so that each index exists.

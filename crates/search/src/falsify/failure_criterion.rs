@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn partners_differ_in_what_the_relation_says_alone() {
+    fn partners_differ_only_as_the_relation_requires() {
         let scenario = built_in_scenario("paper-1").unwrap();
         let nearer = MetamorphicRelation::LargerGap { by_m: 2.0 }.partner(&scenario).unwrap();
         let positions = |scenario: &Scenario| scenario.vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
@@ -229,19 +229,19 @@ mod tests {
 
     #[test]
     fn a_failure_counts_where_the_partner_holds() {
-        let judged = |own: f64, partner: Option<f64>| {
+        let evaluated = |own: f64, partner: Option<f64>| {
             FailureCriterion::combine_verdicts(RunVerdict::new(own), partner.map(RunVerdict::new)).robustness
         };
-        assert_eq!(judged(-3.0, Some(1.0)), -1.0);
-        assert_eq!(judged(-0.5, Some(1.0)), -0.5);
-        assert_eq!(judged(-0.5, Some(f64::INFINITY)), -0.5);
-        assert_eq!(judged(2.0, Some(1.0)), 2.0);
-        assert_eq!(judged(-3.0, Some(-4.0)), 4.0);
+        assert_eq!(evaluated(-3.0, Some(1.0)), -1.0);
+        assert_eq!(evaluated(-0.5, Some(1.0)), -0.5);
+        assert_eq!(evaluated(-0.5, Some(f64::INFINITY)), -0.5);
+        assert_eq!(evaluated(2.0, Some(1.0)), 2.0);
+        assert_eq!(evaluated(-3.0, Some(-4.0)), 4.0);
         // A robustness of zero passes.
-        assert!(judged(-3.0, Some(0.0)) >= 0.0);
-        assert_eq!(judged(-3.0, None), f64::INFINITY);
-        assert_eq!(judged(f64::NEG_INFINITY, Some(1.0)), -1.0);
-        assert!(judged(f64::NAN, Some(1.0)).is_nan() && judged(-1.0, Some(f64::NAN)).is_nan());
+        assert!(evaluated(-3.0, Some(0.0)) >= 0.0);
+        assert_eq!(evaluated(-3.0, None), f64::INFINITY);
+        assert_eq!(evaluated(f64::NEG_INFINITY, Some(1.0)), -1.0);
+        assert!(evaluated(f64::NAN, Some(1.0)).is_nan() && evaluated(-1.0, Some(f64::NAN)).is_nan());
     }
 
     #[test]

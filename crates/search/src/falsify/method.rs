@@ -194,7 +194,7 @@ impl Method {
 
     /// Returns true for non-adaptive methods (uniform, Halton), whose points can be generated from any index.
     #[must_use]
-    pub fn is_blind(&self) -> bool {
+    pub fn is_non_adaptive(&self) -> bool {
         matches!(self, Self::Uniform | Self::Halton)
     }
 
@@ -337,11 +337,11 @@ mod tests {
             for method in Method::ALL {
                 let mut whole = method.start(&cube, seed);
                 let mut all: Vec<Vec<f64>> = Vec::new();
-                while method.is_blind() && all.len() < points as usize + 32 {
+                while method.is_non_adaptive() && all.len() < points as usize + 32 {
                     all.extend(whole.ask());
                 }
                 let part = method.start_after(points, &cube, seed).ask();
-                match method.is_blind() {
+                match method.is_non_adaptive() {
                     true => prop_assert_eq!(&all[points as usize..][..32], &part[..]),
                     false => prop_assert_eq!(points == 0 && part == whole.ask(), points == 0),
                 }
@@ -370,9 +370,9 @@ mod tests {
                         prop_assert_eq!(point.len(), cube.dimension());
                         prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{}: {:?}", method, point);
                     }
-                    let told: Vec<f64> = (0..points.len()).map(|i| values[(7 * i + round) % values.len()]).collect();
-                    one.tell(&told);
-                    other.tell(&told);
+                    let costs: Vec<f64> = (0..points.len()).map(|i| values[(7 * i + round) % values.len()]).collect();
+                    one.tell(&costs);
+                    other.tell(&costs);
                 }
                 // The budget ends in the middle of a batch.
                 let points = one.ask();

@@ -28,8 +28,8 @@ fn ackley(point: &[f64]) -> f64 {
     let x = scale(point, -20.0, 44.0);
     let n = point.len() as f64;
     let squares = x.clone().map(|x| x * x).sum::<f64>() / n;
-    let waves = x.map(|x| (std::f64::consts::TAU * x).cos()).sum::<f64>() / n;
-    20.0 + std::f64::consts::E - 20.0 * (-0.2 * squares.sqrt()).exp() - waves.exp()
+    let clusters = x.map(|x| (std::f64::consts::TAU * x).cos()).sum::<f64>() / n;
+    20.0 + std::f64::consts::E - 20.0 * (-0.2 * squares.sqrt()).exp() - clusters.exp()
 }
 
 fn himmelblau(point: &[f64]) -> f64 {

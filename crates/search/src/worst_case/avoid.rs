@@ -174,8 +174,8 @@ struct ProgramResult {
 fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
     let (cells, first) = control_grids(family.centre(), options)?;
     check_size(family.centre())?;
-    let situation = match AvoidanceProblem::new(family) {
-        Ok(situation) => situation,
+    let problem = match AvoidanceProblem::new(family) {
+        Ok(problem) => problem,
         Err(reason) => {
             let avoidance = Avoidance {
                 verdict: AvoidanceVerdict::Undecided(reason),
@@ -188,20 +188,20 @@ fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<Program
             return Ok(ProgramResult { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
         }
     };
-    let mut search = FiringSearch::new(&situation);
-    let avoidance = explore_grids(family, &situation, &mut search, options, &cells, first);
+    let mut search = FiringSearch::new(&problem);
+    let avoidance = explore_grids(family, &problem, &mut search, options, &cells, first);
     Ok(ProgramResult {
         // Noise may carry a vehicle beyond a bound that was computed without it.
-        bound_m: if situation.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
-        profile_mps2: search.best.as_ref().map(|best| step_accelerations_mps2(&situation, best)),
-        is_modelled: !situation.escape_caveat.as_ref().is_some_and(UndecidedReason::is_not_modelled),
+        bound_m: if problem.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
+        profile_mps2: search.best.as_ref().map(|best| step_accelerations_mps2(&problem, best)),
+        is_modelled: !problem.escape_caveat.as_ref().is_some_and(UndecidedReason::is_not_modelled),
         avoidance,
     })
 }
 
 fn explore_grids(
     family: &ScenarioBox,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &mut FiringSearch<'_>,
     options: AvoidOptions,
     cells: &[usize],
@@ -212,18 +212,18 @@ fn explore_grids(
         let is_last = index + 1 == cells.len();
         let (most, open_ends) =
             if is_last { (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS) } else { (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS) };
-        search.explore(&Grid::new(situation, cell), most, open_ends);
+        search.explore(&Grid::new(problem, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
-        undecided = match conclude(family, situation, search, options.escape) {
-            Ok(conclusion) => return build_avoidance(family, situation, search, options, conclusion),
+        undecided = match conclude(family, problem, search, options.escape) {
+            Ok(conclusion) => return build_avoidance(family, problem, search, options, conclusion),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(UndecidedReason::TooClose { low_m, high_m });
-    build_avoidance(family, situation, search, options, (AvoidanceVerdict::Undecided(reason), None))
+    build_avoidance(family, problem, search, options, (AvoidanceVerdict::Undecided(reason), None))
 }
 
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
@@ -240,22 +240,22 @@ type Conclusion = (AvoidanceVerdict, Option<f64>);
 
 fn build_avoidance(
     family: &ScenarioBox,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     options: AvoidOptions,
     (verdict, best_min_gap_m): Conclusion,
 ) -> Avoidance {
     let bound_m = search.bound_m();
-    let is_noisy = matches!(situation.proof_caveat, Some(UndecidedReason::Noise { .. }));
+    let is_noisy = matches!(problem.proof_caveat, Some(UndecidedReason::Noise { .. }));
     let computed_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     let may_escape = match &verdict {
         AvoidanceVerdict::Avoidable(_) => true,
         AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
         AvoidanceVerdict::Unavoidable(_) => false,
     };
-    let is_wanted = options.certify_bound && may_escape && situation.proof_caveat.is_none();
+    let is_wanted = options.certify_bound && may_escape && problem.proof_caveat.is_none();
     let certified =
-        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, situation, search, bound_m));
+        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, problem, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
         verdict,
@@ -273,11 +273,11 @@ const CERTIFICATE_SLACK_M: f64 = 1e-4;
 /// Returns a bound that the checker accepts, and its certificate.
 fn certify_bound(
     family: &ScenarioBox,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     computed_m: f64,
 ) -> Option<(f64, Box<Certificate>)> {
-    let stating = |gap_m| certificate::gap_bound(family.centre(), situation, search, gap_m).ok()?;
+    let stating = |gap_m| certificate::gap_bound(family.centre(), problem, search, gap_m).ok()?;
     let mut certificate = stating(computed_m + CERTIFICATE_SLACK_M)?;
     let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
     if let Statement::GapBound(claim) = &mut certificate.statement {
@@ -304,13 +304,13 @@ fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usiz
 /// Returns the verdict of the search so far, or the reason why there is none yet.
 fn conclude(
     family: &ScenarioBox,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     kind: EscapeKind,
 ) -> Result<Conclusion, UndecidedReason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
-        if let Some(UndecidedReason::EgoResponse { vehicle }) = situation.escape_caveat {
+        if let Some(UndecidedReason::EgoResponse { vehicle }) = problem.escape_caveat {
             return Err(UndecidedReason::EgoResponse { vehicle });
         }
         let smoothed = match kind {
@@ -318,11 +318,11 @@ fn conclude(
             EscapeKind::Gentlest => search.smooth(best, EscapeObjective::GentlestEscape),
             EscapeKind::LeastJerk => search.smooth(best, EscapeObjective::LeastJerk),
         };
-        let replay = |profile| Escape::replay(family.centre(), situation, profile);
+        let replay = |profile| Escape::replay(family.centre(), problem, profile);
         let largest = replay(best);
         let mut best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
         let escape = smoothed.as_ref().and_then(replay).or(largest);
-        let mut escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
+        let mut escape = escape.ok_or_else(|| problem.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
         if !family.is_point()
             && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
             && let Some(least_m) = certified.min_gap_m_at_least
@@ -335,7 +335,7 @@ fn conclude(
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
-        let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
+        let late = problem.egos.iter().position(|ego| ego.dead_steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
             // A proof covers drivers that answer at once, an escape drivers that answer late.
@@ -343,10 +343,10 @@ fn conclude(
             (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
         });
     }
-    if let Some(reason) = &situation.proof_caveat {
+    if let Some(reason) = &problem.proof_caveat {
         return Err(reason.clone());
     }
-    let proof = certificate::unavoidable(family.centre(), situation, search)?;
+    let proof = certificate::unavoidable(family.centre(), problem, search)?;
     let proof = proof.ok_or(UndecidedReason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
@@ -359,11 +359,11 @@ fn conclude(
 /// # Errors
 /// [`UndecidedReason`] if there is no certificate.
 pub fn certify(family: &ScenarioBox, escape: &Escape) -> Result<Certificate, UndecidedReason> {
-    let situation = AvoidanceProblem::new(family)?;
-    if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {
+    let problem = AvoidanceProblem::new(family)?;
+    if let Some(reason) = problem.escape_caveat.clone().or_else(|| problem.proof_caveat.clone()) {
         return Err(reason);
     }
-    let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
+    let stating = |least_m| certificate::avoidable(family.centre(), &problem, &escape.acceleration_mps2, least_m);
     let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected { why: rejection.to_string() };
     let least_m = match crumple_verify::check(&stating(None)?).map_err(rejected)? {
         ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } => Some(smallest_gap_m),

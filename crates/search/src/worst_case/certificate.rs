@@ -13,11 +13,11 @@ use super::scenario_box::ScenarioBox;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
-fn build_scene(situation: &AvoidanceProblem) -> Scene {
-    let AvoidanceProblem { leader, egos, follower, .. } = situation;
+fn build_scene(problem: &AvoidanceProblem) -> Scene {
+    let AvoidanceProblem { leader, egos, follower, .. } = problem;
     Scene {
-        step_s: situation.step_s,
-        steps: step_count(situation.steps),
+        step_s: problem.step_s,
+        steps: step_count(problem.steps),
         leader: SceneLeader {
             position_m: leader.position_m,
             length_m: leader.length_m,
@@ -40,26 +40,26 @@ fn build_scene(situation: &AvoidanceProblem) -> Scene {
 
 pub(super) fn avoidable(
     scenario: &Scenario,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     acceleration_mps2: &[Vec<f64>],
     min_gap_m_at_least: Option<f64>,
 ) -> Result<Certificate, UndecidedReason> {
     let witness = acceleration_mps2.iter().map(|each| run_length_encode(each)).collect();
-    let statement = AvoidableClaim { scene: build_scene(situation), witness, min_gap_m_at_least };
-    wrap_statement(scenario, situation, Statement::Avoidable(statement))
+    let statement = AvoidableClaim { scene: build_scene(problem), witness, min_gap_m_at_least };
+    wrap_statement(scenario, problem, Statement::Avoidable(statement))
 }
 
 /// Returns the certificate that there is no escape; `None` if the search has not closed every branch.
 pub(super) fn unavoidable(
     scenario: &Scenario,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
 ) -> Result<Option<Certificate>, UndecidedReason> {
-    let Some(branches) = closing_branches(situation, search, 0.0) else { return Ok(None) };
+    let Some(branches) = closing_branches(problem, search, 0.0) else { return Ok(None) };
     wrap_statement(
         scenario,
-        situation,
-        Statement::Unavoidable(UnavoidableClaim { scene: build_scene(situation), branches }),
+        problem,
+        Statement::Unavoidable(UnavoidableClaim { scene: build_scene(problem), branches }),
     )
     .map(Some)
 }
@@ -67,23 +67,23 @@ pub(super) fn unavoidable(
 /// Returns the certificate that no profile keeps every gap at `gap_m`; `None` if some branch has no proof.
 pub(super) fn gap_bound(
     scenario: &Scenario,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     gap_m: f64,
 ) -> Result<Option<Certificate>, UndecidedReason> {
-    let Some(branches) = closing_branches(situation, search, gap_m) else { return Ok(None) };
-    let statement = GapBoundClaim { scene: build_scene(situation), gap_m, branches };
-    wrap_statement(scenario, situation, Statement::GapBound(statement)).map(Some)
+    let Some(branches) = closing_branches(problem, search, gap_m) else { return Ok(None) };
+    let statement = GapBoundClaim { scene: build_scene(problem), gap_m, branches };
+    wrap_statement(scenario, problem, Statement::GapBound(statement)).map(Some)
 }
 
 fn wrap_statement(
     scenario: &Scenario,
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     statement: Statement,
 ) -> Result<Certificate, UndecidedReason> {
     let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable { why: error.to_string() };
     let text = file::to_toml(scenario).map_err(unwritable)?;
-    let ranges = situation.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
+    let ranges = problem.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
     let mut certificate = build_certificate(scenario.spec().name.clone(), Some(text), ranges, statement);
     certificate.assumptions.extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
     Ok(certificate)
@@ -113,10 +113,10 @@ pub fn build_certificate(
 
 /// Returns branches that prove, for every firing, that no profile keeps every gap at `gap_m`. One branch covers all
 /// late firings: it shows an overlap with the follower's motion, and a follower that brakes later is further ahead.
-fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
-    let never = situation.never_firing();
+fn closing_branches(problem: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
+    let never = problem.never_firing();
     let closes =
-        |proof: &DualProof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
+        |proof: &DualProof, firing: usize, fired: bool| proof.excess(problem, firing, fired, gap_m) > ROUNDING_MARGIN;
     let earliest = |proof: &DualProof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
@@ -135,22 +135,22 @@ fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap
     for firing in 0..first_late {
         let mut candidates = last_used.into_iter().chain(&search.proofs);
         if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
-            branches.push(build_branch(situation, proof, [firing, firing], true, gap_m));
+            branches.push(build_branch(problem, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
-            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::for_standstill(situation, firing, spacing));
-            let mut standing = standing.into_iter().map(|multipliers| DualProof::new(situation, multipliers));
+            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::for_standstill(problem, firing, spacing));
+            let mut standing = standing.into_iter().map(|multipliers| DualProof::new(problem, multipliers));
             let proof = standing.find(|proof| closes(proof, firing, true))?;
-            branches.push(build_branch(situation, &proof, [firing, firing], true, gap_m));
+            branches.push(build_branch(problem, &proof, [firing, firing], true, gap_m));
         }
     }
     // Without a follower one branch covers everything.
-    branches.push(build_branch(situation, late, [first_late, situation.steps], false, gap_m));
+    branches.push(build_branch(problem, late, [first_late, problem.steps], false, gap_m));
     Some(branches)
 }
 
 fn build_branch(
-    situation: &AvoidanceProblem,
+    problem: &AvoidanceProblem,
     proof: &DualProof,
     [first, last]: [usize; 2],
     fired: bool,
@@ -158,7 +158,7 @@ fn build_branch(
 ) -> Branch {
     let exact = proof.multipliers(fired);
     let short = round_multipliers(&exact);
-    let holds = DualProof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > ROUNDING_MARGIN;
+    let holds = DualProof::new(problem, short.clone()).excess(problem, first, fired, gap_m) > ROUNDING_MARGIN;
     let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
     let rows = |list: Vec<WeightedInstant>| list.into_iter().map(|(step, value)| (step_count(step), value)).collect();
     Branch {
@@ -202,36 +202,35 @@ fn step_count(steps: usize) -> u32 {
 /// Noise is covered only if the certificate assumes its seed. The stated origin is ignored.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let Ok(situation) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };
-    let covers = |claimed: &Scene| covers(claimed, &build_scene(&situation));
-    is_modelled(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
+    let Ok(problem) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };
+    let covers = |claimed: &Scene| covers(claimed, &build_scene(&problem));
+    is_modelled(certificate, scenario, &problem) && certificate.statement.scene().is_some_and(covers)
 }
 
 /// Returns true if a certificate's claim is about exactly this box.
 #[must_use]
 pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
-    let Ok(situation) = AvoidanceProblem::new(family) else { return false };
-    is_modelled(certificate, family.centre(), &situation)
-        && certificate.statement.scene() == Some(&build_scene(&situation))
+    let Ok(problem) = AvoidanceProblem::new(family) else { return false };
+    is_modelled(certificate, family.centre(), &problem) && certificate.statement.scene() == Some(&build_scene(&problem))
 }
 
 /// Returns true if the claim models everything in a scenario.
-fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &AvoidanceProblem) -> bool {
+fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &AvoidanceProblem) -> bool {
     if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
         return false;
     }
     match &certificate.statement {
         // A proof covers any follower and any delay of the vehicles under test.
-        Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
+        Statement::Unavoidable(_) | Statement::GapBound(_) => problem.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
             let waits = |(ego, witness): (&super::avoidance_problem::EgoModel, &Vec<ConstantPiece<f64>>)| {
                 let held =
                     witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
                 held.take(ego.dead_steps).all(|value| value == 0.0)
             };
-            situation.escape_caveat.is_none()
-                && situation.proof_caveat.is_none()
-                && situation.egos.iter().zip(&claim.witness).all(waits)
+            problem.escape_caveat.is_none()
+                && problem.proof_caveat.is_none()
+                && problem.egos.iter().zip(&claim.witness).all(waits)
         }
         _ => false,
     }

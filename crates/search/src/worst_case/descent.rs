@@ -25,16 +25,16 @@ const REGULARIZATION_WEIGHT: f64 = 1e-4;
 
 impl VariableBounds {
     /// Adds the rows of a step inside a trust region: the first variables of the program are the new values.
-    pub(super) fn add_step_rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
+    pub(super) fn add_step_rows(&self, program: &mut QuadraticProgram, at: &[f64], region: f64) {
         for (index, &now) in at.iter().enumerate() {
-            cone.add_inequality(&[(index, 1.0)], (now + region).min(self.high));
-            cone.add_inequality(&[(index, -1.0)], (region - now).min(-self.low));
+            program.add_inequality(&[(index, 1.0)], (now + region).min(self.high));
+            program.add_inequality(&[(index, -1.0)], (region - now).min(-self.low));
         }
     }
 
     /// Returns the first variables of a solution, within the bounds; `None` without a solution.
-    pub(super) fn solve_clamped(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
-        let QuadraticSolution::Optimal { point: at, .. } = cone.solve() else { return None };
+    pub(super) fn solve_clamped(&self, program: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
         let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
         inside.iter().all(|value| value.is_finite()).then_some(inside)
     }
@@ -131,14 +131,14 @@ impl TrustRegionDescent {
 
     /// Returns the minimum of the linearised function inside the trust region.
     fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
-        let mut cone = QuadraticProgram::new(self.point.len());
-        self.bounds.add_step_rows(&mut cone, &self.point, self.trust_region);
+        let mut program = QuadraticProgram::new(self.point.len());
+        self.bounds.add_step_rows(&mut program, &self.point, self.trust_region);
         for ((index, &now), &slope) in self.point.iter().enumerate().zip(slope) {
             // w (x - c)² = w x² - 2 w c x + constant.
-            cone.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
-            cone.add_linear_cost(index, slope - 2.0 * REGULARIZATION_WEIGHT * now);
+            program.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
+            program.add_linear_cost(index, slope - 2.0 * REGULARIZATION_WEIGHT * now);
         }
-        self.bounds.solve_clamped(&cone, self.point.len()).filter(|next| *next != self.point)
+        self.bounds.solve_clamped(&program, self.point.len()).filter(|next| *next != self.point)
     }
 }
 
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_ends_it() {
+    fn incomparable_values_end_the_descent() {
         let limits = VariableBounds { low: 0.0, high: 1.0 };
         let pace = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.01] };
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {

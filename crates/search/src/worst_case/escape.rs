@@ -55,8 +55,8 @@ pub struct Escape {
 
 impl Escape {
     /// Replays an escape of the model at the full step and at a tenth of it; `None` after a collision.
-    pub(super) fn replay(scenario: &Scenario, situation: &AvoidanceProblem, found: &ModelEscape) -> Option<Self> {
-        Self::from_accelerations(scenario, 1, step_accelerations_mps2(situation, found), FoundBy::Programs)
+    pub(super) fn replay(scenario: &Scenario, problem: &AvoidanceProblem, found: &ModelEscape) -> Option<Self> {
+        Self::from_accelerations(scenario, 1, step_accelerations_mps2(problem, found), FoundBy::Programs)
     }
 
     /// Replays accelerations of the vehicles from index `first` at both steps; `None` after a collision.
@@ -117,8 +117,8 @@ pub(super) fn scripted_run_options() -> RunOptions {
     RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
 }
 
-pub(super) fn step_accelerations_mps2(situation: &AvoidanceProblem, found: &ModelEscape) -> Vec<Vec<f64>> {
-    found.acceleration_mps2.iter().map(|cells| expand_cells(found, situation.steps, cells)).collect()
+pub(super) fn step_accelerations_mps2(problem: &AvoidanceProblem, found: &ModelEscape) -> Vec<Vec<f64>> {
+    found.acceleration_mps2.iter().map(|cells| expand_cells(found, problem.steps, cells)).collect()
 }
 
 fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {

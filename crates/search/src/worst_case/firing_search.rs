@@ -20,7 +20,7 @@ pub(super) struct ModelEscape {
 }
 
 pub(super) struct FiringSearch<'a> {
-    situation: &'a AvoidanceProblem,
+    problem: &'a AvoidanceProblem,
     pub(super) proofs: Vec<DualProof>,
     /// Upper bound of the smallest gap of an escape with each firing.
     bounds_m: Vec<f64>,
@@ -33,10 +33,10 @@ pub(super) struct FiringSearch<'a> {
 const MIN_GAP_GAIN_M: f64 = 2e-3;
 
 impl<'a> FiringSearch<'a> {
-    pub(super) fn new(situation: &'a AvoidanceProblem) -> Self {
-        let firings = situation.firing_count();
+    pub(super) fn new(problem: &'a AvoidanceProblem) -> Self {
+        let firings = problem.firing_count();
         let mut search = Self {
-            situation,
+            problem,
             proofs: Vec::new(),
             bounds_m: vec![f64::INFINITY; firings],
             solved: vec![false; firings],
@@ -44,10 +44,10 @@ impl<'a> FiringSearch<'a> {
             programs: 0,
             solver_failure: None,
         };
-        Multipliers::for_initial_gaps(situation).for_each(|multipliers| search.cut(multipliers));
-        if situation.follower.is_some() {
+        Multipliers::for_initial_gaps(problem).for_each(|multipliers| search.cut(multipliers));
+        if problem.follower.is_some() {
             // Firings that full braking cannot cause need no program.
-            search.cut(Multipliers::for_firing(situation));
+            search.cut(Multipliers::for_firing(problem));
             search.cut_unreachable_firings();
         }
         search
@@ -105,7 +105,7 @@ impl<'a> FiringSearch<'a> {
             ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
         }
         // A profile for the whole box may not exist although each member has one: a proof needs the upper slacks.
-        if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
+        if self.problem.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
             match self.solve_program(grid, firing, BoundSide::Upper) {
                 ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => {
                     self.cut(multipliers)
@@ -117,13 +117,13 @@ impl<'a> FiringSearch<'a> {
 
     fn solve_program(&mut self, grid: &Grid, firing: usize, side: BoundSide) -> ProgramOutcome {
         self.programs += 1;
-        program::solve(self.situation, grid, firing, EscapeQuery { objective: EscapeObjective::LargestGap, side })
+        program::solve(self.problem, grid, firing, EscapeQuery { objective: EscapeObjective::LargestGap, side })
     }
 
     /// Returns a smoother escape with the same firing and at least half of its smallest gap.
     pub(super) fn smooth(&self, best: &ModelEscape, objective: impl Fn(f64) -> EscapeObjective) -> Option<ModelEscape> {
         let wanted = EscapeQuery { objective: objective(0.5 * best.gap_m), side: BoundSide::Lower };
-        match program::solve(self.situation, &best.grid, best.firing, wanted) {
+        match program::solve(self.problem, &best.grid, best.firing, wanted) {
             ProgramOutcome::Profile { gap_m, acceleration_mps2, .. } => {
                 Some(ModelEscape { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
             }
@@ -133,12 +133,12 @@ impl<'a> FiringSearch<'a> {
 
     /// Drops the early firings that even a standing ego cannot cause, because the follower only approaches.
     fn cut_unreachable_firings(&mut self) {
-        let stands_from = Multipliers::standstill_step(self.situation);
+        let stands_from = Multipliers::standstill_step(self.problem);
         let empty = |firing: usize| {
-            let proof = DualProof::new(self.situation, Multipliers::for_standstill(self.situation, firing, 1));
-            proof.infimum(self.situation, firing, true) > ROUNDING_MARGIN
+            let proof = DualProof::new(self.problem, Multipliers::for_standstill(self.problem, firing, 1));
+            proof.infimum(self.problem, firing, true) > ROUNDING_MARGIN
         };
-        let (mut below, mut above) = (stands_from, self.situation.never_firing());
+        let (mut below, mut above) = (stands_from, self.problem.never_firing());
         while below < above {
             let middle = usize::midpoint(below, above);
             if empty(middle) { below = middle + 1 } else { above = middle }
@@ -149,13 +149,13 @@ impl<'a> FiringSearch<'a> {
     }
 
     fn cut(&mut self, multipliers: Multipliers) {
-        let proof = DualProof::new(self.situation, multipliers);
-        let never = self.situation.never_firing();
+        let proof = DualProof::new(self.problem, multipliers);
+        let never = self.problem.never_firing();
         let floor_m = self.best.as_ref().map_or(0.0, |best| best.gap_m.max(0.0));
         for (firing, bound_m) in self.bounds_m.iter_mut().enumerate() {
             // Bounds below the best escape need no update.
             if *bound_m >= floor_m {
-                *bound_m = bound_m.min(proof.gap_bound_m(self.situation, firing, firing < never));
+                *bound_m = bound_m.min(proof.gap_bound_m(self.problem, firing, firing < never));
             }
         }
         self.proofs.push(proof);

@@ -34,7 +34,7 @@ pub(super) fn cheapest_profile(
     let step_s = bench.scenario.spec().step_s;
     let speed_mps = bench.scenario.vehicles().first().map_or(0.0, |leader| leader.speed_mps);
     let envelope = bench.envelope;
-    let mut cone = QuadraticProgram::new(1 + 2 * cells);
+    let mut program = QuadraticProgram::new(1 + 2 * cells);
     // Index of the change of speed after cell j, counted from 1; its displacement is the next variable.
     let w = |j: usize| 2 * j - 1;
     let change = |j: usize| if j > 1 { vec![(w(j), 1.0), (w(j - 1), -1.0)] } else { vec![(w(j), 1.0)] };
@@ -44,29 +44,29 @@ pub(super) fn cheapest_profile(
         if j > 1 {
             travel.extend([(w(j - 1) + 1, -1.0), (w(j - 1), -0.5 * cell_s)]);
         }
-        cone.add_equality(&travel, 0.0);
-        cone.add_inequality(&change(j), 0.0);
+        program.add_equality(&travel, 0.0);
+        program.add_inequality(&change(j), 0.0);
         let mut brake = negative(&change(j));
-        cone.add_inequality(&brake, envelope.max_brake_mps2 * cell_s);
-        cone.add_inequality(&[(w(j), -1.0)], speed_mps);
+        program.add_inequality(&brake, envelope.max_brake_mps2 * cell_s);
+        program.add_inequality(&[(w(j), -1.0)], speed_mps);
         let mut jump = change(j);
         if j > 1 {
             jump.extend(negative(&change(j - 1)));
         }
         let most = envelope.jerk_mps3 * cell_s * cell_s;
-        cone.add_inequality(&jump, most);
-        cone.add_inequality(&negative(&jump), most);
+        program.add_inequality(&jump, most);
+        program.add_inequality(&negative(&jump), most);
         if aim == AttackObjective::LeastPeak {
             brake.push((PEAK_VARIABLE, -cell_s));
-            cone.add_inequality(&brake, 0.0);
+            program.add_inequality(&brake, 0.0);
             // Selects a mild one among profiles with the least peak.
-            cone.add_squared_cost(&change(j), 1e-3 / cell_s);
+            program.add_squared_cost(&change(j), 1e-3 / cell_s);
         } else {
-            cone.add_squared_cost(&change(j), 1.0 / cell_s);
+            program.add_squared_cost(&change(j), 1.0 / cell_s);
         }
     }
     if aim == AttackObjective::LeastPeak {
-        cone.add_linear_cost(PEAK_VARIABLE, 1.0);
+        program.add_linear_cost(PEAK_VARIABLE, 1.0);
     }
     for ask in asked.iter().filter(|ask| ask.step > 0) {
         let j = ask.step.div_ceil(cell);
@@ -78,9 +78,9 @@ pub(super) fn cheapest_profile(
             terms.extend([(w(j - 1) + 1, 1.0), (w(j - 1), ask.theta_s + into_s - of_after)]);
         }
         if ask.is_upper_bound {
-            cone.add_inequality(&terms, ask.bound_m)
+            program.add_inequality(&terms, ask.bound_m)
         } else {
-            cone.add_inequality(&negative(&terms), -ask.bound_m)
+            program.add_inequality(&negative(&terms), -ask.bound_m)
         }
     }
     if asked.iter().any(|ask| ask.step == 0 && if ask.is_upper_bound { ask.bound_m < 0.0 } else { ask.bound_m > 0.0 }) {
@@ -88,9 +88,9 @@ pub(super) fn cheapest_profile(
     }
     if cells < all {
         let last = change(cells);
-        cone.add_inequality(&negative(&last), envelope.jerk_mps3 * cell_s * cell_s);
+        program.add_inequality(&negative(&last), envelope.jerk_mps3 * cell_s * cell_s);
     }
-    let QuadraticSolution::Optimal { point: at, .. } = cone.solve() else { return None };
+    let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
     let mut before = 0.0;
     let mut profile: Vec<f64> = (1..=cells)
         .map(|j| {

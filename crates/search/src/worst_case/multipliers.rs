@@ -33,17 +33,17 @@ pub(super) struct Multipliers {
 const NEGLIGIBLE_SHARE: f64 = 1e-9;
 
 impl Multipliers {
-    pub(super) fn zero(situation: &AvoidanceProblem) -> Self {
-        let egos = situation.egos.len();
+    pub(super) fn zero(problem: &AvoidanceProblem) -> Self {
+        let egos = problem.egos.len();
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
     /// Returns, for each initial gap, a multiplier of that row alone.
-    pub(super) fn for_initial_gaps(situation: &AvoidanceProblem) -> impl Iterator<Item = Self> {
+    pub(super) fn for_initial_gaps(problem: &AvoidanceProblem) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
-        let none = Self::zero(situation);
+        let none = Self::zero(problem);
         let front = Self { front: first(), ..none.clone() };
-        let rear = situation.follower.as_ref().map(|_| Self { rear: first(), ..none.clone() });
+        let rear = problem.follower.as_ref().map(|_| Self { rear: first(), ..none.clone() });
         let between = (0..none.between.len()).map(move |pair| {
             let mut multipliers = none.clone();
             multipliers.between.iter_mut().skip(pair).take(1).for_each(|list| *list = first());
@@ -53,27 +53,27 @@ impl Multipliers {
     }
 
     /// Returns a multiplier of the firing row alone.
-    pub(super) fn for_firing(situation: &AvoidanceProblem) -> Self {
-        Self { fired: 1.0, ..Self::zero(situation) }
+    pub(super) fn for_firing(problem: &AvoidanceProblem) -> Self {
+        Self { fired: 1.0, ..Self::zero(problem) }
     }
 
     /// Returns the first step at which a fully braking last ego stands.
-    pub(super) fn standstill_step(situation: &AvoidanceProblem) -> usize {
-        situation.egos.last().map_or(0, |ego| {
+    pub(super) fn standstill_step(problem: &AvoidanceProblem) -> usize {
+        problem.egos.last().map_or(0, |ego| {
             let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
-            ((braking_s / situation.step_s).ceil() as usize).min(situation.steps)
+            ((braking_s / problem.step_s).ceil() as usize).min(problem.steps)
         })
     }
 
     /// Returns multipliers for the firing, and for the last ego not to reverse once it stands. With φ = 1 at τ the
     /// coefficient is q(t) = t_τ - t + θ; `spacing` is subtracted at every `spacing` steps after standstill.
-    pub(super) fn for_standstill(situation: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
-        let mut multipliers = Self::for_firing(situation);
-        let theta_s = situation.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
-        let over_s = spacing as f64 * situation.step_s;
+    pub(super) fn for_standstill(problem: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
+        let mut multipliers = Self::for_firing(problem);
+        let theta_s = problem.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
+        let over_s = spacing as f64 * problem.step_s;
         let mut list = vec![(firing, theta_s + 0.5 * over_s)];
         let mut step = firing;
-        while step > Self::standstill_step(situation) + spacing {
+        while step > Self::standstill_step(problem) + spacing {
             step -= spacing;
             list.push((step, over_s));
         }
@@ -113,22 +113,22 @@ pub(super) struct DualProof {
 }
 
 impl DualProof {
-    pub(super) fn new(situation: &AvoidanceProblem, multipliers: Multipliers) -> Self {
-        let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); situation.egos.len()];
+    pub(super) fn new(problem: &AvoidanceProblem, multipliers: Multipliers) -> Self {
+        let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); problem.egos.len()];
         let mut constant = 0.0;
         let mut weight = 0.0;
         let side = BoundSide::Upper;
-        let last = situation.egos.len().saturating_sub(1);
+        let last = problem.egos.len().saturating_sub(1);
         for &(step, value) in &multipliers.front {
             kinks[0].push((step, value, 0.0));
-            constant -= value * situation.front_slack_m(step, side);
+            constant -= value * problem.front_slack_m(step, side);
             weight += value;
         }
         for (ahead, list) in multipliers.between.iter().enumerate() {
             for &(step, value) in list {
                 kinks[ahead].push((step, -value, 0.0));
                 kinks[ahead + 1].push((step, value, 0.0));
-                constant -= value * situation.pair_slack_m(ahead, step, side);
+                constant -= value * problem.pair_slack_m(ahead, step, side);
                 weight += value;
             }
         }
@@ -139,7 +139,7 @@ impl DualProof {
         for (ego, list) in multipliers.speed.iter().enumerate() {
             for &(step, value) in list {
                 kinks[ego].push((step, 0.0, -value));
-                constant -= value * situation.speed_slack_mps(ego, side);
+                constant -= value * problem.speed_slack_mps(ego, side);
             }
         }
         for list in &mut kinks {
@@ -158,36 +158,36 @@ impl DualProof {
     }
 
     /// Returns the infimum of L if the brake fires at step `firing`, or, without `fired`, then or later.
-    pub(super) fn infimum(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
+    pub(super) fn infimum(&self, problem: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let mut total = self.constant;
         for &(step, value) in &self.multipliers.rear {
-            total -= value * situation.rear_slack_m(firing, step, BoundSide::Upper);
+            total -= value * problem.rear_slack_m(firing, step, BoundSide::Upper);
         }
         let mut kink = None;
-        if let Some(follower) = &situation.follower
+        if let Some(follower) = &problem.follower
             && fired
             && self.uses_firing()
         {
             let value = self.multipliers.fired;
-            total -= value * situation.fired_slack_m(firing, BoundSide::Upper);
+            total -= value * problem.fired_slack_m(firing, BoundSide::Upper);
             kink = Some((firing, value, value * follower.ttc_s));
         }
-        let last = situation.egos.len().saturating_sub(1);
-        for (index, (ego, kinks)) in situation.egos.iter().zip(&self.kinks).enumerate() {
+        let last = problem.egos.len().saturating_sub(1);
+        for (index, (ego, kinks)) in problem.egos.iter().zip(&self.kinks).enumerate() {
             let extra = kink.filter(|_| index == last);
-            total += min_integral(kinks, extra, situation.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
+            total += min_integral(kinks, extra, problem.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
         }
         total
     }
 
     /// Returns the infimum minus its maximum for profiles that keep every gap at `gap_m`. If positive, there is none.
-    pub(super) fn excess(&self, situation: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
-        self.infimum(situation, firing, fired) + gap_m * self.weight
+    pub(super) fn excess(&self, problem: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
+        self.infimum(problem, firing, fired) + gap_m * self.weight
     }
 
     /// Returns the upper bound of the smallest gap of an escape, in metres; minus infinity if there is no escape.
-    pub(super) fn gap_bound_m(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
-        let infimum = self.infimum(situation, firing, fired);
+    pub(super) fn gap_bound_m(&self, problem: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
+        let infimum = self.infimum(problem, firing, fired);
         if infimum > ROUNDING_MARGIN && self.weight <= 1e-9 * infimum {
             return f64::NEG_INFINITY;
         }

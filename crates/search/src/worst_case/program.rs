@@ -63,15 +63,15 @@ const GUARD_MARGIN_M: f64 = 1e-5;
 
 impl Grid {
     /// Creates a grid with cells of `cell` steps, and five times as long once the leader stands.
-    pub(super) fn new(situation: &AvoidanceProblem, cell: usize) -> Self {
-        let calm = situation.leader_standstill_step();
+    pub(super) fn new(problem: &AvoidanceProblem, cell: usize) -> Self {
+        let calm = problem.leader_standstill_step();
         let mut steps = Vec::new();
         let mut step = 0;
-        while step < situation.steps {
+        while step < problem.steps {
             steps.push(step);
             step += if step >= calm { 5 * cell.max(1) } else { cell.max(1) };
         }
-        steps.push(situation.steps);
+        steps.push(problem.steps);
         Self { steps }
     }
 
@@ -91,8 +91,8 @@ enum ConstraintRow {
 }
 
 /// Returns the largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
-pub(super) fn solve(situation: &AvoidanceProblem, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
-    let mut program = EscapeProgram::new(situation, grid, wanted);
+pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
+    let mut program = EscapeProgram::new(problem, grid, wanted);
     program.add_motion_rows();
     program.add_gap_rows(firing);
     program.set_objective();
@@ -103,13 +103,13 @@ pub(super) fn solve(situation: &AvoidanceProblem, grid: &Grid, firing: usize, wa
         }
         QuadraticSolution::SolverFailed(status) => return ProgramOutcome::SolverFailed(status),
     };
-    let acceleration_mps2 = (0..situation.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
+    let acceleration_mps2 = (0..problem.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
     let gap_m = at.first().copied().unwrap_or(f64::NAN);
     ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers: program.multipliers(&multipliers) }
 }
 
 struct EscapeProgram<'a> {
-    situation: &'a AvoidanceProblem,
+    problem: &'a AvoidanceProblem,
     grid: &'a Grid,
     query: EscapeQuery,
     quadratic_program: QuadraticProgram,
@@ -119,18 +119,18 @@ struct EscapeProgram<'a> {
 const GAP_VARIABLE: usize = 0;
 
 impl<'a> EscapeProgram<'a> {
-    fn new(situation: &'a AvoidanceProblem, grid: &'a Grid, wanted: EscapeQuery) -> Self {
-        let variables = 1 + 2 * situation.egos.len() * grid.cell_count();
-        Self { situation, grid, query: wanted, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
+    fn new(problem: &'a AvoidanceProblem, grid: &'a Grid, wanted: EscapeQuery) -> Self {
+        let variables = 1 + 2 * problem.egos.len() * grid.cell_count();
+        Self { problem, grid, query: wanted, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
     /// Returns the variable w of an ego at a grid instant after the first; d is the next one.
     fn speed_variable(&self, ego: usize, instant: usize) -> usize {
-        1 + 2 * ((instant - 1) * self.situation.egos.len() + ego)
+        1 + 2 * ((instant - 1) * self.problem.egos.len() + ego)
     }
 
     fn cell_s(&self, instant: usize) -> f64 {
-        (self.grid.steps[instant] - self.grid.steps[instant - 1]) as f64 * self.situation.step_s
+        (self.grid.steps[instant] - self.grid.steps[instant - 1]) as f64 * self.problem.step_s
     }
 
     /// Returns the change of speed in the cell before an instant.
@@ -148,7 +148,7 @@ impl<'a> EscapeProgram<'a> {
         let side = self.query.side;
         for instant in 1..=self.grid.cell_count() {
             let cell_s = self.cell_s(instant);
-            for (ego, limits) in self.situation.egos.iter().enumerate() {
+            for (ego, limits) in self.problem.egos.iter().enumerate() {
                 let w = self.speed_variable(ego, instant);
                 let mut travel = vec![(w + 1, 1.0), (w, -0.5 * cell_s)];
                 if instant > 1 {
@@ -168,7 +168,7 @@ impl<'a> EscapeProgram<'a> {
                 self.add_inequality(
                     ConstraintRow::Speed(ego, step),
                     &[(w, -1.0)],
-                    self.situation.speed_slack_mps(ego, side),
+                    self.problem.speed_slack_mps(ego, side),
                 );
             }
         }
@@ -190,39 +190,35 @@ impl<'a> EscapeProgram<'a> {
     }
 
     fn add_gap_rows(&mut self, firing: usize) {
-        let (situation, side) = (self.situation, self.query.side);
-        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], situation.initial_gap_m(side));
-        let last = situation.egos.len() - 1;
+        let (problem, side) = (self.problem, self.query.side);
+        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], problem.initial_gap_m(side));
+        let last = problem.egos.len() - 1;
         let (leader_rests, follower_rests) =
-            (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
+            (problem.leader_standstill_step(), problem.follower_standstill_step(firing));
         // With upper slacks over a box, the slowest member may lose the speed of the fastest one, and so reverse.
-        let may_reverse = situation.is_box && side == BoundSide::Upper;
+        let may_reverse = problem.is_box && side == BoundSide::Upper;
         for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
             // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
             if step <= leader_rests || instant == self.grid.cell_count() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Front(step), &terms, situation.front_slack_m(step, side));
+                self.add_inequality(ConstraintRow::Front(step), &terms, problem.front_slack_m(step, side));
             }
             for ahead in 0..last {
                 let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(
-                    ConstraintRow::Pair(ahead, step),
-                    &terms,
-                    situation.pair_slack_m(ahead, step, side),
-                );
+                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, problem.pair_slack_m(ahead, step, side));
             }
-            if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
+            if problem.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
+                self.add_inequality(ConstraintRow::Rear(step), &terms, problem.rear_slack_m(firing, step, side));
             }
         }
-        if let Some(follower) = &situation.follower
-            && firing < situation.never_firing()
+        if let Some(follower) = &problem.follower
+            && firing < problem.never_firing()
         {
             let terms = self.guard_terms(firing, follower.ttc_s);
-            self.add_inequality(ConstraintRow::Fired, &terms, situation.fired_slack_m(firing, side) - GUARD_MARGIN_M);
+            self.add_inequality(ConstraintRow::Fired, &terms, problem.fired_slack_m(firing, side) - GUARD_MARGIN_M);
         }
     }
 
@@ -231,9 +227,9 @@ impl<'a> EscapeProgram<'a> {
         if step == 0 {
             return Vec::new();
         }
-        let last = self.situation.egos.len() - 1;
+        let last = self.problem.egos.len() - 1;
         let instant = self.grid.steps.partition_point(|&at| at < step);
-        let into_s = (step - self.grid.steps[instant - 1]) as f64 * self.situation.step_s;
+        let into_s = (step - self.grid.steps[instant - 1]) as f64 * self.problem.step_s;
         let share = into_s / self.cell_s(instant);
         // w(s) = w + (w⁺ - w) s / H and d(s) = d + w s + (w⁺ - w) s² / 2 H.
         let of_after = theta_s * share + 0.5 * into_s * share;
@@ -253,7 +249,7 @@ impl<'a> EscapeProgram<'a> {
         };
         self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, -1.0)], -least_m);
         for instant in 1..=self.grid.cell_count() {
-            for ego in 0..self.situation.egos.len() {
+            for ego in 0..self.problem.egos.len() {
                 if of_jumps {
                     let (terms, apart_s) = self.acceleration_change_terms(ego, instant);
                     self.quadratic_program.add_squared_cost(&terms, 1.0 / apart_s);
@@ -267,8 +263,8 @@ impl<'a> EscapeProgram<'a> {
 
     /// Returns the accelerations of a solution, clamped to the limits because of the solver's accuracy.
     fn accelerations(&self, at: &[f64], ego: usize) -> Vec<f64> {
-        let limits = &self.situation.egos[ego];
-        let lowest_mps = -self.situation.speed_slack_mps(ego, BoundSide::Lower);
+        let limits = &self.problem.egos[ego];
+        let lowest_mps = -self.problem.speed_slack_mps(ego, BoundSide::Lower);
         let mut before = 0.0;
         let cells = 1..=self.grid.cell_count();
         let of_cell = cells.map(|instant| {
@@ -287,7 +283,7 @@ impl<'a> EscapeProgram<'a> {
     }
 
     fn multipliers(&self, values: &[f64]) -> Multipliers {
-        let mut multipliers = Multipliers::zero(self.situation);
+        let mut multipliers = Multipliers::zero(self.problem);
         for (row, &value) in self.rows.iter().zip(values) {
             match *row {
                 ConstraintRow::Front(step) => multipliers.front.push((step, value)),

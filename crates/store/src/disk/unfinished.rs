@@ -100,7 +100,7 @@ mod tests {
 
     /// A file of a killed writer carries no lock.
     #[test]
-    fn the_next_writer_removes_what_no_process_writes_any_more() {
+    fn the_next_writer_removes_abandoned_files() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let mut writing = StagedFiles::default();

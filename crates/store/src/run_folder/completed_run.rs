@@ -49,7 +49,7 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
         return Ok(RunState::InProgress(manifest.kind));
     }
     match manifest.unlisted_files(folder)?.first() {
-        Some(stranger) => Err(RunFolderError::damaged(stranger, UNLISTED_FILE_MESSAGE)),
+        Some(unlisted_file) => Err(RunFolderError::damaged(unlisted_file, UNLISTED_FILE_MESSAGE)),
         None => Ok(RunState::Complete(CompletedRun { folder: folder.to_owned(), manifest })),
     }
 }

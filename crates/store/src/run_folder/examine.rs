@@ -45,9 +45,9 @@ impl FolderExamination {
             let problem = found.as_ref().err()?;
             Some(RunFolderError::damaged(&folder.join(name), problem))
         };
-        let stranger =
+        let unlisted_file =
             || Some(RunFolderError::damaged(&folder.join(self.unlisted_files.first()?), UNLISTED_FILE_MESSAGE));
-        self.files.iter().find_map(problem).or_else(stranger)
+        self.files.iter().find_map(problem).or_else(unlisted_file)
     }
 }
 
@@ -78,14 +78,14 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let names = manifest.file_names();
     let mut files = names.into_iter().map(state).collect::<Result<Vec<_>, _>>()?;
     let name = |path: PathBuf| path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
-    let mut strangers: Vec<String> = manifest.unlisted_files(folder)?.into_iter().map(name).collect();
+    let mut unlisted: Vec<String> = manifest.unlisted_files(folder)?.into_iter().map(name).collect();
     for included in manifest.included_folders() {
         let found = match examine(&folder.join(&included)) {
             Err(RunFolderError::Damaged { .. }) => continue, // Its manifest is one of the files above.
             found => found?.into_included(),
         };
         files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
-        strangers.extend(found.unlisted_files.into_iter().map(|name| format!("{included}/{name}")));
+        unlisted.extend(found.unlisted_files.into_iter().map(|name| format!("{included}/{name}")));
     }
     let is_of_this_build = match &manifest.program {
         Some(program) => program == program::identity()?,
@@ -99,7 +99,7 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
         is_complete: complete,
         is_of_this_build,
         files,
-        unlisted_files: strangers,
+        unlisted_files: unlisted,
         identity,
         unrelated_files: beside,
     })

@@ -112,8 +112,8 @@ impl Manifest {
     pub(super) fn read_contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
         let path = folder.join(name);
         let Some(state) = self.files.get(name) else {
-            let is_stranger = !self.has_entry(name) && path.symlink_metadata().is_ok();
-            return if is_stranger { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
+            let is_unlisted = !self.has_entry(name) && path.symlink_metadata().is_ok();
+            return if is_unlisted { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
         };
         let found = read_regular_file(&path, state.max_bytes());
         match self.unfinished_for(name) {
@@ -162,18 +162,18 @@ impl Manifest {
         }
         let (folders, files): (Vec<&str>, Vec<&str>) =
             self.outputs.iter().map(String::as_str).partition(|name| name.ends_with('/'));
-        let is_stranger = |name: &&str| !self.has_entry(name) && root.join(name).symlink_metadata().is_ok();
-        let mut strangers: Vec<PathBuf> = files.into_iter().filter(is_stranger).map(|name| root.join(name)).collect();
+        let is_unlisted = |name: &&str| !self.has_entry(name) && root.join(name).symlink_metadata().is_ok();
+        let mut unlisted: Vec<PathBuf> = files.into_iter().filter(is_unlisted).map(|name| root.join(name)).collect();
         let folders = folders.into_iter().map(|name| name.trim_end_matches('/'));
         for folder in self.folders().into_iter().chain(folders).collect::<BTreeSet<_>>() {
             let place = root.join(folder);
             if place.is_symlink() {
-                strangers.push(place);
+                unlisted.push(place);
             } else if !self.includes_folder(folder) {
-                strangers.extend(sorted_entries(&place)?.into_iter().filter(|path| !self.is_expected(root, path)));
+                unlisted.extend(sorted_entries(&place)?.into_iter().filter(|path| !self.is_expected(root, path)));
             }
         }
-        Ok(strangers)
+        Ok(unlisted)
     }
 
     /// Returns true if a path in a folder of the run belongs to it. Any subfolder may belong to an incomplete run.

@@ -340,8 +340,8 @@ impl RunFolder {
                 disk::remove_all_unfinished(&self.path(folder))?;
             }
         }
-        if let Some(stranger) = manifest.unlisted_files(&self.folder)?.first() {
-            return Err(RunFolderError::damaged(stranger, UNLISTED_FILE_MESSAGE));
+        if let Some(unlisted_file) = manifest.unlisted_files(&self.folder)?.first() {
+            return Err(RunFolderError::damaged(unlisted_file, UNLISTED_FILE_MESSAGE));
         }
         manifest.file_names().iter().try_for_each(|name| manifest.check_file(&self.folder, name))?;
         for folder in manifest.included_folders() {

@@ -22,15 +22,15 @@ fn finished_folder() -> tempfile::TempDir {
 }
 
 #[test]
-fn what_was_written_is_read_and_nothing_else_is() {
+fn only_written_files_are_read() {
     let folder = finished_folder();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
     assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
     assert_eq!(work.lock_manifest().file_names(), ["a.json", "deep/b.json"]);
     fs::write(work.path("c.json"), "left over").unwrap();
-    let said = work.read("c.json").unwrap_err().to_string();
-    assert!(said.contains("c.json: work.json does not list this file"), "{said}");
+    let text = work.read("c.json").unwrap_err().to_string();
+    assert!(text.contains("c.json: work.json does not list this file"), "{text}");
     assert!(matches!(RunFolder::open(folder.path(), OPTIONS), Err(RunFolderError::InUse { .. })));
 }
 
@@ -61,7 +61,7 @@ fn any_damage_names_its_file() {
     };
     for (name, bytes) in names.iter().zip(&whole) {
         let path = folder.path().join(name);
-        let says = |said: String| assert!(said.contains(name), "{name}: {said}");
+        let says = |text: String| assert!(text.contains(name), "{name}: {text}");
         for place in 0..bytes.len() {
             let mut damaged = bytes.clone();
             damaged[place] ^= 1 << (place % 8);
@@ -87,7 +87,7 @@ fn any_damage_names_its_file() {
 
 /// The next process completes an announced change. A mixture of two states is damage.
 #[test]
-fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
+fn the_next_writer_completes_an_announced_change() {
     let announced = || {
         let folder = finished_folder();
         let before = ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
@@ -138,22 +138,22 @@ fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
         let (folder, _) = announced();
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join(name), contents).unwrap();
-        let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-        assert!(said.contains(&format!("{name}: not as it was written")), "{said}");
+        let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
+        assert!(text.contains(&format!("{name}: not as it was written")), "{text}");
     }
     let (folder, _) = announced();
     fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
-    let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-    assert!(said.contains("new/c.json: the file is missing"), "{said}");
+    let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    assert!(text.contains("new/c.json: the file is missing"), "{text}");
     let (folder, before) = announced();
     fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
-    let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-    assert!(said.contains("deep/b.json: not as it was written"), "{said}");
+    let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    assert!(text.contains("deep/b.json: not as it was written"), "{text}");
 }
 
 /// An append-only file may be longer than its recorded prefix. Announcing it again keeps the prefix.
 #[test]
-fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
+fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("journal");
     let open = || RunFolder::open(folder.path(), OPTIONS);
@@ -166,10 +166,10 @@ fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
         fs::write(&path, whole).unwrap();
         open().unwrap().transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
     }
-    for (damaged, said) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
+    for (damaged, text) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
         fs::write(&path, damaged).unwrap();
         let error = open().err().unwrap().to_string();
-        assert!(error.contains(&format!("journal: {said}")), "{error}");
+        assert!(error.contains(&format!("journal: {text}")), "{error}");
     }
     fs::remove_file(&path).unwrap();
     assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
@@ -181,16 +181,16 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let asked = RunFolderOptions { outputs: &["result.json", "parts/"], ..OPTIONS };
-    let named = |strangers: &[&str]| {
+    let named = |unlisted: &[&str]| {
         let found = examine(root).unwrap();
-        assert!(found.unlisted_files == strangers && found.is_intact() == strangers.is_empty(), "{found:?}");
-        match (strangers.first(), RunFolder::open(root, asked).err()) {
+        assert!(found.unlisted_files == unlisted && found.is_intact() == unlisted.is_empty(), "{found:?}");
+        match (unlisted.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
             (Some(name), error) => {
-                let said = error.unwrap().to_string();
+                let text = error.unwrap().to_string();
                 assert!(
-                    said.starts_with(&format!("{}: work.json does not list this file", root.join(name).display())),
-                    "{said}"
+                    text.starts_with(&format!("{}: work.json does not list this file", root.join(name).display())),
+                    "{text}"
                 );
             }
         }
@@ -199,10 +199,10 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
     fs::create_dir(root.join("parts")).unwrap();
     fs::write(root.join("notes.txt"), "beside the work").unwrap();
     named(&[]);
-    for stranger in ["result.json", "parts/x.json"] {
-        fs::write(root.join(stranger), "of somebody").unwrap();
-        named(&[stranger]);
-        fs::remove_file(root.join(stranger)).unwrap();
+    for unlisted_file in ["result.json", "parts/x.json"] {
+        fs::write(root.join(unlisted_file), "of somebody").unwrap();
+        named(&[unlisted_file]);
+        fs::remove_file(root.join(unlisted_file)).unwrap();
     }
     // A completed run in a subfolder belongs to the run, and no other file may lie there.
     let inner = RunFolder::open(&root.join("inner"), OPTIONS).unwrap();
@@ -243,15 +243,15 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
         let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(OPTIONS.configuration), &[]);
         manifest.add_pending_move(name, unfinished.to_owned(), FileState::from_contents(b"mine"));
         manifest.write(&inner).unwrap();
-        let said = RunFolder::open(&inner, OPTIONS).err().unwrap().to_string();
-        assert!(said.contains("work.json: sha256: not as it was written"), "{said}");
+        let text = RunFolder::open(&inner, OPTIONS).err().unwrap().to_string();
+        assert!(text.contains("work.json: sha256: not as it was written"), "{text}");
         assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
         fs::remove_dir_all(&inner).unwrap();
     }
 }
 
 #[test]
-fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
+fn leftover_files_are_neither_overwritten_nor_included() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("parts")).unwrap();
     for name in ["notes.txt", "a.json", "parts/7"] {
@@ -259,8 +259,8 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     }
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
-        let said = work.write(name, "ours").unwrap_err().to_string();
-        assert!(said.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")), "{said}");
+        let text = work.write(name, "ours").unwrap_err().to_string();
+        assert!(text.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")), "{text}");
     }
     work.write("b.json", "ours").unwrap();
     drop(work);
@@ -276,8 +276,8 @@ fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
     drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
     assert!(!unfinished.exists());
     fs::write(folder.path().join("parts/2"), "mine").unwrap();
-    let said = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
-    assert!(said.contains("parts/2: work.json does not list this file"), "{said}");
+    let text = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    assert!(text.contains("parts/2: work.json does not list this file"), "{text}");
 }
 
 /// An incomplete run belongs to its build; any build may read a complete one.
@@ -289,8 +289,8 @@ fn half_done_work_of_another_build_is_refused() {
     assert!(RunFolder::open(folder.path(), OPTIONS).unwrap().is_complete());
     manifest.program = Some("0".repeat(64));
     manifest.write(folder.path()).unwrap();
-    let said = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
-    assert!(said.ends_with(OTHER_BUILD_MESSAGE), "{said}");
+    let text = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    assert!(text.ends_with(OTHER_BUILD_MESSAGE), "{text}");
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }
 
@@ -314,7 +314,7 @@ fn a_folder_with_older_copies_is_examined_and_resumed() {
 
 /// Files and manifest of an included run belong to both runs.
 #[test]
-fn damage_in_what_is_included_is_damage() {
+fn damage_of_an_included_folder_is_damage() {
     for name in ["a.json", "deep/b.json", MANIFEST_FILE] {
         let folder = tempfile::tempdir().unwrap();
         let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
@@ -336,7 +336,7 @@ fn damage_in_what_is_included_is_damage() {
 
 /// A process that ends while it writes the first manifest leaves a temporary file, which the next one removes.
 #[test]
-fn what_was_not_finished_is_cleared_away() {
+fn unfinished_files_are_removed() {
     let folder = tempfile::tempdir().unwrap();
     let left = folder.path().join(".crumple-unfinished-a");
     fs::write(&left, "{").unwrap();
@@ -348,7 +348,7 @@ fn what_was_not_finished_is_cleared_away() {
 /// Longer files, links, pipes, folders in the place of files, and additional files are named, and never read.
 #[cfg(unix)]
 #[test]
-fn what_cannot_be_what_was_written_is_not_even_read() {
+fn files_of_a_wrong_size_are_not_read() {
     let replaced: [fn(&Path); 4] = [
         |path| fs::File::create(path).unwrap().set_len(1 << 40).unwrap(),
         |path| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
@@ -364,8 +364,8 @@ fn what_cannot_be_what_was_written_is_not_even_read() {
             if name.ends_with("left-over.json") && path.is_dir() {
                 continue;
             }
-            let said = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-            assert!(said.contains(name), "{name}: {said}");
+            let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
+            assert!(text.contains(name), "{name}: {text}");
             match examine(folder.path()) {
                 Ok(seen) => {
                     let is_damaged = seen.files.iter().any(|(file, state)| file == name && state.is_err());

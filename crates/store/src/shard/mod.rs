@@ -231,7 +231,7 @@ mod tests {
     proptest! {
         /// The shards partition the parts in order, and none is empty.
         #[test]
-        fn shards_divide_whatever_there_is(parts in 1..=u64::MAX, of in 1..=200_u32) {
+        fn shards_divide_any_count(parts in 1..=u64::MAX, of in 1..=200_u32) {
             let shards = (1..=of).map(|index| ShardId::new(index, of).unwrap());
             let ranges: Vec<_> = shards.map(|shard| shard.range(parts, "parts")).collect();
             if u64::from(of) > parts {
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_shard_is_refused() {
+    fn invalid_shards_are_refused() {
         for text in [
             "",
             "/",

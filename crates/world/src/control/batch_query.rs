@@ -45,8 +45,8 @@ pub(super) fn decide_batch<C: BatchQuery>(
     }
     let groups: Vec<&[usize]> = due.chunk_by(|&a, &b| all[a].shares_batch_with(&all[b])).collect();
     for group in groups {
-        let alike: Vec<&C> = group.iter().map(|&place| &all[place]).collect();
-        let together = if alike.len() > 1 { C::query_batch(&alike) } else { None };
+        let members: Vec<&C> = group.iter().map(|&place| &all[place]).collect();
+        let together = if members.len() > 1 { C::query_batch(&members) } else { None };
         for (index, &place) in group.iter().enumerate() {
             let decided = match together.as_ref().and_then(|answers_mps2| answers_mps2.get(index)) {
                 Some(&answer_mps2) => all[place].set_command(answer_mps2),

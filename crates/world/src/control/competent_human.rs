@@ -193,7 +193,7 @@ mod tests {
 
     /// A cut-in is a risk at a time to collision of 2 s. A cut-out within 2 s is one if it reveals a slower vehicle.
     #[test]
-    fn a_changed_vehicle_ahead_is_a_risk_where_the_regulation_says() {
+    fn a_new_leader_is_a_risk_as_the_regulation_defines() {
         let reacts = |seen: &[Observation]| {
             let mut driver = start(&CompetentHumanSettings::default());
             seen.iter().map(|seen| driver.decide(seen).unwrap()).any(|command| command < 0.0)

@@ -176,7 +176,7 @@ mod tests {
 
     /// If braking ends the closing before the reaction time, only the distance until then counts.
     #[test]
-    fn whoever_brakes_enough_is_in_no_critical_danger() {
+    fn sufficient_braking_avoids_critical_danger() {
         let settings = FuzzySafetySettings::default();
         for own_mps2 in [-4.0, -9.0] {
             assert_eq!(settings.critical(12.0, own_mps2, &ahead(0.61, 10.0)), 0.0);
@@ -188,7 +188,7 @@ mod tests {
     /// Behind leaders that brake at 0.05 to 0.95 g from 12 to 128 km/h, no run of 1121 collides, as in the authors'
     /// implementation at steps of 0.1 s. Behind gentle braking the driver brakes gently.
     #[test]
-    fn touches_nobody_on_the_grid_of_its_authors() {
+    fn no_collision_on_the_grid_of_its_authors() {
         let settings = FuzzySafetySettings::default();
         for (kmph, hundredths_g) in (12..130).step_by(2).flat_map(|v| (5..100).step_by(5).map(move |g| (v, g))) {
             let (v, brake_mps2) = (f64::from(kmph) / 3.6, f64::from(hundredths_g) / 100.0 * 9.81);

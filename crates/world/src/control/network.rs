@@ -114,8 +114,8 @@ impl NetworkController {
     /// Returns warnings about the mapping, from the spaces of the training if the network file contains them.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let doubts = |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
-        self.file.saved_model().map(doubts).unwrap_or_default()
+        let undecided = |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
+        self.file.saved_model().map(undecided).unwrap_or_default()
     }
 
     /// Returns the network.
@@ -212,12 +212,12 @@ impl Controller for NetworkDriver {
         }
         let mut rows = rows.as_slice();
         let mut space = Workspace::default();
-        for alike in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
-            let controller = &alike[0].1;
-            let (now, later) = rows.split_at(alike.len() * controller.mapping.width());
+        for group in due.chunk_by(|(_, a), (_, b)| Arc::ptr_eq(a, b)) {
+            let controller = &group[0].1;
+            let (now, later) = rows.split_at(group.len() * controller.mapping.width());
             rows = later;
             for ((index, _), answer_mps2) in
-                alike.iter().zip(controller.accelerations_mps2(now, alike.len(), &mut space))
+                group.iter().zip(controller.accelerations_mps2(now, group.len(), &mut space))
             {
                 all[*index].command_mps2 = answer_mps2;
             }

@@ -61,13 +61,13 @@ impl Controller for PolicyDriver {
         }
         let mut rows = rows.as_slice();
         let mut space = Workspace::default();
-        for alike in due.chunk_by(|(_, _, a), (_, _, b)| Arc::ptr_eq(a, b)) {
-            let (_, width, policy) = &alike[0];
-            let (now, later) = rows.split_at(alike.len() * width);
+        for group in due.chunk_by(|(_, _, a), (_, _, b)| Arc::ptr_eq(a, b)) {
+            let (_, width, policy) = &group[0];
+            let (now, later) = rows.split_at(group.len() * width);
             rows = later;
-            let mut actions = vec![0.0; alike.len()];
+            let mut actions = vec![0.0; group.len()];
             policy.choose_batch(now, &mut space, &mut actions);
-            for ((index, ..), action) in alike.iter().zip(actions) {
+            for ((index, ..), action) in group.iter().zip(actions) {
                 all[*index].held_action.set(action);
             }
         }

@@ -97,7 +97,7 @@ impl Approach {
 
     fn from_pairs(pairs: &[VehiclePair<'_>], contact: Option<&Contact>) -> Option<Self> {
         let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - TIME_TOLERANCE_S);
-        let (mut legs, mut touched) = (Vec::new(), false);
+        let (mut legs, mut collided) = (Vec::new(), false);
         for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
             let (front_length_m, parted) = (pair.front.length_m, pair.span_s[1].is_finite());
             let mut leg = ApproachSegment {
@@ -106,22 +106,22 @@ impl Approach {
                 interrupted: parted,
             };
             for state in pair_states(pair).take_while(|state| state.time_s < until_s) {
-                touched = state.gap_m <= 0.0;
+                collided = state.gap_m <= 0.0;
                 leg.states.push(PairState { gap_m: state.gap_m.max(0.0), ..state });
-                if touched {
+                if collided {
                     break;
                 }
             }
             legs.push(leg);
-            if touched {
+            if collided {
                 break;
             }
         }
-        if let (Some(contact), false, Some(leg)) = (contact, touched, legs.last_mut()) {
+        if let (Some(contact), false, Some(leg)) = (contact, collided, legs.last_mut()) {
             leg.states.push(contact_state(contact, leg.states.last()));
-            touched = true;
+            collided = true;
         }
-        (!legs.is_empty()).then_some(Self { segments: legs, has_contact: touched })
+        (!legs.is_empty()).then_some(Self { segments: legs, has_contact: collided })
     }
 
     /// Returns the states in order of time; none for an empty trace.

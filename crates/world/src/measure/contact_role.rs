@@ -9,7 +9,7 @@ pub enum ContactRole {
     /// A vehicle under test hits its leader.
     Hits,
     /// A vehicle under test is hit from behind by a vehicle that is not under test.
-    IsHit,
+    HitFromBehind,
     /// Neither vehicle is under test.
     Bystander,
 }
@@ -21,7 +21,7 @@ impl ContactRole {
         let under_test = |index| scenario.is_under_test(index);
         match (under_test(contact.rear_vehicle), under_test(contact.front_vehicle)) {
             (true, _) => Self::Hits,
-            (false, true) => Self::IsHit,
+            (false, true) => Self::HitFromBehind,
             (false, false) => Self::Bystander,
         }
     }

@@ -146,17 +146,17 @@ mod tests {
         let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
         let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
         let mut trace = trace(vec![front, rear], 0.5);
-        let imposed = InducedBraking::from_trace(&trace, &[], 0).unwrap();
-        assert_eq!(imposed.peak_brake_mps2, Some(10.0));
-        assert!((imposed.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
-        assert!((imposed.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
+        let induced = InducedBraking::from_trace(&trace, &[], 0).unwrap();
+        assert_eq!(induced.peak_brake_mps2, Some(10.0));
+        assert!((induced.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
+        assert!((induced.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
         assert_eq!(InducedBraking::from_trace(&trace, &[], 1), None, "nobody behind the last");
 
         // After a collision at 0.4 s, later braking does not count, and no deceleration would have sufficed.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
-        let touched = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
+        let collided = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
         assert_eq!(
-            touched,
+            collided,
             InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None }
         );
     }

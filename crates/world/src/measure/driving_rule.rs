@@ -45,9 +45,9 @@ impl DrivingRule {
         let of_each = |index: usize| match self {
             Self::NoUnnecessaryBraking => UnnecessaryBraking::margin_mps2(trace, &result.impacts, index),
             Self::InducedBraking { max_mps2: at_most_mps2 } => {
-                let imposed = InducedBraking::from_trace(trace, &result.impacts, index)
-                    .and_then(|imposed| imposed.peak_brake_mps2);
-                imposed.map(|peak_mps2| at_most_mps2 - peak_mps2)
+                let induced = InducedBraking::from_trace(trace, &result.impacts, index)
+                    .and_then(|induced| induced.peak_brake_mps2);
+                induced.map(|peak_mps2| at_most_mps2 - peak_mps2)
             }
             Self::NoAmplification => {
                 let start_s = trace.time_s.first()?;
@@ -131,14 +131,14 @@ mod tests {
     #[test]
     fn full_brakes_without_cause_are_found_and_causes_are_known() {
         let scenario = built_in_scenario("paper-1").unwrap();
-        let judged = |rule: &str, controller: &str| {
+        let evaluated = |rule: &str, controller: &str| {
             let rule = Specification::parse(rule, &scenario).unwrap();
             let options = RunOptions::new(ControllerSpec::from_name(controller).unwrap());
-            rule.judge_scenario(&scenario, options).unwrap().robustness
+            rule.evaluate_scenario(&scenario, options).unwrap().robustness
         };
-        assert!(judged(NO_UNNECESSARY_BRAKING, "idm") >= 0.0);
-        assert!(judged("imposed braking at most 20 m/s2", "baseline") > 0.0);
-        assert!(judged("imposed braking at most 0.1 m/s2", "baseline") < 0.0);
+        assert!(evaluated(NO_UNNECESSARY_BRAKING, "idm") >= 0.0);
+        assert!(evaluated("imposed braking at most 20 m/s2", "baseline") > 0.0);
+        assert!(evaluated("imposed braking at most 0.1 m/s2", "baseline") < 0.0);
     }
 
     proptest! {
@@ -152,12 +152,12 @@ mod tests {
             let run = Run::new(&scenario, options.with_after_contact(AfterContact::Continue)).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
             let trace = result.trace.as_ref().unwrap();
-            let needless = UnnecessaryBraking::from_trace(trace, &result.impacts, 1).unwrap();
+            let unnecessary = UnnecessaryBraking::from_trace(trace, &result.impacts, 1).unwrap();
             let margin = DrivingRule::NoUnnecessaryBraking.robustness(&scenario, &result).unwrap();
-            prop_assert_eq!(margin < 0.0, !needless.is_empty(), "{} {:?}", margin, needless);
-            let imposed = InducedBraking::from_trace(trace, &result.impacts, 1).and_then(|imposed| imposed.peak_brake_mps2);
+            prop_assert_eq!(margin < 0.0, !unnecessary.is_empty(), "{} {:?}", margin, unnecessary);
+            let induced = InducedBraking::from_trace(trace, &result.impacts, 1).and_then(|induced| induced.peak_brake_mps2);
             let left = DrivingRule::InducedBraking { max_mps2: 4.0 }.robustness(&scenario, &result).unwrap();
-            prop_assert_eq!(left < 0.0, imposed.is_some_and(|peak| peak > 4.0));
+            prop_assert_eq!(left < 0.0, induced.is_some_and(|peak| peak > 4.0));
         }
     }
 }

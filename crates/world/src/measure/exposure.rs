@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn an_opening_gap_exposes_nobody() {
+    fn an_opening_gap_adds_no_exposure() {
         let front = driven_track(2.0, 3.0, 15.0, &[(5.0, 0.0)], 0.5);
         let rear = driven_track(2.0, 0.0, 15.0, &[(5.0, -1.0)], 0.5);
         let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
@@ -139,7 +139,7 @@ mod tests {
         }
 
         #[test]
-        fn exposure_is_what_a_sum_over_fine_samples_finds(
+        fn exposure_equals_a_sum_over_fine_samples(
             gap_m in 5.0..20.0f64,
             speed_mps in 10.0..30.0f64,
             brakes_mps2 in prop::array::uniform2(1.0..8.0f64),

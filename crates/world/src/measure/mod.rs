@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_undefined_is_absent() {
+    fn undefined_measures_are_absent() {
         let nothing = |samples: usize| Track {
             length_m: 2.0,
             mass_kg: 1500.0,

@@ -203,7 +203,7 @@ impl Specification {
         }
     }
 
-    /// Returns the recording level that [`Self::judge`] needs.
+    /// Returns the recording level that [`Self::evaluate`] needs.
     #[must_use]
     pub fn recording_level(&self) -> RecordingLevel {
         match self {
@@ -225,16 +225,20 @@ impl Specification {
     ///
     /// # Errors
     /// [`SpecificationError`] if the scenario cannot be run with these options, or a formula does not fit it.
-    pub fn judge_scenario(&self, scenario: &Scenario, options: RunOptions) -> Result<RunVerdict, SpecificationError> {
+    pub fn evaluate_scenario(
+        &self,
+        scenario: &Scenario,
+        options: RunOptions,
+    ) -> Result<RunVerdict, SpecificationError> {
         let run = Run::new(scenario, options.with_after_contact(self.after_contact()))?;
-        self.judge(&run, &simulate(&run, self.recording_level()))
+        self.evaluate(&run, &simulate(&run, self.recording_level()))
     }
 
     /// Returns the verdict of a run with [`Self::recording_level`] and [`Self::after_contact`].
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
-    pub fn judge(&self, run: &Run, result: &SimulationResult) -> Result<RunVerdict, SpecificationError> {
+    pub fn evaluate(&self, run: &Run, result: &SimulationResult) -> Result<RunVerdict, SpecificationError> {
         let robustness = match (self, &result.outcome) {
             (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
             (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(MIN_VIOLATION),
@@ -246,7 +250,7 @@ impl Specification {
             (Self::Formula(formula), _) => {
                 let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
-                judge_formula(formula, &signals)?
+                evaluate_formula(formula, &signals)?
             }
             (Self::DrivingRule(conduct), _) => {
                 conduct.robustness(run.scenario(), result).ok_or(SpecificationError::NoTrace)?
@@ -258,7 +262,7 @@ impl Specification {
 }
 
 /// At robustness 0, the Boolean semantics decide.
-fn judge_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
+fn evaluate_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
     let robustness = formula.robustness(signals)?;
     let violated_at_zero = robustness == 0.0 && !formula.is_satisfied(signals)?;
     Ok(if violated_at_zero { -MIN_VIOLATION } else { robustness })
@@ -269,7 +273,7 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
     let scenario = run.scenario();
     // Of two vehicles under test, the one that hits.
     let ego = match ContactRole::new(contact, scenario) {
-        ContactRole::IsHit => contact.front_vehicle,
+        ContactRole::HitFromBehind => contact.front_vehicle,
         ContactRole::Hits | ContactRole::Bystander => contact.rear_vehicle,
     };
     let hardest_mps2 = match &result.trace {

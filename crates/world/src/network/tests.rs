@@ -69,7 +69,7 @@ fn answer(bytes: &[u8], inputs: &[f32]) -> Vec<f32> {
 
 /// The official network of the ARCH benchmark has this form: opset 6, four dimensions into Gemm, 1 subtracted.
 #[test]
-fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
+fn an_old_gemm_takes_four_dimensions_and_subtraction_is_kept() {
     let nodes = [
         node("Sub", &["x", "ones"], "a", &[]),
         node("Gemm", &["a", "w", "b"], "c", &[integer_attribute("broadcast", 1)]),
@@ -110,31 +110,31 @@ fn a_constant_is_spread_as_numpy_does_or_refused() {
     assert_eq!(answer(&add(&[3], 3), &zeros), [1.0, 2.0, 3.0, 1.0, 2.0, 3.0]);
     assert_eq!(answer(&add(&[1, 1, 1], 1), &zeros), [1.0; 6]);
     for (shape, count) in [(&[2_u8][..], 2), (&[2, 2, 3], 12), (&[4, 3], 12)] {
-        let said = refusal(&add(shape, count));
-        assert!(said.starts_with("node `add` (Add): a constant of shape"), "{said}");
+        let text = refusal(&add(shape, count));
+        assert!(text.starts_with("node `add` (Add): a constant of shape"), "{text}");
     }
 }
 
 #[test]
-fn what_is_not_followed_is_refused_by_operator_and_node() {
+fn unsupported_operators_are_refused_by_operator_and_node() {
     let w = || constant("w", &[2, 2], &[1.0; 4]);
     let one = |operator: &str, inputs: &[&str]| model(13, &[2], &[node(operator, inputs, "y", &[])], &[w()]);
     assert_eq!(refusal(&one("Softmax", &["x"])), "node `softmax` (Softmax): this operator is not supported");
-    let said = refusal(&one("Mul", &["x", "x"]));
-    assert_eq!(said, "node `mul` (Mul): it does not use `x` exactly once, so the graph is not a simple chain");
-    let said = refusal(&one("MatMul", &["x", "z"]));
-    assert_eq!(said, "node `matmul` (MatMul): its input `z` is not a constant, so the graph is not a simple chain");
-    let said = refusal(&one("Div", &["w", "x"]));
-    assert_eq!(said, "node `div` (Div): this operator is not supported");
+    let text = refusal(&one("Mul", &["x", "x"]));
+    assert_eq!(text, "node `mul` (Mul): it does not use `x` exactly once, so the graph is not a simple chain");
+    let text = refusal(&one("MatMul", &["x", "z"]));
+    assert_eq!(text, "node `matmul` (MatMul): its input `z` is not a constant, so the graph is not a simple chain");
+    let text = refusal(&one("Div", &["w", "x"]));
+    assert_eq!(text, "node `div` (Div): this operator is not supported");
     let skip = [node("Relu", &["x"], "a", &[]), node("Tanh", &["x"], "y", &[])];
     assert!(refusal(&model(13, &[2], &skip, &[])).contains("node `tanh` (Tanh): it does not use `a` exactly once"));
-    let said = refusal(&model(13, &[3], &[node("MatMul", &["x", "w"], "y", &[])], &[w()]));
-    assert_eq!(said, "node `matmul` (MatMul): a matrix of 2 by 2 against numbers of shape [3]");
+    let text = refusal(&model(13, &[3], &[node("MatMul", &["x", "w"], "y", &[])], &[w()]));
+    assert_eq!(text, "node `matmul` (MatMul): a matrix of 2 by 2 against numbers of shape [3]");
     let gemm = |shape: &[u8]| refusal(&model(13, shape, &[node("Gemm", &["x", "w"], "y", &[])], &[w()]));
-    let said = gemm(&[2, 2]);
-    assert!(said.contains("a matrix of 2 by 2 against 4 numbers: ") && said.contains("a batch of several"), "{said}");
-    let said = gemm(&[1]);
-    assert!(said.contains("against 1 number: the axis of the features may have no fixed length"), "{said}");
+    let text = gemm(&[2, 2]);
+    assert!(text.contains("a matrix of 2 by 2 against 4 numbers: ") && text.contains("a batch of several"), "{text}");
+    let text = gemm(&[1]);
+    assert!(text.contains("against 1 number: the axis of the features may have no fixed length"), "{text}");
     let unfinished = model(13, &[2], &[node("Relu", &["x"], "z", &[])], &[]);
     assert_eq!(refusal(&unfinished), "the output of the graph is `y`, but its chain of nodes ends in `z`");
     assert!(refusal(&model(5, &[2], &[node("Relu", &["x"], "y", &[])], &[])).starts_with("opset 5 is too old"));
@@ -163,8 +163,8 @@ fn numbers_that_cannot_be_calculated_with_are_refused() {
     assert!(large.answer_ranges(&[[-1.0, 1.0]; 2]).is_ok());
     assert!(matches!(large.answer_ranges(&[[-10.0, 10.0]; 2]), Err(NetworkError::Overflow { step: 0 })));
     let divided = [node("Div", &["x", "w"], "y", &[])];
-    let said = refusal(&model(13, &[2], &divided, &[constant("w", &[2], &[1.0, 0.0])]));
-    assert_eq!(said, "step 0: divides by 0");
+    let text = refusal(&model(13, &[2], &divided, &[constant("w", &[2], &[1.0, 0.0])]));
+    assert_eq!(text, "step 0: divides by 0");
 }
 
 #[test]

@@ -65,10 +65,10 @@ impl ResidualControl {
     fn acceleration_mps2(&self, departed: f64, seen: &Observation, [low_mps2, high_mps2]: [f64; 2]) -> f64 {
         let wanted_mps2 = Idm::from(&self.idm).desired_acceleration_mps2(seen);
         // NaN means full braking, as for a network.
-        let law_mps2 = if wanted_mps2.is_nan() { low_mps2 } else { wanted_mps2.max(low_mps2).min(high_mps2) };
+        let base_mps2 = if wanted_mps2.is_nan() { low_mps2 } else { wanted_mps2.max(low_mps2).min(high_mps2) };
         let bound_mps2 = if departed < 0.0 { low_mps2 } else { high_mps2 };
         let strength = departed.abs();
-        ((1.0 - strength) * law_mps2 + strength * bound_mps2).max(low_mps2).min(high_mps2)
+        ((1.0 - strength) * base_mps2 + strength * bound_mps2).max(low_mps2).min(high_mps2)
     }
 }
 
@@ -96,13 +96,13 @@ impl HeldAction {
     /// Returns the acceleration of the next step, in m/s²: linear in the action, or blended with the base controller.
     #[inline]
     pub fn acceleration_mps2(&mut self, bounds: &ActionBounds, seen: &Observation, step_s: f64) -> f64 {
-        let ActionBounds { low_mps2, high_mps2, residual_over: departs_from } = bounds;
-        let Some(departure) = departs_from else {
+        let ActionBounds { low_mps2, high_mps2, residual_over } = bounds;
+        let Some(control) = residual_over else {
             return 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
         };
-        let most = departure.rate_per_s * step_s;
-        self.residual += (departure.target_residual(f64::from(self.action)) - self.residual).max(-most).min(most);
-        departure.acceleration_mps2(self.residual, seen, [*low_mps2, *high_mps2])
+        let most = control.rate_per_s * step_s;
+        self.residual += (control.target_residual(f64::from(self.action)) - self.residual).max(-most).min(most);
+        control.acceleration_mps2(self.residual, seen, [*low_mps2, *high_mps2])
     }
 }
 
@@ -117,13 +117,13 @@ mod tests {
     const EGO: Ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 4.0, step_s: 0.01 };
 
     fn bounds(dead_zone: f64) -> ActionBounds {
-        let departs_from = Some(ResidualControl { dead_zone, rate_per_s: 4.0, idm: IdmSettings::default() });
-        ActionBounds { residual_over: departs_from, ..ActionBounds::default() }
+        let residual_over = Some(ResidualControl { dead_zone, rate_per_s: 4.0, idm: IdmSettings::default() });
+        ActionBounds { residual_over, ..ActionBounds::default() }
     }
 
     proptest! {
         #[test]
-        fn within_the_dead_zone_it_is_the_law_and_beyond_it_goes_to_a_bound_in_time(
+        fn the_dead_zone_gives_the_base_controller_and_full_action_a_bound(
             (gap_m, ahead_mps, speed_mps) in (-1.0..200.0, 0.0..40.0, 0.0..40.0),
             dead_zone in 0.0..=0.99,
             action in -1.0_f32..=1.0,
@@ -132,7 +132,7 @@ mod tests {
             let seen = Observation { speed_mps, acceleration_mps2: 0.0, ahead, behind: None };
             let bounds = bounds(dead_zone);
             let mut idm = Idm::start(&IdmSettings::default(), &EGO, 0);
-            let law_mps2 = idm.decide(&seen).unwrap().clamp(-7.5, 3.0);
+            let base_mps2 = idm.decide(&seen).unwrap().clamp(-7.5, 3.0);
             let mut held = HeldAction::default();
             let mut after = |action, steps| {
                 held.set(action);
@@ -140,18 +140,18 @@ mod tests {
                 (of_each, held.residual())
             };
             let calm = (f64::from(action) * dead_zone * 0.999) as f32;
-            prop_assert_eq!(after(calm, 2), (vec![law_mps2; 2], 0.0));
+            prop_assert_eq!(after(calm, 2), (vec![base_mps2; 2], 0.0));
             let bound_mps2 = if action < 0.0 { -7.5 } else { 3.0 };
-            let (on_the_way, departure) = after(action.signum(), 26);
-            prop_assert_eq!((on_the_way[25], departure), (bound_mps2, 1.0));
+            let (on_the_way, residual) = after(action.signum(), 26);
+            prop_assert_eq!((on_the_way[25], residual), (bound_mps2, 1.0));
             let largest = on_the_way.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
-            prop_assert!(largest <= 0.04 * (bound_mps2 - law_mps2).abs() + 1e-9);
-            prop_assert_eq!(after(calm, 26).0[25], law_mps2);
+            prop_assert!(largest <= 0.04 * (bound_mps2 - base_mps2).abs() + 1e-9);
+            prop_assert_eq!(after(calm, 26).0[25], base_mps2);
         }
     }
 
     #[test]
-    fn what_is_no_number_of_its_range_is_refused() {
+    fn numbers_out_of_range_are_refused() {
         let with = |dead_zone, rate_per_s, idm| {
             ResidualControl { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field)
         };

@@ -91,7 +91,7 @@ proptest! {
 }
 
 #[test]
-fn the_network_is_what_its_definition_says() {
+fn the_network_equals_its_definition() {
     let policy = policy(&[5, 3], 0.1, 7);
     let seen = Observation {
         speed_mps: 20.0,
@@ -166,7 +166,7 @@ fn no_number_at_all_means_full_braking() {
 
 proptest! {
     #[test]
-    fn what_is_accepted_answers_with_a_number(seen in any_observation(), seed: u64, exponent in 0..39_i32, layer in 0..3_usize) {
+    fn accepted_policies_output_a_number(seen in any_observation(), seed: u64, exponent in 0..39_i32, layer in 0..3_usize) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
         let layer = network.layers().nth(layer).unwrap();
         let factor = 10.0_f32.powi(exponent);

@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn answers_that_are_none_are_told_apart() {
+    fn invalid_answers_are_distinguished() {
         let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
         assert_eq!(parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
         assert_eq!(

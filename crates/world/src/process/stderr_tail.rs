@@ -27,8 +27,8 @@ impl StderrTail {
         let kept = self.0.get(self.0.len().saturating_sub(TAIL_BYTES)..).unwrap_or(&self.0);
         let text = String::from_utf8_lossy(kept);
         let lines: Vec<_> = text.lines().filter(|line| !line.trim().is_empty()).collect();
-        let told = lines.get(lines.len().saturating_sub(MAX_LINES)..).unwrap_or_default();
-        told.iter().map(|line| escaped_excerpt(line)).collect()
+        let last = lines.get(lines.len().saturating_sub(MAX_LINES)..).unwrap_or_default();
+        last.iter().map(|line| escaped_excerpt(line)).collect()
     }
 }
 
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_lines_are_told_however_much_was_said() {
+    fn the_last_lines_of_any_output_are_reported() {
         let mut words = StderrTail::default();
         assert!(words.lines().is_empty());
         for number in 0..20_000 {

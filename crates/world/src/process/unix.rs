@@ -59,10 +59,10 @@ impl ProcessGroup {
     fn start() -> std::io::Result<Self> {
         let mut shell = Command::new("/bin/sh");
         // The name identifies the owner in process lists.
-        shell.args(["-c", WATCHDOG_SCRIPT, &format!("crumple-watchman-{}", std::process::id())]).process_group(0);
-        let mut watchman = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
-        let lifeline = watchman.stdin.take();
-        Ok(Self { watchdog: watchman, _lifeline: lifeline })
+        shell.args(["-c", WATCHDOG_SCRIPT, &format!("crumple-watchdog-{}", std::process::id())]).process_group(0);
+        let mut watchdog = shell.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+        let lifeline = watchdog.stdin.take();
+        Ok(Self { watchdog, _lifeline: lifeline })
     }
 }
 

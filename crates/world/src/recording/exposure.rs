@@ -55,21 +55,21 @@ pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, follo
 /// Two episodes belong to one wave if the leader of one is a vehicle of the other and they brake at most 5 s apart.
 #[must_use]
 pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
-    let mut wave: Vec<usize> = (0..episodes.len()).collect();
+    let mut cluster: Vec<usize> = (0..episodes.len()).collect();
     for (index, episode) in episodes.iter().enumerate() {
         for (before, other) in episodes.iter().enumerate().take(index) {
             if is_same_cluster(episode, other) {
-                let (from, to) = (wave[index].max(wave[before]), wave[index].min(wave[before]));
+                let (from, to) = (cluster[index].max(cluster[before]), cluster[index].min(cluster[before]));
                 if from != to {
-                    wave.iter_mut().filter(|wave| **wave == from).for_each(|wave| *wave = to);
+                    cluster.iter_mut().filter(|cluster| **cluster == from).for_each(|cluster| *cluster = to);
                 }
             }
         }
     }
     let mut known: Vec<usize> = Vec::new();
-    let numbered = wave.iter().map(|wave| {
-        known.iter().position(|other| other == wave).unwrap_or_else(|| {
-            known.push(*wave);
+    let numbered = cluster.iter().map(|cluster| {
+        known.iter().position(|other| other == cluster).unwrap_or_else(|| {
+            known.push(*cluster);
             known.len() - 1
         }) as u32
     });
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn following_is_summed_over_whoever_may_lead_and_waves_hold_together() {
+    fn following_is_summed_over_all_leaders_and_clusters_stay_together() {
         let recording = platoon();
         // 600 samples span 59.9 s; no braking can begin in the last second. Where the second spacing is missing, 1.1 s
         // of its pair and of those ahead do not count.

@@ -12,7 +12,7 @@ use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, hardest_braking};
 use super::{Recording, RecordingFormat, load};
 
-const MAX_STEM: usize = 100;
+const MAX_FILE_STEM_CHARS: usize = 100;
 
 /// Options of an import.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -137,6 +137,6 @@ fn slug(stem: &Path) -> String {
     let lower = stem.to_string_lossy().to_ascii_lowercase();
     let words = lower.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     let mut slug = words.collect::<Vec<_>>().join("-");
-    slug.truncate(MAX_STEM);
+    slug.truncate(MAX_FILE_STEM_CHARS);
     slug
 }

@@ -48,15 +48,15 @@ fn read_with(text: &str, by: &str) -> Recording {
 /// Returns the data of each scenario: start and duration, braking and leader speeds, initial states.
 fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     let found = find_episodes(recording, MinBrake::default(), LeaderSelection::Any).episodes;
-    let mut told: Vec<_> = found
+    let mut rows: Vec<_> = found
         .into_iter()
         .map(|one| {
             let placed = one.vehicles.iter().flat_map(|placed| [placed.gap_ahead_m, placed.speed_mps]).collect();
             [vec![one.start_s, one.duration_s], one.time_s, one.speed_mps, placed]
         })
         .collect();
-    told.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
-    told
+    rows.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
+    rows
 }
 
 fn as_tracks(motion: &PlatoonMotion) -> String {
@@ -155,17 +155,17 @@ fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
 }
 
 #[test]
-fn what_no_road_has_is_left_out_and_said() {
+fn impossible_values_are_excluded_and_reported() {
     let row = |frame: u32, id: u32, metres: f64| format!("{frame};{id};1;{};72;500\n", metres / 0.3048);
     let rows = [row(0, 1, 50.0), row(0, 2, 47.0), row(0, 1, 51.0), row(1, 1, 52.0), row(4, 1, 58.0), row(1, 2, 49.0)];
     let text = format!("made up\nframe;id;lane;y;v;length\n{}", rows.concat());
-    let said = |by: &str| read_with(&text, by).dropped.iter().map(DroppedItem::to_string).collect::<Vec<_>>();
-    let twice = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
+    let message = |by: &str| read_with(&text, by).dropped.iter().map(DroppedItem::to_string).collect::<Vec<_>>();
+    let doubled = "a.csv:5: vehicle 1 is in two places at once here; of 1 such rows each first one is kept";
     let overlap =
         "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle then";
-    assert_eq!(said(TRACKS), [twice.to_owned(), format!("a.csv:4: 2 {overlap}")]);
+    assert_eq!(message(TRACKS), [doubled.to_owned(), format!("a.csv:4: 2 {overlap}")]);
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
-    assert_eq!(said(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
+    assert_eq!(message(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
     for (good, bad, expected) in [
         ("0;1;", "0;1.5;", "a.csv:3: id: must be a whole number from 0 to 4294967295, found `1.5`"),
         ("0;1;", "0;;", "a.csv:3: id: must not be empty"),
@@ -181,7 +181,7 @@ fn what_no_road_has_is_left_out_and_said() {
 
 /// Three cars in one lane; a field of the second car's second row is damaged. No vehicle follows across it.
 #[test]
-fn nobody_follows_across_a_vehicle_that_is_not_known() {
+fn no_following_across_an_unknown_vehicle() {
     let text = |damage: &dyn Fn(u32, u32) -> [String; 4]| {
         let mut text = "made up\nframe;id;lane;y;v;length\n".to_owned();
         for k in 0..3 {
@@ -215,7 +215,7 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
     let cannot = "times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
     it, or a vehicle beyond it, then";
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
-    for (field, with, said) in [
+    for (field, with, message) in [
         (1, "", "a.csv:7: y: 1 of 9 values are missing, the first one here"),
         (3, "", "a.csv:7: length: 1 of 9 values are missing, the first one here"),
         (
@@ -232,7 +232,7 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
         let recording = read_with(&damaged(field, with), TRACKS);
         assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]], "{field} {with}");
         let dropped: Vec<_> = recording.dropped.iter().map(DroppedItem::to_string).collect();
-        assert_eq!(dropped, [said.to_owned(), format!("a.csv:7: 1 {cannot}")]);
+        assert_eq!(dropped, [message.to_owned(), format!("a.csv:7: 1 {cannot}")]);
         // The map can fill such holes.
         let recording = read_with(&damaged(field, with), &filled);
         assert_eq!(behind(&recording), [[2, 3], [2, 3], [2, 3]], "{field} {with}");
@@ -241,16 +241,16 @@ fn nobody_follows_across_a_vehicle_that_is_not_known() {
     // An impossible speed is reported, and ends the line of vehicles there.
     let recording = read_with(&damaged(2, "-1e300"), TRACKS);
     assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]]);
-    let [said] = &recording.dropped[..] else { panic!("{:?}", recording.dropped) };
+    let [message] = &recording.dropped[..] else { panic!("{:?}", recording.dropped) };
     let worst = "a.csv:7: v: 1 impossible speeds, the first one here, the last one on line 7, the worst -2.7";
-    assert!(said.to_string().starts_with(worst) && said.to_string().ends_with("e299 m/s"), "{said}");
+    assert!(message.to_string().starts_with(worst) && message.to_string().ends_with("e299 m/s"), "{message}");
     let error = read(damaged(0, "").as_bytes(), Path::new("a.csv"), Some(&map(TRACKS))).expect_err("in no lane");
     assert_eq!(error.to_string(), "a.csv:7: lane: must not be empty");
 }
 
 /// Too sparse or too short recordings are not reported as free of braking.
 #[test]
-fn that_nobody_brakes_is_said_only_where_it_was_seen() {
+fn absent_braking_is_reported_only_where_observed() {
     let pair = |step_ms: u32, count: u32, ego: &str| {
         let rows: String = (0..count).map(|k| format!("{}\t{ego}\t0\t100\n", step_ms * k)).collect();
         hardest_braking(&read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS)).to_string()
@@ -271,7 +271,7 @@ fn that_nobody_brakes_is_said_only_where_it_was_seen() {
 }
 
 #[test]
-fn holes_are_filled_as_long_as_the_map_says() {
+fn gaps_are_filled_up_to_the_length_in_the_map() {
     let values = |by: &str| {
         let rows = "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
         let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), by);
@@ -286,7 +286,7 @@ fn holes_are_filled_as_long_as_the_map_says() {
 }
 
 #[test]
-fn a_wrong_map_says_where() {
+fn errors_of_a_map_name_their_place() {
     let length = "length_m = 4.5\n";
     let cases = [
         (PAIRS, "version = 1", "version = 2", "1: version: version 2 is not supported: this release reads version 1"),
@@ -333,8 +333,11 @@ fn a_wrong_map_says_where() {
     for (text, good, bad, expected) in cases {
         let changed = text.replacen(good, bad, 1);
         assert_ne!(changed, text);
-        let said = RecordingMap::from_toml(&changed, Path::new("m.toml")).expect_err("wrong").to_string();
-        assert!(said.starts_with(&format!("m.toml:{expected}")), "{said}\n  should start with\nm.toml:{expected}");
+        let message = RecordingMap::from_toml(&changed, Path::new("m.toml")).expect_err("wrong").to_string();
+        assert!(
+            message.starts_with(&format!("m.toml:{expected}")),
+            "{message}\n  should start with\nm.toml:{expected}"
+        );
     }
     let two = TRACKS.to_owned() + "[layout.pairs]\nspacing = { column = \"x\" }\n";
     assert!(
@@ -352,16 +355,17 @@ fn platoons_from_front_to_front_need_their_cars_length() {
               spacing = { column = \"d{}\", from = \"front-to-front\" }\nlength_m = 5.0\n";
     assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
     for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {
-        let said = RecordingMap::from_toml(&by.replace(good, bad), Path::new("m.toml")).expect_err("wrong").to_string();
+        let message =
+            RecordingMap::from_toml(&by.replace(good, bad), Path::new("m.toml")).expect_err("wrong").to_string();
         assert_eq!(
-            said,
+            message,
             "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands"
         );
     }
 }
 
 #[test]
-fn the_hardest_braking_is_found_whatever_the_threshold() {
+fn the_hardest_braking_is_found_at_any_threshold() {
     let rows: String =
         (0..60).map(|k| format!("{}\t20\t{}\t100\n", 100 * k, 0.05 * f64::from(k - 20).clamp(0.0, 15.0))).collect();
     let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS);

@@ -83,7 +83,7 @@ fn holes_in_the_numbering_split_the_platoon() {
 }
 
 #[test]
-fn missing_and_impossible_values_are_left_out_and_said() {
+fn missing_and_impossible_values_are_excluded_and_reported() {
     let rows = "0.0,20,,5\n0.1,NaN,21,-3.5\n0.2,20,-1,0\n0.2,20,21,5\n0.1,20,21,5\n0.3,1e300,21,1e308\n0.4,20,21,5\n";
     let text = format!("{HEADER}Time,Speed1,Speed2,IVS1\n{rows}");
     let platoon = &read_text(&text).expect("readable").platoons[0];
@@ -164,7 +164,7 @@ fn unusable_files_name_line_and_column() {
 }
 
 #[test]
-fn what_would_fill_the_memory_is_refused() {
+fn recordings_too_large_for_memory_are_refused() {
     let endless = read(io::repeat(b'7'), Path::new("a.csv"), None).expect_err("endless line").to_string();
     assert!(endless.contains("a line of more than"), "{endless}");
     let rows = format!("{EVENTS}1,0,5,1,0,1\n");
@@ -202,9 +202,11 @@ fn each_car_following_event_is_a_platoon_of_two() {
     assert_eq!(leader.speed_mps(), [Some(11.0), Some(11.0), Some(11.0), None], "the relative speed supplies it");
     assert_eq!(follower.speed_mps(), [Some(10.0), Some(10.0), Some(10.0), None]);
     assert_eq!(recording.platoons[1].gap_ahead_m(1), [None]);
-    let said = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
-    assert!(said.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows"));
-    assert!(said.contains("a.csv:6: gap_m: 1 impossible spacings"), "{said}");
+    let output = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
+    assert!(
+        output.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows")
+    );
+    assert!(output.contains("a.csv:6: gap_m: 1 impossible spacings"), "{output}");
 }
 
 /// Concatenated files restart their events at time 0.
@@ -259,11 +261,11 @@ fn a_start_is_where_most_followers_are_known() {
     // Unknown throughout: three remain.
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
     // The first follower is never known: no vehicle follows.
-    let nobody = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
-    let found = find_episodes(&nobody, MinBrake::default(), LeaderSelection::First);
+    let absent = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
+    let found = find_episodes(&absent, MinBrake::default(), LeaderSelection::First);
     assert_eq!(found.episodes, []);
-    let said = found.dropped[0].to_string();
-    assert!(said.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
+    let output = found.dropped[0].to_string();
+    assert!(output.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
 }
 
 #[test]
@@ -325,8 +327,8 @@ fn a_leap_of_the_speed_is_no_braking() {
     let text = edited(&braking_platoon(2), 60..62, |fields| fields[1] = "9".to_owned());
     let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First);
     assert_eq!(found.episodes, []);
-    let said = found.dropped[0].to_string();
-    assert!(said.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle can do"), "{said}");
+    let output = found.dropped[0].to_string();
+    assert!(output.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle can do"), "{output}");
     // A hole of half a second is bridged; a longer one ends the run, and the last speed is held.
     let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
     assert_eq!(only_episode(&read_text(&bridged).expect("readable")).time_s.last(), Some(&15.0));

@@ -113,8 +113,8 @@ pub(super) fn read<R: Read>(
     }
     places.sort_unstable_by_key(|place: &TrackPoint| (place.vehicle, place.time_ms, place.line));
     let what = |what, line| DroppedItem { path: path.to_owned(), line, omission: what };
-    if let Some((twice, count)) = remove_duplicates(&mut places) {
-        dropped.push(what(Omission::DuplicateRows { vehicle: twice.vehicle, count }, twice.line));
+    if let Some((doubled, count)) = remove_duplicates(&mut places) {
+        dropped.push(what(Omission::DuplicateRows { vehicle: doubled.vehicle, count }, doubled.line));
     }
     let filled = fill_holes(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
         path: path.to_owned(),
@@ -150,15 +150,15 @@ fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, Record
 
 /// Keeps the first of several points of a vehicle at one time. Returns the first duplicate and their number.
 fn remove_duplicates(places: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    let mut twice: Option<(TrackPoint, usize)> = None;
+    let mut doubled: Option<(TrackPoint, usize)> = None;
     places.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
         if is_twice {
-            twice.get_or_insert((*later, 0)).1 += 1;
+            doubled.get_or_insert((*later, 0)).1 += 1;
         }
         is_twice
     });
-    twice
+    doubled
 }
 
 const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =

@@ -336,10 +336,10 @@ impl ControllerFile {
         let network = self.network.clone().map(|name| ("network", "a network", ControllerFileSource::Network(name)));
         let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
         let command = self.command.clone().map(|words| ("command", "a command", ControllerFileSource::Command(words)));
-        let mut said = [network, fmu, command].into_iter().flatten();
+        let mut message = [network, fmu, command].into_iter().flatten();
         let problem = "one of `network`, `fmu` and `command` is required";
-        let (field, what, drives) = said.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
-        if let Some((other, ..)) = said.next() {
+        let (field, what, drives) = message.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
+        if let Some((other, ..)) = message.next() {
             return Err(InvalidMapping::new(other, format!("`{field}` is given already: keep one of them")));
         }
         let (is_network, is_fmu) = (field == "network", field == "fmu");

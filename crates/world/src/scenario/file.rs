@@ -194,15 +194,16 @@ fn parse(text: &str, format: ScenarioFileFormat, path: &Path) -> Result<Scenario
 
 /// Parses a value from TOML text, with errors that name line and field.
 pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
-    let misread = |field: String, error: toml::de::Error| FileError::Syntax {
-        path: path.to_owned(),
-        line: error.span().map_or(1, |span| line_at(text, span.start)),
-        message: prefix_field(&field, &simplify_message(error.message())),
+    let misread = |field: String, error: toml::de::Error| {
+        // For an entry of an array of tagged tables, the span is that of the whole array.
+        let start = error.span().map_or(0, |span| span.start).max(locate_in_toml(text, &field).start);
+        let message = prefix_field(&field, &simplify_message(error.message()));
+        FileError::Syntax { path: path.to_owned(), line: line_at(text, start), message }
     };
     if text.len() as u64 > MAX_TOML_BYTES {
         let most = MAX_TOML_BYTES >> 20;
         let message = format!(
-            "holds more than {most} MiB of TOML, too much to parse (as JSON, a scenario or a space may have {} MiB)",
+            "holds more than {most} MiB of TOML, too much to parse (a scenario may have {} MiB as JSON)",
             MAX_BYTES >> 20
         );
         return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
@@ -407,20 +408,20 @@ driver = "under-test"
 
     /// Truncated text and text that is not UTF-8 yield errors with a line, and without an invented field.
     #[test]
-    fn errors_name_the_line_of_what_is_no_text_or_breaks_off() {
+    fn errors_name_the_line_of_invalid_or_truncated_text() {
         let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
         for at in (1..json.len()).filter(|&at| json.is_char_boundary(at)) {
             let cut = &json[..at];
-            let said = from_json(cut, Path::new("cut.json")).unwrap_err().to_string();
-            let line = said.strip_prefix("cut.json:").and_then(|rest| rest.split(':').next()).unwrap();
-            assert!(line.parse::<usize>().is_ok_and(|line| (1..=cut.lines().count() + 1).contains(&line)), "{said}");
-            assert!(!said.contains('?'), "{said}");
+            let output = from_json(cut, Path::new("cut.json")).unwrap_err().to_string();
+            let line = output.strip_prefix("cut.json:").and_then(|rest| rest.split(':').next()).unwrap();
+            assert!(line.parse::<usize>().is_ok_and(|line| (1..=cut.lines().count() + 1).contains(&line)), "{output}");
+            assert!(!output.contains('?'), "{output}");
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("latin-1.toml");
         fs::write(&path, b"version = 1\nname = \"two\"\n# f\xfcr\n").unwrap();
-        let said = load(&path).unwrap_err().to_string();
-        assert!(said.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"), "{said}");
+        let output = load(&path).unwrap_err().to_string();
+        assert!(output.ends_with("latin-1.toml:3: is not UTF-8 text from here on: save it as UTF-8"), "{output}");
     }
 
     /// Deep or long texts yield an error, and no overflow of stack or memory.
@@ -447,8 +448,8 @@ driver = "under-test"
             assert!(from_toml(&text, Path::new("deep.toml")).is_err());
         }
         let long = format!("{GOOD}#{}\n", " ".repeat(MAX_TOML_BYTES as usize));
-        let said = error_of(&long);
-        assert!(said.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{said}");
+        let output = error_of(&long);
+        assert!(output.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{output}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("long.json");
         fs::write(&path, " ".repeat(MAX_BYTES as usize + 1)).unwrap();
@@ -504,8 +505,8 @@ driver = "under-test"
         assert!(tried >= 20, "{tried}");
         let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
         let bad = json.replacen("\"vehicles\": [\n    {", "\"vehicles\": [\n    [1, 2], {", 1);
-        let said = from_json(&bad, Path::new("bad.json")).unwrap_err().to_string();
+        let output = from_json(&bad, Path::new("bad.json")).unwrap_err().to_string();
         let line = 1 + bad.lines().position(|line| line.contains("[1, 2]")).unwrap();
-        assert_eq!(said, format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names"));
+        assert_eq!(output, format!("bad.json:{line}: vehicles[0]: invalid type: a list, expected fields with names"));
     }
 }

@@ -125,7 +125,7 @@ impl LeadProfile {
     /// Returns the constant acceleration of all steps from `from_s` until a time, and this time, so that callers can
     /// skip those steps; `None` if the acceleration depends on the speed.
     #[must_use]
-    pub(crate) fn constant_acceleration_until(&self, from_s: f64) -> Option<[f64; 2]> {
+    pub(crate) fn constant_acceleration_span(&self, from_s: f64) -> Option<[f64; 2]> {
         match self {
             Self::ConstantSpeed => Some([0.0, f64::INFINITY]),
             Self::Brake(brake) => {
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_held_is_what_the_script_says_at_each_step() {
+    fn the_constant_acceleration_equals_that_of_each_step() {
         let profiles = [
             LeadProfile::ConstantSpeed,
             LeadProfile::Brake(Brake { onset_s: 1.004, rate_mps2: 3.0 }),
@@ -286,7 +286,7 @@ mod tests {
         for profile in profiles {
             let mut steps_held = 0;
             for from in 0..300 {
-                let [held_mps2, until_s] = profile.constant_acceleration_until(f64::from(from) * 0.01).unwrap();
+                let [held_mps2, until_s] = profile.constant_acceleration_span(f64::from(from) * 0.01).unwrap();
                 // All later steps that end in time, not only the next.
                 for step in from..300 {
                     let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_stops_inside_the_step_stands_whatever_rounding_says() {
+    fn a_vehicle_that_stops_within_a_step_has_speed_zero() {
         // The computed v - b (v / b) is a rounding error above zero.
         let (v, b) = (0.109_350_472_814_391, 9.586_679_427_354_404);
         let speed_mps = (1..1000).map(|k| v * f64::from(k)).find(|&v| v - b * (v / b) > 0.0).expect("common");

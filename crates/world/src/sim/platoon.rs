@@ -126,9 +126,9 @@ impl PlatoonState {
     fn next_contact(&self, stints: Option<&[LaneInterval]>, within_s: f64) -> Option<(f64, [usize; 2])> {
         match stints {
             None => self.first_contact_between(&self.lane, [0.0, within_s]),
-            Some(stints) => {
-                stints.iter().find_map(|stint| self.first_contact_between(&stint.lane, [stint.from_s, stint.to_s]))
-            }
+            Some(stints) => stints
+                .iter()
+                .find_map(|interval| self.first_contact_between(&interval.lane, [interval.from_s, interval.to_s])),
         }
     }
 
@@ -170,10 +170,10 @@ impl PlatoonState {
         match stints {
             None => self.advance_without_lane_changes(dt_s),
             Some(mut stints) => {
-                for (place, stint) in stints.iter().enumerate() {
+                for (place, interval) in stints.iter().enumerate() {
                     // A vehicle that enters and leaves at one instant was never in the lane.
-                    if stint.from_s < stint.to_s || place + 1 == stints.len() {
-                        self.track_closest_gaps(&stint.lane, [stint.from_s, stint.to_s]);
+                    if interval.from_s < interval.to_s || place + 1 == stints.len() {
+                        self.track_closest_gaps(&interval.lane, [interval.from_s, interval.to_s]);
                     }
                 }
                 self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));

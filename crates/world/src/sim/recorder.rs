@@ -18,7 +18,7 @@ impl VehicleExtremes {
 ///
 /// Plain comparison: for 0 and -0, `f64::max` may return either, so that separately compiled engines could differ.
 #[inline(always)]
-pub(super) fn hardest_brake_mps2(so_far_mps2: f64, acceleration_mps2: f64) -> f64 {
+pub(super) fn raise_max_brake(so_far_mps2: f64, acceleration_mps2: f64) -> f64 {
     if -acceleration_mps2 > so_far_mps2 { -acceleration_mps2 } else { so_far_mps2 }
 }
 
@@ -48,8 +48,8 @@ pub(super) fn assemble_result(
     trace: Option<Trace>,
     failed: Option<FailedController>,
 ) -> SimulationResult {
-    let touched = || impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
-    let outcome = failed.map_or_else(touched, Outcome::ControllerFailed);
+    let collided = || impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
+    let outcome = failed.map_or_else(collided, Outcome::ControllerFailed);
     SimulationResult { outcome, impacts, vehicles, interventions, trace }
 }
 

@@ -68,14 +68,14 @@ pub struct Intervention {
 
 pub(super) fn interventions(controller: &AnyController, vehicle: usize, step_s: f64) -> Vec<Intervention> {
     let AnyController::Shielded(shield) = controller else { return Vec::new() };
-    let told = |done: &Override| Intervention {
+    let intervention = |done: &Override| Intervention {
         vehicle,
         from_s: done.first_step as f64 * step_s,
         to_s: (done.last_step + 1) as f64 * step_s,
         outside_kernel: done.outside_kernel,
         rear_conflict: done.rear_conflict,
     };
-    shield.overrides().iter().map(told).collect()
+    shield.overrides().iter().map(intervention).collect()
 }
 
 impl Run {

@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use self::short_line::FallbackReason;
 use super::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use super::platoon::PlatoonState;
-use super::recorder::{VehicleExtremes, assemble_result, hardest_brake_mps2, summarize_vehicle, ttc_s};
+use super::recorder::{VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle, ttc_s};
 use super::run::{VehicleController, true_state};
 use super::shielding::interventions;
 use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace};
@@ -240,7 +240,7 @@ impl Stepper {
             trace.push_sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
-            tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
+            tally.max_brake_mps2 = raise_max_brake(tally.max_brake_mps2, motion.acceleration_mps2);
         }
         let TimeGrid { dt_s, after_contact, .. } = self.time_grid;
         let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
@@ -379,10 +379,10 @@ impl VehicleLoop {
     }
 
     #[inline]
-    fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_stuck: bool) -> f64 {
+    fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_locked: bool) -> f64 {
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
-        match is_stuck {
+        match is_locked {
             true => acceleration_mps2 + noise_mps2,
             false => add_noise_unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
         }

@@ -77,7 +77,7 @@ proptest! {
     /// Checks that lines enclose computed values tightly: extremes are at ends, kinks, and points with the line's
     /// slope.
     #[test]
-    fn lines_hold_what_is_computed_and_little_else(
+    fn lines_enclose_computed_values_tightly(
         each in any_activation(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
         radius in prop_oneof![Just(0.0), 0.0..0.01_f32, 0.0..8.0_f32, 0.0..100.0_f32],
     ) {
@@ -105,7 +105,7 @@ proptest! {
     }
 
     #[test]
-    fn what_bends_has_a_kink_inside(
+    fn bent_activations_have_a_kink_inside(
         low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32, slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
     ) {
         let (low, high) = (f64::from(low), f64::from(low + width));
@@ -133,7 +133,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_made_of_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
+    fn the_result_for_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
         let x = AffineForm::symbol(0, Interval::new(low, low + width).unwrap());
         let (line, made) = (each.relaxation(0, x.range().low(), x.range().high()), each.apply(0, &x));
         let (middle, radius) = line.middle_and_radius();
@@ -148,7 +148,7 @@ proptest! {
 
 /// Checks that lines without excess change nothing, to the bit.
 #[test]
-fn what_is_straight_stays_as_it_is() {
+fn linear_pieces_are_unchanged() {
     let one = |number: f64| vec![number];
     for each in [
         Activation::Relu,
@@ -204,7 +204,7 @@ fn numbers_have_as_many_operands_as_there_are() {
 
 /// exp costs ten times as much as a product; a ReLU is free, as it is merged with the layer before it.
 #[test]
-fn what_is_curved_costs_most() {
+fn curved_activations_cost_most() {
     assert_eq!(
         [Activation::Relu, Activation::LeakyRelu(0.1), Activation::Tanh].map(|each| each.operations()),
         [0, 100, 1000]
@@ -213,7 +213,7 @@ fn what_is_curved_costs_most() {
 
 /// Small products lose more than in proportion; a quotient rounds on either side of its line.
 #[test]
-fn what_is_small_may_be_lost() {
+fn small_values_may_be_lost() {
     let least = f64::from(f32::from_bits(1));
     for (each, by) in [
         (Activation::LeakyRelu(0.25), 0.25),

@@ -47,7 +47,7 @@ proptest! {
     /// Checks a ReLU of c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ against the chord; double precision adds 10⁻¹² of all
     /// sizes to ρ.
     #[test]
-    fn what_a_function_makes_of_numbers_is_the_formula(
+    fn functions_of_numbers_equal_the_formula(
         centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
         centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
     ) {
@@ -156,7 +156,7 @@ fn functions_may_follow_each_other() {
 }
 
 #[test]
-fn a_layer_costs_what_its_products_are() {
+fn a_layer_costs_its_number_of_products() {
     let layer = LinearLayer { inputs: 3, outputs: 5, weights: vec![0.0; 15], biases: vec![0.0; 5] };
     let mut some = network_bounds([1.0, 0.0, 2.0], [[1.0; NUMBERS]; NUMBERS + 2], [0.0; NUMBERS]);
     assert_eq!(some.operations(&layer), 2 * 5 * (5 + 2) + 1000);

@@ -25,7 +25,7 @@ proptest! {
     }
 
     #[test]
-    fn one_vehicle_is_where_the_closed_form_says(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
+    fn one_vehicle_is_at_the_closed_form(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
         let VehicleState { distance, speed, acceleration } =
             braking_vehicle([v; 2], [b; 2], [f64::from(onset); 2]).state_at(k, Interval::point(STEP_S));
         let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];
@@ -55,7 +55,7 @@ proptest! {
     /// Checks that one alternative is each member's acceleration. A single vehicle that brakes from an instant on has
     /// one, but for the step in which it stops.
     #[test]
-    fn every_member_is_seen_to_do_one_of_what_is_told_apart(
+    fn every_member_belongs_to_one_case(
         v in prop_oneof![1 => Just(0.0), 6 => 0.1..30.0_f64], b in 0.5..9.0_f64, onset in 0.0..40.0_f64, k in 0..120_u32,
         widths in prop::array::uniform3(0.0..3.0_f64), places in prop::array::uniform3(0.0..=1.0_f64),
     ) {
@@ -74,7 +74,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_told_apart_is_what_there_is() {
+fn the_cases_are_complete() {
     let step = Interval::point(STEP_S);
     let mut braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.5]);
     let ranges = |braking: &BrakingVehicle, k| {
@@ -92,7 +92,7 @@ fn what_is_told_apart_is_what_there_is() {
 }
 
 #[test]
-fn what_is_told_apart_begins_when_it_does() {
+fn cases_begin_at_the_right_time() {
     let step = Interval::point(STEP_S);
     // Begins to brake at instant 2.5, and stands after 10 steps of braking: at 12.5.
     let braking = braking_vehicle([5.0; 2], [5.0; 2], [2.5; 2]);

@@ -30,10 +30,10 @@ proptest! {
     ) {
         let step = Interval::point(STEP_S);
         let members = EgoSet::from_speed(symbol_form(0, v, v + width), SHARED_SYMBOLS);
-        let course = CommandProfile::from_steps(&members.ego, rates.len() as u32, step, |j, _| point_form(rates[j as usize]));
+        let profile = CommandProfile::from_steps(&members.ego, rates.len() as u32, step, |j, _| point_form(rates[j as usize]));
         let start = v + place * width;
         for j in 0..=rates.len() {
-            let ego = course.ego_after(&members, step, j as u32);
+            let ego = profile.ego_after(&members, step, j as u32);
             let (x, v) = simulate_rates(start, &rates[..j]);
             for (form, truth) in [(ego.distance, x), (ego.speed, v)] {
                 let range = form.range();
@@ -49,26 +49,26 @@ proptest! {
             let VehicleState { distance, speed, acceleration } = &next.ego;
             holds(distance, x) && holds(speed, end) && holds(acceleration, observed)
         };
-        let next = course.after_decision(&members, step, rates.len() as u32);
+        let next = profile.after_decision(&members, step, rates.len() as u32);
         prop_assert!(next.iter().flatten().any(is_in), "{x} {end} {observed} {next:?}");
-        let acts = course.accelerations_mps2();
+        let acts = profile.accelerations_mps2();
         prop_assert!(rates.iter().all(|rate| acts.low() <= *rate && *rate <= acts.high()));
     }
 }
 
 /// Checks that a single member loses nothing, and never falls below the speed of one reversing step.
 #[test]
-fn one_member_that_does_not_stop_is_where_the_formula_says() {
+fn one_moving_member_is_at_the_formula() {
     let step = Interval::point(STEP_S);
     let rates = [-1.0, 0.5, -2.0, 1.0];
-    let course =
+    let profile =
         CommandProfile::from_steps(&state_with_speed(point_form(5.0)), 4, step, |j, _| point_form(rates[j as usize]));
     let members = EgoSet::from_speed(point_form(5.0), SHARED_SYMBOLS);
-    let ego = course.ego_after(&members, step, 4);
+    let ego = profile.ego_after(&members, step, 4);
     let (x, v) = simulate_rates(5.0, &rates);
     assert_bounds(ego.distance.range(), [x; 2], 1e-12);
     assert_bounds(ego.speed.range(), [v; 2], 1e-12);
-    assert!(course.is_moving_throughout(&ego.speed));
+    assert!(profile.is_moving_throughout(&ego.speed));
     let stops = CommandProfile::from_steps(&state_with_speed(point_form(0.1)), 2, step, |j, _| {
         point_form([-3.0, 3.0][j as usize])
     });
@@ -76,7 +76,7 @@ fn one_member_that_does_not_stop_is_where_the_formula_says() {
 }
 
 #[test]
-fn who_is_asked_for_nothing_stands() {
+fn a_standing_vehicle_without_a_command_stands() {
     let step = Interval::point(STEP_S);
     let of = |rates: [f64; 2]| {
         CommandProfile::from_steps(&state_with_speed(AffineForm::default()), 2, step, |j, _| {
@@ -91,7 +91,7 @@ fn who_is_asked_for_nothing_stands() {
 }
 
 #[test]
-fn who_starts_again_within_an_interval_has_started_again() {
+fn a_restart_within_an_interval_is_recorded() {
     let step = Interval::point(STEP_S);
     let standing = EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS);
     assert_eq!(standing.mode, MotionMode::Standing);
@@ -101,21 +101,21 @@ fn who_starts_again_within_an_interval_has_started_again() {
         ([-1.0, 0.5], [Some(MotionMode::Restarted), None]),
         ([-1.0, -0.5], [Some(MotionMode::Standing), None]),
     ] {
-        let course = CommandProfile::from_steps(&standing.ego, 2, step, |j, _| point_form(rates[j as usize]));
-        let next = course.after_decision(&standing, step, 2);
+        let profile = CommandProfile::from_steps(&standing.ego, 2, step, |j, _| point_form(rates[j as usize]));
+        let next = profile.after_decision(&standing, step, 2);
         assert_eq!(next.each_ref().map(|members| members.as_ref().map(|members| members.mode)), kinds, "{rates:?}");
-        assert_eq!(course.is_standing_throughout(MotionMode::Standing), rates[0] < 0.0 && rates[1] < 0.0);
+        assert_eq!(profile.is_standing_throughout(MotionMode::Standing), rates[0] < 0.0 && rates[1] < 0.0);
     }
 }
 
 /// Stopping in a step adds at most the reversed distance: half of b h for h.
 #[test]
-fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
+fn a_step_in_which_some_stop_is_bounded_by_the_reversing_members() {
     let (step, brake) = (Interval::point(STEP_S), 3.0);
-    let course =
+    let profile =
         CommandProfile::from_steps(&state_with_speed(symbol_form(0, 0.1, 0.5)), 1, step, |_, _| point_form(-brake));
     let members = EgoSet::from_speed(symbol_form(0, 0.1, 0.5), SHARED_SYMBOLS);
-    let VehicleState { distance, speed, .. } = course.ego_after(&members, step, 1);
+    let VehicleState { distance, speed, .. } = profile.ego_after(&members, step, 1);
     let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
     assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);
     // The line of the ReLU from -0.2 to 0.2 m/s: half of both, and a tenth.

@@ -20,7 +20,7 @@ fn is_near(found: f64, expected: f64, relative: f64) -> bool {
 }
 
 #[test]
-fn an_input_is_as_wide_as_what_is_observed_its_errors_and_a_rounding() {
+fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
     let seen = observation_with(symbol_form(0, 3.0, 5.0), symbol_form(1, 10.0, 11.0));
     let mut error = NO_ERROR;
     [error[0], error[1]] = [0.25, 0.5];
@@ -92,10 +92,12 @@ fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
         ([0.0, 1.0], -1.0, 100.0, 1.0),
         ([1.0, 0.0], 0.0, 3.0, -2.0),
     ] {
-        let actor = NeuralController { scale_mps2, offset_mps2, ..affine_controller(coefficients(factors), constant) };
-        let inputs: Vec<AffineForm> = actor.inputs.iter().map(|input| input.enclose(&seen, &NO_ERROR, true)).collect();
-        let answer = network_output(&actor.layers, &inputs);
-        let wanted = actor.decide(&seen, &NO_ERROR, true);
+        let controller =
+            NeuralController { scale_mps2, offset_mps2, ..affine_controller(coefficients(factors), constant) };
+        let inputs: Vec<AffineForm> =
+            controller.inputs.iter().map(|input| input.enclose(&seen, &NO_ERROR, true)).collect();
+        let answer = network_output(&controller.layers, &inputs);
+        let wanted = controller.decide(&seen, &NO_ERROR, true);
         let size = offset_mps2.abs() + scale_mps2.abs() * (answer.centre().abs() + answer.radius());
         let added = wanted.rest() - scale_mps2.abs() * answer.rest();
         assert!(added >= 1e-14 * size * 0.99 && added <= 1.2e-14 * size, "{added} {size}");
@@ -136,11 +138,11 @@ fn the_bytes_of_a_decision_are_those_of_the_widest_step() {
     assert_eq!(bytes(vec![relu(), constant_layer(8, 1)]), 16 * 8 * 16);
 }
 
-fn min_operations(actor: &NeuralController) -> u64 {
+fn min_operations(controller: &NeuralController) -> u64 {
     let seen = observation_with(point_form(3.0), point_form(10.0));
     let suffice = |operations: u64| {
         let work = OpBudget::new(WorkLimit::from_operations(operations));
-        actor.decide_with_budget(&seen, &NO_ERROR, true, &work).radius().is_finite()
+        controller.decide_with_budget(&seen, &NO_ERROR, true, &work).radius().is_finite()
     };
     let (mut few, mut enough) = (0_u64, 1 << 30);
     while enough - few > 1 {

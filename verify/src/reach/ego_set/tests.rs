@@ -120,7 +120,7 @@ proptest! {
 
     /// The cost of a merged pair is the part of each outside their sum.
     #[test]
-    fn a_pair_costs_what_is_beyond_its_sum(
+    fn a_pair_costs_the_excess_over_its_sum(
         p in prop::array::uniform6(-2.0..2.0_f64), q in prop::array::uniform6(-2.0..2.0_f64),
     ) {
         let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
@@ -163,7 +163,7 @@ proptest! {
 }
 
 #[test]
-fn who_stands_stays_or_starts_again() {
+fn a_standing_vehicle_stays_or_restarts() {
     let step = Interval::point(0.1);
     let after = |wanted: &AffineForm| egos_at_speed(AffineForm::default()).after_decision(wanted, step, 3);
     let [stands, none] = after(&symbol_form(1, -2.0, -1.0));
@@ -256,7 +256,7 @@ fn a_direction_is_the_share_of_the_speed() {
 }
 
 #[test]
-fn who_moves_later_within_an_interval_is_of_the_same_kind() {
+fn a_vehicle_that_moves_later_in_an_interval_keeps_its_mode() {
     let seen = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let kind =
         |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;

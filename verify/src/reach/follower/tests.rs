@@ -89,7 +89,7 @@ fn law_follower<'a>(
 proptest! {
     /// For one input both evaluations of `idm` are tight.
     #[test]
-    fn what_idm_wants_of_one_sight_is_its_formula(
+    fn idm_for_one_observation_is_its_formula(
         law in any_idm(), gap in prop_oneof![0.02..0.5_f64, 0.5..60.0_f64], v in 0.0..40.0_f64, w in 0.0..40.0_f64,
     ) {
         let (expected, size) = idm_acceleration(&law, [gap, v, w]);
@@ -130,7 +130,7 @@ proptest! {
     /// For one input `acc-aeb` brakes fully for a gap below θ times the closing speed, and follows its formula
     /// otherwise.
     #[test]
-    fn what_acc_aeb_does_of_one_sight_is_its_formula(
+    fn acc_aeb_for_one_observation_is_its_formula(
         law in any_acc(), gap in 0.0..60.0_f64, v in 0.0..40.0_f64, w in 0.0..40.0_f64, u in 0.0..40.0_f64,
     ) {
         let guard = gap - law.ttc_s * (v - w);
@@ -192,7 +192,7 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 
 /// A vehicle that may have stopped may have held no acceleration; a standing one does not reverse.
 #[test]
-fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
+fn an_observed_acceleration_is_one_that_may_be_held() {
     let step = Interval::point(0.1);
     let at = |speed: AffineForm| VehicleState {
         distance: AffineForm::default(),
@@ -215,7 +215,7 @@ fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
 }
 
 #[test]
-fn a_step_by_a_law_is_the_closed_form() {
+fn a_step_of_a_modelled_follower_is_the_closed_form() {
     let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
     let behind = law_follower(&law, point_form(16.0), point_form(8.0), &start_gap);
     let at = |distance, speed| VehicleState {
@@ -232,7 +232,7 @@ fn a_step_by_a_law_is_the_closed_form() {
 }
 
 #[test]
-fn a_law_whose_numbers_make_no_sense_is_refused() {
+fn follower_models_with_invalid_numbers_are_refused() {
     assert!(FollowerLaw::Idm(IDM).validate().is_ok() && FollowerLaw::AccAeb(ACC).validate().is_ok());
     let idm = |change: fn(&mut IdmLaw, f64), number| {
         let mut law = IDM;
@@ -272,12 +272,12 @@ fn a_law_whose_numbers_make_no_sense_is_refused() {
 }
 
 #[test]
-fn a_law_says_how_hard_its_vehicle_accelerates_at_most() {
+fn a_follower_model_bounds_the_acceleration() {
     assert_eq!([FollowerLaw::Idm(IDM), FollowerLaw::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
 }
 
 #[test]
-fn a_law_is_said_with_all_of_its_numbers() {
+fn a_follower_model_is_printed_with_all_numbers() {
     let idm = IdmLaw {
         desired_speed_mps: 30.0,
         time_headway_s: 1.5,
@@ -305,7 +305,7 @@ fn a_law_is_said_with_all_of_its_numbers() {
 
 /// Checks stated observation errors, and the law at an observed speed below 0.
 #[test]
-fn a_sight_is_off_by_what_is_said() {
+fn an_observation_is_off_by_the_stated_error() {
     let sight = LawInput::with_errors([20.0, 1.0, -0.5].map(point_form), [0.5, 6.0, 2.0]);
     for (form, expected) in [(&sight.gap, [19.5, 20.5]), (&sight.speed, [-5.0, 7.0]), (&sight.closing, [-2.5, 1.5])] {
         assert_bounds(form.range(), expected, 1e-6);

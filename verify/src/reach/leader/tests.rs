@@ -8,7 +8,7 @@ use super::*;
 const STEP_S: f64 = 0.1;
 
 fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) -> LeaderModel {
-    let actor = constant_controller(0.0);
+    let controller = constant_controller(0.0);
     let mut ranges = point_box([20.0; 8]);
     ranges.leader_speed_mps = interval(speeds[0], speeds[1]);
     let scene = ReachProblem {
@@ -16,7 +16,7 @@ fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) ->
         step_s: STEP_S,
         steps,
         decision_steps,
-        ..default_problem(&actor, ranges)
+        ..default_problem(&controller, ranges)
     };
     let speed = AffineForm::symbol(BoxDimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
     LeaderModel::new(&scene, [speed, AffineForm::default(), AffineForm::default()], Interval::point(STEP_S))

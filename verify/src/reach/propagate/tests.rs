@@ -7,7 +7,7 @@ use super::*;
 const DEFAULT_POINT: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
 const LATCHED: Option<FollowerModel> = Some(FollowerModel::Latched { ttc_s: 2.0 });
 
-fn analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysis<'a> {
+fn new_analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysis<'a> {
     let step = Interval::point(scene.step_s);
     let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
     let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
@@ -42,7 +42,7 @@ fn extreme_law(yes: bool) -> FollowerLaw {
 
 /// Propagation goes on until no vehicle moves and none is commanded to, even into a collision.
 #[test]
-fn who_still_moves_is_driven_on() {
+fn moving_members_are_propagated() {
     let nobody_behind = [
         // It rolls on into a standing leader, braking too little or not at all.
         ([2.0, 20.0, 0.0, 5.0, 0.0], -0.1),
@@ -50,16 +50,17 @@ fn who_still_moves_is_driven_on() {
         ([2.0, 20.0, 0.0, 0.0, 0.0], 3.0),
     ];
     for ([ahead, behind, leader, ego, follower], mps2) in nobody_behind {
-        let actor = constant_controller(mps2);
+        let controller = constant_controller(mps2);
         let ranges = point_box([ahead, behind, leader, ego, follower, 6.0, 6.0, 0.0]);
-        let reached = reach(&ReachProblem { steps: 20, ..default_problem(&actor, ranges) });
+        let reached = reach(&ReachProblem { steps: 20, ..default_problem(&controller, ranges) });
         assert!(reached.surely_collides && reached.gaps_m[0] < 0.0, "{reached:?}");
     }
     // It stands behind a standing leader, and the follower collides with it.
-    let actor = constant_controller(-1.0);
+    let controller = constant_controller(-1.0);
     let ranges = point_box([5.0, 2.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0]);
     for follower in [FollowerModel::Latched { ttc_s: 0.0 }, FollowerModel::ByLaw(extreme_law(false))] {
-        let reached = reach(&ReachProblem { steps: 20, follower: Some(follower), ..default_problem(&actor, ranges) });
+        let reached =
+            reach(&ReachProblem { steps: 20, follower: Some(follower), ..default_problem(&controller, ranges) });
         assert!(reached.surely_collides && reached.gaps_m[1] < 0.0, "{reached:?}");
     }
 }
@@ -67,8 +68,8 @@ fn who_still_moves_is_driven_on() {
 /// Checks that a long standstill costs no more than a short one, and that observations stay constant after two steps.
 #[test]
 fn once_all_stand_nothing_is_left_to_do() {
-    let actor = constant_controller(-1.0);
-    let stands = default_problem(&actor, point_box([5.0, 20.0, 0.0, 0.0, 0.0, 6.0, 6.0, 0.0]));
+    let controller = constant_controller(-1.0);
+    let stands = default_problem(&controller, point_box([5.0, 20.0, 0.0, 0.0, 0.0, 6.0, 6.0, 0.0]));
     for (follower, limit) in [(None, None), (None, Some(6.0))] {
         let scene = ReachProblem { steps: 500, follower, leader_brakes_at_most_mps2: limit, ..stands.clone() };
         let few = OpBudget::new(WorkLimit::from_operations(3_000_000));
@@ -81,35 +82,35 @@ fn once_all_stand_nothing_is_left_to_do() {
 
 #[test]
 fn an_instant_has_a_symbol_of_its_own() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
-    let scene = ReachProblem { follower: LATCHED, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
-    let onset = analysis(&scene, &work).latched_follower([2.0, 5.0]).onset;
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = ReachProblem { follower: LATCHED, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
+    let onset = new_analysis(&scene, &work).latched_follower([2.0, 5.0]).onset;
     assert!(onset.terms().len() == SHARED_SYMBOLS && onset.terms()[BoxDimension::ALL.len()] > 0.0);
     assert_bounds(onset.range(), [2.0, 5.0], 1e-10);
 }
 
 #[test]
-fn a_decision_costs_what_is_stated() {
-    let actor = constant_controller(0.0);
+fn a_decision_has_the_stated_cost() {
+    let controller = constant_controller(0.0);
     for (limit, symbols) in [(None, 0), (Some(6.0), 24)] {
         let scene = ReachProblem {
             steps: 36,
             decision_steps: 3,
             leader_brakes_at_most_mps2: limit,
-            ..default_problem(&actor, point_box(DEFAULT_POINT))
+            ..default_problem(&controller, point_box(DEFAULT_POINT))
         };
         let cost = OPS_PER_DECISION + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
         let work = OpBudget::new(WorkLimit::from_operations(cost));
-        let mut drive = analysis(&scene, &work);
-        let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
-        assert!(drive.decide(0, &set).is_some());
+        let mut analysis = new_analysis(&scene, &work);
+        let set = analysis.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
+        assert!(analysis.decide(0, &set).is_some());
         assert!(work.charge(0) && !work.charge(1));
     }
 }
 
 #[test]
-fn a_departure_costs_a_law_at_each_step() {
-    let mut actor = constant_controller(0.0);
+fn a_residual_policy_costs_a_base_controller_at_each_step() {
+    let mut controller = constant_controller(0.0);
     let idm = IdmLaw {
         desired_speed_mps: 30.0,
         time_headway_s: 1.3,
@@ -118,22 +119,22 @@ fn a_departure_costs_a_law_at_each_step() {
         comfortable_brake_mps2: 1.67,
         max_accel_mps2: 3.0,
     };
-    actor.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
-    let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+    controller.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
+    let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
     let work = OpBudget::new(WorkLimit::from_operations(
         OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64,
     ));
-    let mut drive = analysis(&scene, &work);
-    let set = drive.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
-    assert!(drive.decide(0, &set).is_some());
+    let mut analysis = new_analysis(&scene, &work);
+    let set = analysis.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
+    assert!(analysis.decide(0, &set).is_some());
     assert!(work.charge(0) && !work.charge(1));
 }
 
 #[test]
 fn accelerations_are_looked_at_one_by_one() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
-    let scene = default_problem(&actor, point_box(DEFAULT_POINT));
-    let mut set = analysis(&scene, &work).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = default_problem(&controller, point_box(DEFAULT_POINT));
+    let mut set = new_analysis(&scene, &work).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     let seen = |set: &StateSet| -> Vec<_> {
         set.split_cases()
             .iter()
@@ -149,30 +150,30 @@ fn accelerations_are_looked_at_one_by_one() {
 }
 
 #[test]
-fn what_is_too_wide_is_given_up() {
+fn sets_that_are_too_wide_are_undecided() {
     let work = unlimited_budget();
     for (radius, of_wanted, goes_on) in [(39.0, 0.0, true), (41.0, 0.0, false), (39.0, 1.1, false), (30.0, 1.1, true)] {
-        let actor = affine_controller([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
-        let scene = default_problem(&actor, point_box(DEFAULT_POINT));
-        let mut drive = analysis(&scene, &work);
+        let controller = affine_controller([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
+        let scene = default_problem(&controller, point_box(DEFAULT_POINT));
+        let mut analysis = new_analysis(&scene, &work);
         let set =
-            drive.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
-        assert_eq!(drive.decide(0, &set).is_some(), goes_on);
-        assert_eq!(drive.result.undecided, (!goes_on).then_some(Undecided::TooWide { step: 0 }));
+            analysis.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
+        assert_eq!(analysis.decide(0, &set).is_some(), goes_on);
+        assert_eq!(analysis.result.undecided, (!goes_on).then_some(Undecided::TooWide { step: 0 }));
     }
 }
 
 #[test]
 fn a_follower_fires_where_its_guard_may_be_negative() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let firing = |gap: [f64; 2], speeds: [f64; 2], wanted: f64| {
         let mut ranges = point_box(DEFAULT_POINT);
         ranges.gap_behind_m = Interval::new(gap[0], gap[1]).unwrap();
         ranges.follower_speed_mps = Interval::point(speeds[1]);
-        let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&actor, ranges) };
-        let drive = analysis(&scene, &work);
-        let follower = drive.latched_follower([100.0, 100.0]);
-        drive.firing_instants(
+        let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&controller, ranges) };
+        let analysis = new_analysis(&scene, &work);
+        let follower = analysis.latched_follower([100.0, 100.0]);
+        analysis.firing_instants(
             8,
             &EgoSet::from_speed(point_form(speeds[0]), SHARED_SYMBOLS),
             &CommandProfile::Constant(point_form(wanted)),
@@ -193,15 +194,15 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
 
 /// The smaller gap at the ends of a step less m h²/8.
 #[test]
-fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+fn the_gap_to_a_modelled_follower_is_bounded_in_each_step() {
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let ranges = point_box([50.0, 10.0, 20.0, 15.0, 20.0, 0.0, 6.0, 0.0]);
     let law = Some(FollowerModel::ByLaw(extreme_law(true)));
-    let scene = ReachProblem { follower: law, decision_steps: 3, ..default_problem(&actor, ranges) };
-    let drive = analysis(&scene, &work);
+    let scene = ReachProblem { follower: law, decision_steps: 3, ..default_problem(&controller, ranges) };
+    let analysis = new_analysis(&scene, &work);
     let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
     let members = EgoSet::from_speed(point_form(15.0), SHARED_SYMBOLS).with_follower(Some(at_rest(point_form(20.0))));
-    let follow = |mps2: f64| drive.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
+    let follow = |mps2: f64| analysis.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
         let (follower, least_m) = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
@@ -214,10 +215,10 @@ fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
 /// Checks the smaller gap at the decisions less m (D h)²/8, with the largest possible m.
 #[test]
 fn gaps_are_bounded_between_decisions() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let mut ranges = point_box(DEFAULT_POINT);
     ranges.follower_brake_mps2 = Interval::new(5.0, 6.0).unwrap();
-    let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&actor, ranges) };
+    let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&controller, ranges) };
     for (speed, acts, [ahead, behind]) in [
         (10.0, [-3.0, 2.0], [3.0, 8.0]),
         // It moves throughout, and so brakes throughout; or may have stopped.
@@ -227,49 +228,52 @@ fn gaps_are_bounded_between_decisions() {
         // It brakes harder than the follower.
         (10.0, [-9.0, -8.0], [9.0, 0.0]),
     ] {
-        let mut drive = analysis(&scene, &work);
-        let follower = drive.latched_follower([2.0, 2.0]);
-        let set = drive.observe(0, EgoSet::from_speed(point_form(speed), SHARED_SYMBOLS), Some(&follower));
+        let mut analysis = new_analysis(&scene, &work);
+        let follower = analysis.latched_follower([2.0, 2.0]);
+        let set = analysis.observe(0, EgoSet::from_speed(point_form(speed), SHARED_SYMBOLS), Some(&follower));
         let now = StateSet { gaps: [point_form(7.0), point_form(4.0)], ..set };
         let before = [point_form(6.0), point_form(5.0)];
         let acts = CommandProfile::Constant(AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap()));
-        assert!(!drive.record_gaps(0, &before, &now, &acts, Some(&follower), None));
+        assert!(!analysis.record_gaps(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
-        for (found, expected) in drive.result.gaps_m.into_iter().zip(expected) {
+        for (found, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
         }
-        assert_eq!(drive.result.undecided, None);
+        assert_eq!(analysis.result.undecided, None);
     }
 }
 
 /// A gap of exactly 0 is undecided, no sure collision.
 #[test]
 fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
-    let scene = default_problem(&actor, point_box([0.0; 8]));
-    let mut drive = analysis(&scene, &work);
-    let set = drive.observe(0, EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS), None);
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
+    let scene = default_problem(&controller, point_box([0.0; 8]));
+    let mut analysis = new_analysis(&scene, &work);
+    let set = analysis.observe(0, EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS), None);
     let before = set.gaps.clone();
-    assert!(!drive.record_gaps(3, &before, &set, &CommandProfile::Constant(AffineForm::default()), None, None));
-    assert!(matches!(drive.result.undecided, Some(Undecided::MayCollide { pair: 0, step: 3, gap_m: -1e-300..=0.0 })));
+    assert!(!analysis.record_gaps(3, &before, &set, &CommandProfile::Constant(AffineForm::default()), None, None));
+    assert!(matches!(
+        analysis.result.undecided,
+        Some(Undecided::MayCollide { pair: 0, step: 3, gap_m: -1e-300..=0.0 })
+    ));
 }
 
 #[test]
 fn too_many_windows_are_given_up() {
-    let (actor, work) = (constant_controller(0.0), unlimited_budget());
+    let (controller, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [(&[MAX_WINDOWS][..], true), (&[MAX_WINDOWS + 1], false), (&[MAX_WINDOWS, 1], false)] {
-        let scene = ReachProblem { follower: LATCHED, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
-        let mut drive = analysis(&scene, &work);
+        let scene = ReachProblem { follower: LATCHED, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
+        let mut analysis = new_analysis(&scene, &work);
         let windows = |count: usize| (0..count as u32).map(|i| FiringWindow::new(1000 * i)).collect();
-        let all = counts.iter().map(|&count| drive.propagate_fired(windows(count))).collect::<Option<Vec<bool>>>();
+        let all = counts.iter().map(|&count| analysis.propagate_fired(windows(count))).collect::<Option<Vec<bool>>>();
         assert_eq!(all.is_some(), goes_on);
-        assert_eq!(matches!(drive.result.undecided, Some(Undecided::TooManySets { .. })), !goes_on);
+        assert_eq!(matches!(analysis.result.undecided, Some(Undecided::TooManySets { .. })), !goes_on);
     }
 }
 
 #[test]
-fn too_many_intervals_in_which_somebody_may_fire_are_given_up() {
-    let actor = constant_controller(0.0);
+fn too_many_firing_intervals_are_undecided() {
+    let controller = constant_controller(0.0);
     let mut ranges = point_box([1e3, 2.0, 10.0, 10.0, 11.0, 0.0, 1.0, 0.0]);
     ranges.gap_behind_m = Interval::new(1.9, 3.0).unwrap();
     let most = MAX_INTERVALS as u32;
@@ -279,7 +283,7 @@ fn too_many_intervals_in_which_somebody_may_fire_are_given_up() {
         steps,
         follower: LATCHED,
         stop_when_undecided: true,
-        ..default_problem(&actor, ranges)
+        ..default_problem(&controller, ranges)
     };
     assert_eq!(reach(&of(most + 1)).undecided, Some(Undecided::TooManySets { step: most }));
     assert_eq!(reach(&of(most)).undecided, None);

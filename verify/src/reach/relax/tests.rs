@@ -39,7 +39,7 @@ proptest! {
 
     /// Checks in rational arithmetic that the excess covers both ends tightly, however different they are.
     #[test]
-    fn a_rectifier_exceeds_its_chord_by_what_is_said(below in any_magnitude(), high in any_magnitude()) {
+    fn a_rectifier_exceeds_its_chord_by_the_stated_amount(below in any_magnitude(), high in any_magnitude()) {
         let (slope, excess) = relu_relaxation(-below, high);
         let (s, m) = (rational(slope), rational(excess));
         let at_ends = [&s * rational(below), (rational(1.0) - &s) * rational(high)];
@@ -97,7 +97,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_exponential_below_0_is_as_near_its_chord_as_can_be(
+    fn exponentials_below_0_are_tightest_to_their_chord(
         alpha in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64, -2.0..3.0_f64], low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
     ) {
         let high = low + width;
@@ -112,7 +112,7 @@ proptest! {
     }
 
     #[test]
-    fn exponentials_and_tangents_are_next_to_what_they_are(y in 0.0..40.0_f64, z in -30.0..30.0_f64) {
+    fn exponentials_and_tangents_are_nearly_exact(y in 0.0..40.0_f64, z in -30.0..30.0_f64) {
         let power = exp_neg(y);
         prop_assert!(power.low() <= (-y).exp() * (1.0 + 1e-15) && (-y).exp() * (1.0 - 1e-15) <= power.high());
         prop_assert!(power.high() - power.low() <= 1e-11 * power.high());
@@ -123,7 +123,7 @@ proptest! {
 }
 
 #[test]
-fn far_out_a_function_is_what_it_tends_to() {
+fn far_out_a_function_is_its_limit() {
     let one = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
     for z in [20.5, 400.0, 1e300] {
         assert_eq!((tanh(z), tanh(-z)), (one, -one));

@@ -30,10 +30,10 @@ fn expected_acceleration(dead_zone: f64, action: f64, seen: [f64; 3]) -> f64 {
     (1.0 - share) * law_acceleration(seen) + share * if action < 0.0 { BOUNDS_MPS2[0] } else { BOUNDS_MPS2[1] }
 }
 
-fn enclose_acceleration(departure: &ResidualPolicy, action: &AffineForm, [gap, v, w]: [AffineForm; 3]) -> AffineForm {
+fn enclose_acceleration(residual: &ResidualPolicy, action: &AffineForm, [gap, v, w]: [AffineForm; 3]) -> AffineForm {
     let closing = v.clone().minus(&w);
-    departure.acceleration(
-        &Residual::new(departure, action, BOUNDS_MPS2),
+    residual.acceleration(
+        &Residual::new(residual, action, BOUNDS_MPS2),
         &LawInput::with_errors([gap, v, closing], [0.0; 3]),
     )
 }
@@ -44,8 +44,8 @@ proptest! {
     fn of_one_action_it_is_the_formula(
         zone in 0.0..0.9_f64, action in -1.0..=1.0_f64, seen in (3.0..60.0_f64, 0.0..30.0_f64, 0.0..30.0_f64),
     ) {
-        let (seen, departure) = ([seen.0, seen.1, seen.2], residual_policy(zone));
-        let form = enclose_acceleration(&departure, &point_form(action), seen.map(point_form));
+        let (seen, residual) = ([seen.0, seen.1, seen.2], residual_policy(zone));
+        let form = enclose_acceleration(&residual, &point_form(action), seen.map(point_form));
         assert_bounds(form.range(), [expected_acceleration(zone, action, seen); 2], 1e-5);
     }
 
@@ -62,15 +62,15 @@ proptest! {
         let at = |[low, high]: [f64; 2], place: f64| low + place * (high - low);
         let seen = std::array::from_fn(|i| at(from[i], places[i]));
         let truth = expected_acceleration(zone, at(ends, places[3]), seen);
-        let said = form.centre() + form.terms().iter().zip(places).map(|(term, place)| term * (2.0 * place - 1.0)).sum::<f64>();
-        prop_assert!((truth - said).abs() <= form.rest() + 1e-9, "{truth} {said} {form:?}");
+        let value = form.centre() + form.terms().iter().zip(places).map(|(term, place)| term * (2.0 * place - 1.0)).sum::<f64>();
+        prop_assert!((truth - value).abs() <= form.rest() + 1e-9, "{truth} {value} {form:?}");
         prop_assert!(form.radius() < 12.0, "{form:?}");
     }
 }
 
 /// Within the dead zone only the law counts and keeps its correlations; at full action only the bound.
 #[test]
-fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
+fn the_dead_zone_gives_the_base_controller_and_the_end_the_bound() {
     let seen = [symbol_form(0, 20.0, 20.1), symbol_form(1, 14.0, 14.1), point_form(15.0)];
     let calm = enclose_acceleration(&residual_policy(0.4), &symbol_form(3, -0.39, 0.39), seen.clone());
     assert!(calm.terms()[..2].iter().all(|&term| term != 0.0) && calm.terms().get(3).is_none_or(|&term| term == 0.0));
@@ -86,7 +86,7 @@ fn within_the_dead_zone_it_is_the_law_and_at_the_end_the_bound() {
 
 /// The gap may be near zero, so the interval replaces the form.
 #[test]
-fn what_may_be_anything_is_within_the_bounds() {
+fn arbitrary_actions_stay_within_the_bounds() {
     let seen = [symbol_form(0, -1.0, 30.0), point_form(10.0), point_form(10.0)];
     let range = enclose_acceleration(&residual_policy(0.3), &symbol_form(3, -1.0, 1.0), seen).range();
     assert!(range.low() >= -7.5 - 1e-9 && range.high() <= 3.0 + 1e-9, "{range:?}");
@@ -108,8 +108,8 @@ fn numbers_outside_the_ranges_of_the_simulator_are_refused() {
         (of(0.5, 1.0, IdmLaw { accel_mps2: 0.0, ..IDM }), "accel_mps2: 0"),
         (of(0.5, 1.0, IdmLaw { comfortable_brake_mps2: f64::INFINITY, ..IDM }), "comfortable_brake_mps2: inf"),
     ];
-    for (found, said) in wrong {
-        assert!(found.clone().is_err_and(|error| error.starts_with(said)), "{found:?}");
+    for (found, text) in wrong {
+        assert!(found.clone().is_err_and(|error| error.starts_with(text)), "{found:?}");
     }
 }
 

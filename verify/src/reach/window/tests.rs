@@ -5,23 +5,24 @@ use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0; 8];
 
-fn egos_of_mode(kind: MotionMode) -> EgoSet {
+fn egos_of_mode(mode: MotionMode) -> EgoSet {
     let mut members = EgoSet::from_speed(point_form(10.0), 9);
-    members.mode = kind;
+    members.mode = mode;
     members
 }
 
 fn firing_window(k: u32, every: u32, fire: &[MotionMode]) -> FiringWindow {
     let mut window = FiringWindow::new(k);
-    fire.iter().for_each(|&kind| window.record_firing(kind, [f64::from(k), f64::from(k + every - 1)]));
-    window.members = MotionMode::ALL.map(|kind| Some(egos_of_mode(kind)));
+    fire.iter().for_each(|&mode| window.record_firing(mode, [f64::from(k), f64::from(k + every - 1)]));
+    window.members = MotionMode::ALL.map(|mode| Some(egos_of_mode(mode)));
     window
 }
 
 /// Returns the first decision and the first and last instant of each merged window.
 fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
-    let actor = constant_controller(0.0);
-    let scene = ReachProblem { step_s, decision_steps: every, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+    let controller = constant_controller(0.0);
+    let scene =
+        ReachProblem { step_s, decision_steps: every, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
     let windows = ks.map(|k| firing_window(k, every, &[MotionMode::Moving])).collect();
     merge_windows(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
 }
@@ -82,9 +83,9 @@ proptest! {
 
 /// Moving members of a later interval moved before; others may have been in any mode.
 #[test]
-fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
-    let actor = constant_controller(0.0);
-    let scene = ReachProblem { step_s: 0.01, ..default_problem(&actor, point_box(DEFAULT_POINT)) };
+fn modes_of_later_firing_include_possible_earlier_modes() {
+    let controller = constant_controller(0.0);
+    let scene = ReachProblem { step_s: 0.01, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
     for (later, expected) in [
         (&[MotionMode::Moving][..], [true, false, false]),
         (&[MotionMode::Standing], [true; 3]),

@@ -6,20 +6,24 @@ use crumple_verify::reach::{
 };
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
-pub type InitialState = [f64; 8];
+pub type ReachPoint = [f64; 8];
 
 /// Returns the acceleration or action in single precision. Products are added in order and rounded separately, while
 /// the engine fuses them: bounds cover either.
-pub fn controller_output(actor: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
+pub fn controller_output(controller: &NeuralController, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &ControllerInput| {
         let sum =
             input.coefficients.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
         let value = input.absent_value.filter(|_| !is_followed).unwrap_or(sum);
         ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
     };
-    let answers = actor.layers.iter().fold(actor.inputs.iter().map(input).collect::<Vec<f32>>(), apply_layer);
-    let wanted = actor.offset_mps2 + actor.scale_mps2 * f64::from(answers[actor.output_index]);
-    if actor.is_clipped { wanted.clamp(actor.action_bounds_mps2[0], actor.action_bounds_mps2[1]) } else { wanted }
+    let answers = controller.layers.iter().fold(controller.inputs.iter().map(input).collect::<Vec<f32>>(), apply_layer);
+    let wanted = controller.offset_mps2 + controller.scale_mps2 * f64::from(answers[controller.output_index]);
+    if controller.is_clipped {
+        wanted.clamp(controller.action_bounds_mps2[0], controller.action_bounds_mps2[1])
+    } else {
+        wanted
+    }
 }
 
 fn apply_layer(mut h: Vec<f32>, step: &NetworkLayer) -> Vec<f32> {
@@ -67,18 +71,18 @@ fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
 
 /// Returns the command of a residual policy, and updates its rate-limited residual.
 fn residual_acceleration(
-    departure: &ResidualPolicy,
+    residual: &ResidualPolicy,
     so_far: &mut f64,
     action: f64,
     [low, high]: [f64; 2],
     step: f64,
     seen: [f64; 3],
 ) -> f64 {
-    let zone = departure.dead_zone;
+    let zone = residual.dead_zone;
     let aim = if action.abs() <= zone { 0.0 } else { action.signum() * (action.abs() - zone) / (1.0 - zone) };
-    let most = departure.rate_per_s * step;
+    let most = residual.rate_per_s * step;
     *so_far = aim.clamp(*so_far - most, *so_far + most);
-    let law = idm_acceleration(&departure.idm, seen).clamp(low, high);
+    let law = idm_acceleration(&residual.idm, seen).clamp(low, high);
     let bound = if *so_far < 0.0 { low } else { high };
     (law + so_far.abs() * (bound - law)).clamp(low, high)
 }
@@ -101,18 +105,18 @@ fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, 
 
 /// Returns the observations at each decision, the last instant included, and the smallest gaps at any step. Goes on
 /// after collisions.
-pub fn simulate(scene: &ReachProblem<'_>, start: InitialState) -> (Vec<[f64; 8]>, [f64; 2]) {
+pub fn simulate(scene: &ReachProblem<'_>, start: ReachPoint) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_with_leader(scene, start, scripted_braking(&start))
 }
 
 /// Returns the scripted braking per step, with the mean over the step of the onset.
-pub fn scripted_braking(&[.., brake, _, onset]: &InitialState) -> impl Fn(u32) -> f64 {
+pub fn scripted_braking(&[.., brake, _, onset]: &ReachPoint) -> impl Fn(u32) -> f64 {
     move |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0)
 }
 
 pub fn simulate_with_leader(
     scene: &ReachProblem<'_>,
-    start: InitialState,
+    start: ReachPoint,
     brake_l: impl Fn(u32) -> f64,
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_with_errors(scene, start, brake_l, |_| [0.0; 8])
@@ -121,11 +125,11 @@ pub fn simulate_with_leader(
 /// Simulates a leader with a given braking per step, and observation errors that hold until the next decision.
 pub fn simulate_with_errors(
     scene: &ReachProblem<'_>,
-    start: InitialState,
+    start: ReachPoint,
     brake_l: impl Fn(u32) -> f64,
     error: impl Fn(u32) -> [f64; 8],
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
-    let ReachProblem { controller: actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
+    let ReachProblem { controller, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
     let (mut set_speed, mut so_far) = (None, 0.0);
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
@@ -133,19 +137,19 @@ pub fn simulate_with_errors(
     for k in 0..=steps {
         let seen = match follower {
             Some(_) => [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
-            None => [ahead, actor.empty_gap_m, v_l, v_e, v_e, a_l, a_e, 0.0],
+            None => [ahead, controller.empty_gap_m, v_l, v_e, v_e, a_l, a_e, 0.0],
         };
         if k % every == 0 {
             trace.push(seen);
             let error = error(k / every);
-            answer = controller_output(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
+            answer = controller_output(controller, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
         }
-        let wanted = match &actor.residual_over {
+        let wanted = match &controller.residual_over {
             None => answer,
-            Some(departure) => {
+            Some(residual) => {
                 let error = error(k / every);
                 let seen = [0, 3, 2].map(|i| seen[i] + error[i]);
-                residual_acceleration(departure, &mut so_far, answer, actor.action_bounds_mps2, h, seen)
+                residual_acceleration(residual, &mut so_far, answer, controller.action_bounds_mps2, h, seen)
             }
         };
         let wanted_r = match follower {

@@ -12,7 +12,7 @@ use crumple_verify::reach::{
 };
 use num_bigint::BigInt;
 
-use super::closed_loop::InitialState;
+use super::closed_loop::ReachPoint;
 
 const BITS: usize = 320;
 
@@ -191,7 +191,7 @@ impl Mul for FixedPointInterval {
 
 /// Returns the command in m/s², or the action, without rounding.
 fn controller_output(
-    actor: &NeuralController,
+    controller: &NeuralController,
     seen: &[FixedPointInterval; 8],
     is_followed: bool,
 ) -> FixedPointInterval {
@@ -208,10 +208,11 @@ fn controller_output(
         };
         (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
     };
-    let answers = actor.layers.iter().fold(actor.inputs.iter().map(input).collect::<Vec<_>>(), apply_layer);
-    let wanted = answers[actor.output_index].clone() * actor.scale_mps2.into() + actor.offset_mps2.into();
-    let [low, high] = actor.action_bounds_mps2;
-    if actor.is_clipped { wanted.clamp(low, high) } else { wanted }
+    let answers = controller.layers.iter().fold(controller.inputs.iter().map(input).collect::<Vec<_>>(), apply_layer);
+    let wanted =
+        answers[controller.output_index].clone() * controller.scale_mps2.into() + controller.offset_mps2.into();
+    let [low, high] = controller.action_bounds_mps2;
+    if controller.is_clipped { wanted.clamp(low, high) } else { wanted }
 }
 
 fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPointInterval> {
@@ -269,7 +270,7 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> 
 
 /// Returns the command of a residual policy, and moves its residual in [-1, 1] towards the action, rate-limited.
 fn residual_acceleration(
-    departure: &ResidualPolicy,
+    residual: &ResidualPolicy,
     so_far: &mut FixedPointInterval,
     action: &FixedPointInterval,
     [low, high]: [f64; 2],
@@ -277,12 +278,12 @@ fn residual_acceleration(
     seen: [&FixedPointInterval; 3],
 ) -> Result<FixedPointInterval, TooClose> {
     let (zone, one, zero) =
-        (FixedPointInterval::from(departure.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
+        (FixedPointInterval::from(residual.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
     let beyond = |size: FixedPointInterval| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
     let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
-    let most = step.clone() * departure.rate_per_s.into();
+    let most = step.clone() * residual.rate_per_s.into();
     *so_far = aim.max(&(so_far.clone() - most.clone())).min(&(so_far.clone() + most));
-    let law = idm_acceleration(&departure.idm, seen).clamp(low, high);
+    let law = idm_acceleration(&residual.idm, seen).clamp(low, high);
     let (share, bound) = if so_far.is_below(&zero)? { (-so_far.clone(), low) } else { (so_far.clone(), high) };
     Ok((one - share.clone()) * law + share * bound.into())
 }
@@ -347,11 +348,11 @@ fn advance(
 /// `error(decision)`; the leader brakes at `brake(k)` of its script, or as scripted.
 pub fn simulate_exactly(
     scene: &ReachProblem<'_>,
-    start: InitialState,
+    start: ReachPoint,
     error: impl Fn(usize) -> [f64; 8],
     brake: Option<&dyn Fn(u32) -> f64>,
 ) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
-    let ReachProblem { controller: actor, follower, steps, decision_steps: every, .. } = *scene;
+    let ReachProblem { controller, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] =
         start.map(FixedPointInterval::from);
     let (step, mut set_speed, mut so_far) = (FixedPointInterval::from(scene.step_s), None, FixedPointInterval::zero());
@@ -363,7 +364,7 @@ pub fn simulate_exactly(
             Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(FixedPointInterval::clone),
             None => [
                 ahead.clone(),
-                actor.empty_gap_m.into(),
+                controller.empty_gap_m.into(),
                 v_l.clone(),
                 v_e.clone(),
                 v_e.clone(),
@@ -378,20 +379,20 @@ pub fn simulate_exactly(
         if k % every == 0 {
             let error = error(trace.len());
             let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
-            answer = controller_output(actor, &observed, follower.is_some());
+            answer = controller_output(controller, &observed, follower.is_some());
             trace.push(seen.clone());
         }
-        let wants = match &actor.residual_over {
+        let wants = match &controller.residual_over {
             None => answer.clone(),
-            Some(departure) => {
+            Some(residual) => {
                 // Observations at each step have their own error.
                 let error = error((k + steps) as usize);
                 let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
                 residual_acceleration(
-                    departure,
+                    residual,
                     &mut so_far,
                     &answer,
-                    actor.action_bounds_mps2,
+                    controller.action_bounds_mps2,
                     &step,
                     [&gap, &own, &other],
                 )?

@@ -127,22 +127,22 @@ pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
 }
 
 /// Returns the rows of a branch as `(multiplier, value, is_collision_row)` for one run of one member.
-pub fn row_values(scene: &Scene, member: &SceneMember, drive: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
+pub fn row_values(scene: &Scene, member: &SceneMember, run: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
     let h = scene.step_s;
-    let (first_ego, last_ego) = (&drive.egos[0], drive.egos.last().unwrap());
+    let (first_ego, last_ego) = (&run.egos[0], run.egos.last().unwrap());
     let length_m = scene.egos.last().unwrap().length_m;
     let mut rows = Vec::new();
     for &(k, y) in &branch.front {
-        rows.push((y, first_ego[k as usize][0] - drive.leader_rear_m[k as usize], true));
+        rows.push((y, first_ego[k as usize][0] - run.leader_rear_m[k as usize], true));
     }
     for (i, list) in branch.between.iter().enumerate() {
         for &(k, y) in list {
-            let [ahead, behind] = [i, i + 1].map(|ego| drive.egos[ego][k as usize][0]);
+            let [ahead, behind] = [i, i + 1].map(|ego| run.egos[ego][k as usize][0]);
             rows.push((y, behind - ahead + scene.egos[i].length_m, true));
         }
     }
     for (i, list) in branch.speed.iter().enumerate() {
-        rows.extend(list.iter().map(|&(k, y)| (y, -drive.egos[i][k as usize][1], false)));
+        rows.extend(list.iter().map(|&(k, y)| (y, -run.egos[i][k as usize][1], false)));
     }
     if let (Some(follower), Some([r0, vr, brake])) = (&scene.follower, member.follower) {
         for &(k, y) in &branch.rear {

@@ -35,11 +35,11 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
             Value::Array(list) => {
                 for i in 0..list.len() {
                     changes.push((format!("without entry {i}"), Box::new(move |value| drop(array(value).remove(i)))));
-                    let twice = move |value: &mut Value| {
+                    let doubled = move |value: &mut Value| {
                         let entry = array(value)[i].clone();
                         array(value).insert(i, entry);
                     };
-                    changes.push((format!("with entry {i} twice"), Box::new(twice)));
+                    changes.push((format!("with entry {i} twice"), Box::new(doubled)));
                     if i > 0 && list[i - 1] != list[i] {
                         let swap = move |value: &mut Value| array(value).swap(i - 1, i);
                         changes.push((format!("with entry {i} before its predecessor"), Box::new(swap)));

@@ -25,7 +25,7 @@ pub fn residual_network(
     widths: &[usize],
     gain: f64,
     seed: u64,
-    departs_from: Option<ResidualPolicy>,
+    residual_over: Option<ResidualPolicy>,
 ) -> NeuralController {
     let mut numbers = XorShiftRng(seed | 1);
     let sizes = [&[8], widths, &[1]].concat();
@@ -36,7 +36,7 @@ pub fn residual_network(
         limit: 1.5,
         empty_gap_m: 80.0,
         action_bounds_mps2: [-7.5, 3.0],
-        residual_over: departs_from,
+        residual_over,
         decision_interval_s: 0.1,
     })
 }
@@ -76,7 +76,7 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
         steps.push(NetworkLayer::Activation(bounded[random_below(3, numbers)].clone()));
     }
     let low = if random_below(2, numbers) == 0 { -7.5 } else { -4.0 };
-    let actor = NeuralController {
+    let controller = NeuralController {
         inputs,
         layers: steps,
         output_index: random_below(width, numbers),
@@ -89,8 +89,8 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
         decision_interval_s: 0.1,
         source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),
     };
-    let file = network_file(&actor, described);
-    (actor, file)
+    let file = network_file(&controller, described);
+    (controller, file)
 }
 
 pub fn any_layers(inputs: usize, seed: u64) -> Vec<NetworkLayer> {
@@ -170,10 +170,10 @@ fn random_activation(width: usize, numbers: &mut XorShiftRng) -> Activation {
     }
 }
 
-fn network_file(actor: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
+fn network_file(controller: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
     let mut tensors: Vec<(String, Vec<usize>, &[f64])> = Vec::new();
     let mut steps = Vec::new();
-    for (index, step) in actor.layers.iter().enumerate() {
+    for (index, step) in controller.layers.iter().enumerate() {
         let mut add = |name: &str, shape: &[usize], numbers: _| {
             tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), numbers));
         };
@@ -209,14 +209,14 @@ fn network_file(actor: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
             },
         });
     }
-    let [low_mps2, high_mps2] = actor.action_bounds_mps2;
+    let [low_mps2, high_mps2] = controller.action_bounds_mps2;
     let text = json!({
-        "version": 1, "source": actor.source, "inputs": inputs, "steps": steps,
+        "version": 1, "source": controller.source, "inputs": inputs, "steps": steps,
         "output": {
-            "answer": actor.output_index, "scale_mps2": actor.scale_mps2, "offset_mps2": actor.offset_mps2,
+            "answer": controller.output_index, "scale_mps2": controller.scale_mps2, "offset_mps2": controller.offset_mps2,
             "low_mps2": low_mps2, "high_mps2": high_mps2,
         },
-        "empty_gap_m": actor.empty_gap_m, "decision_interval_s": actor.decision_interval_s,
+        "empty_gap_m": controller.empty_gap_m, "decision_interval_s": controller.decision_interval_s,
     });
     encode_file(&text, &tensors)
 }

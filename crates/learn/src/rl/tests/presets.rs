@@ -47,7 +47,7 @@ fn parse_error(text: &str) -> Option<String> {
 
 /// Each value of each preset, replaced by an invalid one.
 #[test]
-fn whatever_is_spoiled_is_named_with_its_line() {
+fn invalid_values_are_named_with_their_line() {
     for (preset, text) in presets() {
         assert_eq!(parse_error(text), None, "{preset}");
         for (field, at) in leaf_values(text) {
@@ -63,11 +63,12 @@ fn whatever_is_spoiled_is_named_with_its_line() {
             };
             for spoil in spoils {
                 let spoiled = format!("{}{spoil}{}", &text[..at.start], &text[at.end..]);
-                let said = parse_error(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
+                let message =
+                    parse_error(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
                 let expected = format!("own.toml:{}: {field}: ", line_number(text, at.start));
-                assert!(said.starts_with(&expected), "{preset}: {field} = {spoil}\n{said}\n{expected}");
-                if said.contains("must be between") {
-                    assert!(said.ends_with(&format!(", found {spoil}")), "as it is written: {said}");
+                assert!(message.starts_with(&expected), "{preset}: {field} = {spoil}\n{message}\n{expected}");
+                if message.contains("must be between") {
+                    assert!(message.ends_with(&format!(", found {spoil}")), "as it is written: {message}");
                 }
             }
         }
@@ -76,7 +77,7 @@ fn whatever_is_spoiled_is_named_with_its_line() {
 
 /// Each line of each preset, omitted; and after each line an unknown field.
 #[test]
-fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
+fn missing_and_unknown_fields_are_named_with_their_table() {
     for (preset, text) in presets() {
         let lines: Vec<&str> = text.lines().collect();
         let mut header = (0, String::new());
@@ -96,18 +97,18 @@ fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
             };
 
             let unknown = [&lines[..=index], &["colour = 3"], &lines[index + 1..]].concat().join("\n");
-            let said = parse_error(&unknown).unwrap();
+            let message = parse_error(&unknown).unwrap();
             let expected = format!("own.toml:{}: {}: unknown field `colour`", index + 2, nested(&table, "colour"));
-            assert!(said.starts_with(&expected), "{preset}: {said}\n{expected}");
+            assert!(message.starts_with(&expected), "{preset}: {message}\n{expected}");
 
             let without = [&lines[..index], &["# gone"], &lines[index + 1..]].concat().join("\n");
-            let Some(said) = parse_error(&without) else { continue };
-            if said.contains("missing field") {
+            let Some(message) = parse_error(&without) else { continue };
+            if message.contains("missing field") {
                 // Fields that the top level lacks have no line of their own.
                 let at = header.0 + 1;
                 let place = if table.is_empty() { String::new() } else { format!("{table}: ") };
                 let expected = format!("own.toml:{at}: {place}missing field `{key}`");
-                assert_eq!(said, expected, "{preset}");
+                assert_eq!(message, expected, "{preset}");
             }
         }
     }
@@ -132,7 +133,7 @@ fn a_table_that_is_missing_is_named() {
 }
 
 #[test]
-fn what_contradicts_itself_is_named() {
+fn contradictory_settings_are_named() {
     let fast = PRESETS[0].1;
     let road = PRESETS[3].1;
     let all = include_str!("every-field.toml");
@@ -207,13 +208,13 @@ fn what_contradicts_itself_is_named() {
             "environment.departs_from.idm.haste: unknown field `haste`",
         ),
     ] {
-        let said = parse_error(&text.replacen(from, to, 1)).expect(to);
-        let (_, rest) = said.split_once(": ").unwrap();
-        assert!(rest.starts_with(expected), "{said}");
+        let message = parse_error(&text.replacen(from, to, 1)).expect(to);
+        let (_, rest) = message.split_once(": ").unwrap();
+        assert!(rest.starts_with(expected), "{message}");
         let line =
             if expected.contains("the observation is empty") { "[environment.observation.inputs]" } else { from };
         let at = text.lines().position(|found| found.contains(line)).unwrap() + 1;
-        assert!(said.starts_with(&format!("own.toml:{at}: ")), "{said}, line {at}");
+        assert!(message.starts_with(&format!("own.toml:{at}: ")), "{message}, line {at}");
     }
 }
 
@@ -226,10 +227,10 @@ fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
     );
     let path = Path::new("own.toml");
     let config = TrainingConfig::parse(&text, path).unwrap();
-    let said = config.scenario_source().unwrap_err().with_location(&text, path).to_string();
+    let message = config.scenario_source().unwrap_err().with_location(&text, path).to_string();
     let line = text.lines().count();
     assert!(
-        said.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),
-        "{said}"
+        message.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),
+        "{message}"
     );
 }

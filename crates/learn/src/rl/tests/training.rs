@@ -89,7 +89,7 @@ fn checkpoints_of_another_training_are_refused() {
 }
 
 #[test]
-fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
+fn trainings_on_different_scenarios_are_distinguished() {
     let config = small_config();
     let source = |name| -> Arc<dyn ScenarioSource> {
         Arc::new(CaseMixture::new(
@@ -141,7 +141,7 @@ fn without_ranking_draws_nothing_is_mastered() {
 }
 
 #[test]
-fn a_seed_gives_the_same_policy_whatever_the_threads() {
+fn a_seed_gives_the_same_policy_with_any_number_of_threads() {
     let config = TrainingConfig { episodes: 8, ..small_config() };
     let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let policies = |threads| {
@@ -175,7 +175,7 @@ fn divergence_stops_with_a_message() {
 
 /// The limit of divergence follows the costs of the source, not of spaces that a configuration only names.
 #[test]
-fn divergence_is_judged_by_what_is_trained_on() {
+fn divergence_is_detected_on_the_training_scenarios() {
     let mut config = small_config();
     config.environment.costs = TrainingConfig::preset("road").unwrap().environment.costs;
     config.environment.costs.residual = 1.0;

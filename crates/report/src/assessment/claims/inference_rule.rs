@@ -34,21 +34,21 @@ impl InferenceRule {
     pub fn describe(self) -> &'static str {
         match self {
             Self::Direct => {
-                "Evidence speaks for the claim that it equals: the same controller by its hash, estimator, property and domain."
+                "Evidence supports the claim with the same controller hash, estimator, property and domain."
             }
             Self::RefutedInPart => {
-                "A run that refutes a claim about every run in one part of a domain (draws of a space, points that a search tried, \
-                 some of the scenarios) refutes it in the whole."
+                "A run that refutes a claim about every run of a part (random scenarios, points of a search, some of the \
+                 scenarios) refutes the claim about the whole."
             }
-            Self::RefutedByWeaker => "A contact with the vehicle ahead refutes \"no contact\" as well.",
+            Self::RefutedByWeaker => "A collision with the leader also refutes \"no collision\".",
             Self::ProofCovers => {
-                "What is proved of a domain is proved of its parts; \"no contact\", proved, is proved of the vehicle ahead."
+                "A proof for a domain holds for its parts. A proof of \"no collision\" also holds for the leader."
             }
-            Self::ProofsOfParts => "Scenarios of which each is proved are proved together.",
+            Self::ProofsOfParts => "Proofs for each of several scenarios prove the claim about all of them.",
             Self::BoundsDecide => {
-                "Bounds on the share of failures decide a claim about that share: above it, below it, or neither. Of several the one \
-                 decides that was fixed before anything was counted: the highest confidence, then the most runs; so it is with \
-                 counts that show which of two fails less often. One that refutes is always shown."
+                "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of several counts, the one \
+                 with the highest confidence level decides, then the one with the most runs, because both were fixed before \
+                 counting. A count that refutes the claim is always shown."
             }
         }
     }

@@ -58,21 +58,20 @@ impl Default for ClaimStatus {
 }
 
 impl ClaimStatus {
-    /// Describes the status and the further evidence.
+    /// Describes the status: the strongest evidence, or all evidence if it is contradictory.
     #[must_use]
     pub fn describe(&self) -> String {
-        let others = self.secondary.iter().map(|beside| beside.strength.describe());
-        let mut said = vec![self.strength.describe()];
-        for other in others.filter(|other| self.strength == Strength::Contradicted || !other.starts_with("tested")) {
-            if !said.contains(&other) {
-                said.push(other);
+        let strongest = self.strength.describe();
+        if self.strength != Strength::Contradicted {
+            return strongest;
+        }
+        let mut descriptions: Vec<String> = Vec::new();
+        for one in self.secondary.iter().map(|other| other.strength.describe()) {
+            if !descriptions.contains(&one) {
+                descriptions.push(one);
             }
         }
-        match said.as_slice() {
-            [only] => only.clone(),
-            [first, others @ ..] => format!("{first} (beside it: {})", others.join("; ")),
-            [] => String::new(),
-        }
+        format!("{strongest}: {}", descriptions.join("; "))
     }
 }
 

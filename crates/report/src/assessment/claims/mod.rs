@@ -192,16 +192,16 @@ impl Property {
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
-            Self::NoContact => "no contact".to_owned(),
-            Self::NoContactAhead => "no contact with the vehicle ahead".to_owned(),
-            Self::FailureRate => "the share of runs with contact".to_owned(),
-            Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
+            Self::NoContact => "no collision".to_owned(),
+            Self::NoContactAhead => "no collision with the leader".to_owned(),
+            Self::FailureRate => "collision rate".to_owned(),
+            Self::RateAtMost { percent } => format!("collision rate at most {} %", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
-            Self::NoUnnecessaryBraking => "no braking without cause".to_owned(),
-            Self::KeepsUp => "never left behind".to_owned(),
-            Self::PassesTests => "every test passes that can be run".to_owned(),
-            Self::OthersKeepClear => "no contact among the others".to_owned(),
-            Self::StringStable => "no disturbance grows".to_owned(),
+            Self::NoUnnecessaryBraking => "no unnecessary braking".to_owned(),
+            Self::KeepsUp => "never falls behind".to_owned(),
+            Self::PassesTests => "passes every test that can be run".to_owned(),
+            Self::OthersKeepClear => "no collision of other vehicles".to_owned(),
+            Self::StringStable => "string stability".to_owned(),
             Self::Satisfies { rule } => rule.clone(),
         }
     }
@@ -209,16 +209,16 @@ impl Property {
     #[must_use]
     pub(crate) fn describe_violation(&self) -> String {
         match self {
-            Self::NoContact => "contact".to_owned(),
-            Self::NoContactAhead => "contact with the vehicle ahead".to_owned(),
+            Self::NoContact => "collision".to_owned(),
+            Self::NoContactAhead => "collision with the leader".to_owned(),
             Self::FailureRate => self.describe(),
-            Self::RateAtMost { percent } => format!("contact in more than {} % of runs", percent.value()),
+            Self::RateAtMost { percent } => format!("collision rate above {} %", percent.value()),
             Self::FailsLessOften { than } => format!("no fewer failures than {}", than.name),
-            Self::NoUnnecessaryBraking => "braking without cause".to_owned(),
-            Self::KeepsUp => "left behind".to_owned(),
-            Self::PassesTests => "tests that fail".to_owned(),
-            Self::OthersKeepClear => "contact among the others".to_owned(),
-            Self::StringStable => "a disturbance that grows".to_owned(),
+            Self::NoUnnecessaryBraking => "unnecessary braking".to_owned(),
+            Self::KeepsUp => "falls behind".to_owned(),
+            Self::PassesTests => "failed tests".to_owned(),
+            Self::OthersKeepClear => "collision of other vehicles".to_owned(),
+            Self::StringStable => "string instability".to_owned(),
             Self::Satisfies { rule } => format!("violation of `{rule}`"),
         }
     }
@@ -243,21 +243,20 @@ impl Domain {
             Self::Scenarios { about, .. } => format!("in {}", about.0),
             Self::Draws { space, seed, draws } => {
                 let plural = if *draws == 1 { "" } else { "s" };
-                format!("in {draws} draw{plural} of `{}` (seed {seed})", space.name)
+                format!("in {draws} random scenario{plural} of `{}` (seed {seed})", space.name)
             }
             Self::Space { space } => format!("anywhere in `{}`", space.name),
             Self::Search { space, budget, .. } => {
-                format!("that a search of `{}` finds ({budget} a method)", space.name)
+                format!("in a search of `{}` ({budget} per method)", space.name)
             }
             Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
             Self::Box { around } => format!("from {}", around.name),
-            Self::AnyLeaderBraking { scenario, .. } => format!("in {}, however its leader brakes", scenario.name),
+            Self::AnyLeaderBraking { scenario, .. } => format!("in {} for any braking of its leader", scenario.name),
             Self::Kernels { limits_mps2 } => {
                 let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
-                let ahead = hardest.map_or_else(String::new, |ahead| {
-                    format!(", where nobody ahead can brake harder than {ahead} m/s²")
-                });
-                format!("from any start inside the kernel of its shield{ahead}")
+                let ahead =
+                    hardest.map_or_else(String::new, |ahead| format!(", if no leader brakes harder than {ahead} m/s²"));
+                format!("from any state in the safety kernel of its shield{ahead}")
             }
         }
     }
@@ -281,11 +280,11 @@ impl AssuranceClaim {
         match (&self.property, &self.domain) {
             // A rate refers to the probability distribution, not to single points.
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
-                format!("by the law of `{}`", space.name)
+                format!("in the distribution of `{}`", space.name)
             }
             // The shield assumes a bounded estimation error.
             (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
-                format!("{}, while its filter is off by no more than the shield allows for", self.domain.describe())
+                format!("{}, while its estimation error stays within the bounds of the shield", self.domain.describe())
             }
             (_, domain) => domain.describe(),
         }

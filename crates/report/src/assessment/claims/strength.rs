@@ -99,7 +99,8 @@ pub enum Strength {
         /// Number of runs in all.
         runs: u64,
         /// Time and reason of the first failure to answer.
-        because: String,
+        #[serde(rename = "because")]
+        reason: String,
         /// True if a failure to answer refutes the claim by itself, because the claim excludes such failures.
         refutes: bool,
     },
@@ -110,7 +111,8 @@ pub enum Strength {
         /// Number of runs in all.
         runs: u64,
         /// Time and reason of the first failure to answer.
-        because: String,
+        #[serde(rename = "because")]
+        reason: String,
     },
     /// A search found counterexamples.
     #[serde(rename = "found")]
@@ -121,7 +123,8 @@ pub enum Strength {
         avoidable: usize,
         /// Time and reason, if the controller gave no answer in the severest counterexample.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        because: Option<String>,
+        #[serde(rename = "because")]
+        reason: Option<String>,
     },
     /// A braking profile of the leader makes the subject fail.
     #[serde(rename = "defeated")]
@@ -163,8 +166,8 @@ impl Strength {
     ) -> Self {
         match unanswered {
             None => Self::from_counts(failures, runs),
-            Some(FailedControllerRuns { runs: unanswered, because }) => {
-                Self::Unanswered { unanswered: *unanswered, failures, runs, because: because.clone(), refutes }
+            Some(FailedControllerRuns { runs: unanswered, because: reason }) => {
+                Self::Unanswered { unanswered: *unanswered, failures, runs, reason: reason.clone(), refutes }
             }
         }
     }
@@ -173,12 +176,12 @@ impl Strength {
     /// the failures of each, and the number of its runs that ended early, whose results are unknown.
     #[must_use]
     pub(crate) fn from_paired_counts(
-        [own, own_cut_short]: [u64; 2],
-        [other, other_cut_short]: [u64; 2],
+        [own, own_ended_by_others]: [u64; 2],
+        [other, other_ended_by_others]: [u64; 2],
         runs: u64,
     ) -> Self {
-        let (own_most, other_most) = (own + own_cut_short, other + other_cut_short);
-        if own_cut_short + other_cut_short == 0 {
+        let (own_most, other_most) = (own + own_ended_by_others, other + other_ended_by_others);
+        if own_ended_by_others + other_ended_by_others == 0 {
             Self::Compared { own, other, runs }
         } else if own_most < other {
             Self::Compared { own: own_most, other, runs }
@@ -258,51 +261,84 @@ impl Strength {
         }
     }
 
+    /// Describes the strength in words that follow the claim and a colon.
     pub(in crate::assessment) fn describe(&self) -> String {
         match self {
-            Self::Falsified { failures, avoidable, because } => {
+            Self::Falsified { failures, avoidable, reason } => {
                 let plural = if *failures == 1 { "" } else { "s" };
-                let silent = because.as_ref().map_or(String::new(), |because| format!("; it gave no answer {because}"));
-                format!("refuted: {failures} distinct failure{plural}, {avoidable} avoidable{silent}")
+                let unanswered = reason.as_ref().map_or(String::new(), |reason| format!("; no answer {reason}"));
+                format!("{failures} distinct failure{plural}, {avoidable} avoidable{unanswered}")
             }
-            Self::Unanswered { unanswered, failures: 0, runs, because, refutes } => {
-                let how = if *refutes { "refuted" } else { "not shown" };
-                format!("{how}: gave no answer in {unanswered} of {runs}: {because}")
+            Self::Unanswered { unanswered, failures: 0, runs, reason, .. } => {
+                format!("no answer in {unanswered} of {runs}: {reason}")
             }
-            Self::Unanswered { unanswered, failures, runs, because, .. } => {
-                format!("refuted: {failures} of {runs} fail, and it gave no answer in {unanswered}: {because}")
+            Self::Unanswered { unanswered, failures, runs, reason, .. } => {
+                format!("{failures} of {runs} fail, no answer in {unanswered}: {reason}")
             }
-            Self::OtherUnanswered { unanswered, runs, because } => {
-                format!("not shown: the other gave no answer in {unanswered} of {runs}: {because}")
+            Self::OtherUnanswered { unanswered, runs, reason } => {
+                format!("not shown, because the other controller gave no answer in {unanswered} of {runs}: {reason}")
             }
-            Self::PartlyProved { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
-            Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
-            Self::Tested { runs: 1 } => "tested: one run, and it holds".to_owned(),
-            Self::Tested { runs } => format!("tested: 0 of {runs} fail"),
+            Self::PartlyProved { share_percent } => format!("proved for {share_percent} % of the box"),
+            Self::Proved { .. } => "proved".to_owned(),
+            Self::Tested { runs: 1 } => "holds in one run".to_owned(),
+            Self::Tested { runs } => format!("0 of {runs} fail"),
             Self::Between { lower_percent, upper_percent, confidence_percent, .. } => {
-                format!("{lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
+                format!("{lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %")
             }
             Self::Bounded { upper_percent, confidence_percent } => {
-                format!("bounded: at most {upper_percent} %, confidence {confidence_percent} %")
+                format!("at most {upper_percent} %, confidence {confidence_percent} %")
             }
             Self::Exceeded { lower_percent, confidence_percent } => {
-                format!("exceeded: at least {lower_percent} %, confidence {confidence_percent} %")
+                format!("at least {lower_percent} %, confidence {confidence_percent} %")
             }
             Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
-                format!("undecided: {lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
+                format!(
+                    "undecided: {lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %"
+                )
             }
-            Self::Counted { confidence_percent, .. } => format!("shown by counting, confidence {confidence_percent} %"),
+            Self::Counted { confidence_percent, .. } => format!("shown by counts, confidence {confidence_percent} %"),
             Self::NotShownByCounting { runs, .. } => format!("not shown by {runs} counted runs"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
-                std::cmp::Ordering::Less => format!("{own} against {other} of {runs} fail"),
-                std::cmp::Ordering::Equal => format!("not shown: each fails in {own} of {runs}"),
-                std::cmp::Ordering::Greater => format!("refuted: {own} against {other} of {runs} fail"),
+                std::cmp::Ordering::Equal => format!("not shown: both fail in {own} of {runs}"),
+                _ => format!("{own} against {other} of {runs} fail"),
             },
-            Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} fail"),
+            Self::Refuted { failures, runs } => format!("{failures} of {runs} fail"),
             Self::AttackFound { peak_brake_mps2 } => {
-                format!("refuted by a leader that brakes at up to {peak_brake_mps2} m/s²")
+                format!("collision if the leader brakes at up to {peak_brake_mps2} m/s²")
             }
-            Self::Contradicted => "contradicted: see what is beside".to_owned(),
+            Self::Contradicted => "contradictory evidence".to_owned(),
+            Self::Untried => "not shown".to_owned(),
+        }
+    }
+
+    /// Describes the strength in a cell of the table of claims, whose legend explains the numbers.
+    pub(in crate::assessment) fn table_text(&self) -> String {
+        match self {
+            Self::Falsified { failures, avoidable, .. } => format!("{failures} ({avoidable} avoidable)"),
+            Self::Unanswered { unanswered, failures: 0, runs, .. } => format!("no answer in {unanswered} of {runs}"),
+            Self::Unanswered { unanswered, failures, runs, .. } => {
+                format!("{failures} of {runs}, no answer in {unanswered}")
+            }
+            Self::OtherUnanswered { .. } => "not shown".to_owned(),
+            Self::PartlyProved { share_percent } => format!("proved for {share_percent} %"),
+            Self::Tested { runs } => format!("0 of {runs}"),
+            Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
+            Self::Bounded { upper_percent, confidence_percent } => {
+                format!("≤ {upper_percent} % ({confidence_percent} %)")
+            }
+            Self::Exceeded { lower_percent, confidence_percent } => {
+                format!("≥ {lower_percent} % ({confidence_percent} %)")
+            }
+            Self::Between { lower_percent, upper_percent, confidence_percent, .. }
+            | Self::Undecided { lower_percent, upper_percent, confidence_percent } => {
+                format!("{lower_percent} to {upper_percent} % ({confidence_percent} %)")
+            }
+            Self::Counted { confidence_percent, .. } => format!("shown ({confidence_percent} %)"),
+            Self::NotShownByCounting { .. } => "not shown".to_owned(),
+            Self::Compared { own, other, .. } => format!("{own} against {other}"),
+            Self::AttackFound { peak_brake_mps2 } => format!("{peak_brake_mps2} m/s²"),
+            Self::Proved { .. } => "proved".to_owned(),
+            Self::Contradicted => "contradictory".to_owned(),
             Self::Untried => "not shown".to_owned(),
         }
     }

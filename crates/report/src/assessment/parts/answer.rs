@@ -4,7 +4,8 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
-use super::{AssessmentLimits, ClaimSummary, FailureSearches, ScenarioCases, UsefulnessReport};
+use super::controller_comparison::compare_controllers;
+use super::{AssessmentLimits, ClaimSummary, GatheredEvidence, ScenarioCases};
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Domain, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
@@ -47,6 +48,9 @@ pub struct FirstPage {
     pub assumed: Vec<&'static str>,
     #[serde(skip)]
     pub(in crate::assessment) gates: Vec<GateResult>,
+    /// Table that compares the subject with the first controller.
+    #[serde(skip)]
+    comparison: ReportTable,
     #[serde(skip)]
     worst_failures: Vec<ScenarioCases>,
     #[serde(skip)]
@@ -59,37 +63,36 @@ impl FirstPage {
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
         summary: &ClaimSummary,
-        searches: &FailureSearches,
-        usefulness: Option<&UsefulnessReport>,
+        found: &GatheredEvidence<'_>,
         limits: &AssessmentLimits,
     ) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut claims: Vec<(&str, &AssuranceClaim, &ClaimStatus)> = Vec::new();
         for row in &summary.claims {
-            if let (Some(Some(claim)), Some(standing)) =
+            if let (Some(Some(claim)), Some(status)) =
                 (row.claims.get(plan.subject_index), row.statuses.get(plan.subject_index))
             {
-                claims.push((&row.claim, claim, standing));
+                claims.push((&row.claim, claim, status));
             }
         }
         // The strongest first: a refutation outweighs everything.
         claims.sort_by(|a, b| b.2.strength.weight().total_cmp(&a.2.strength.weight()));
         let chosen = |wanted: &dyn Fn(&ClaimStatus) -> bool| -> Vec<(&str, &AssuranceClaim, &ClaimStatus)> {
-            claims.iter().copied().filter(|(_, _, standing)| wanted(standing)).collect()
+            claims.iter().copied().filter(|(_, _, status)| wanted(status)).collect()
         };
         // Omit claims that are refuted only because a part of them is: the part is listed.
-        let against: Vec<_> = chosen(&|standing| {
-            (standing.strength.is_refutation() && standing.rule != Some(InferenceRule::RefutedInPart))
-                || matches!(standing.strength, Strength::Contradicted | Strength::Unanswered { .. })
+        let against: Vec<_> = chosen(&|status| {
+            (status.strength.is_refutation() && status.rule != Some(InferenceRule::RefutedInPart))
+                || matches!(status.strength, Strength::Contradicted | Strength::Unanswered { .. })
         });
         let against: Vec<String> =
-            against.into_iter().map(|(words, claim, standing)| describe_refutation(words, claim, standing)).collect();
-        let speaks_for: Vec<String> = chosen(&|standing| {
-            standing.strength.is_assurance()
-                || matches!(standing.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
+            against.into_iter().map(|(words, claim, status)| describe_refutation(words, claim, status)).collect();
+        let speaks_for: Vec<String> = chosen(&|status| {
+            status.strength.is_assurance()
+                || matches!(status.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
         })
         .into_iter()
-        .map(|(words, _, standing)| format!("{words}: {}", standing.strength.describe()))
+        .map(|(words, _, status)| format!("{words}: {}", status.strength.describe()))
         .collect();
         let answer = SafetyAnswer::new(plan, &claims);
         let compared = match plan.controllers.first() {
@@ -97,7 +100,7 @@ impl FirstPage {
             _ => String::new(),
         };
         let question = format!(
-            "Does `{subject}`, {}, keep off the vehicles around it{compared}?",
+            "Does `{subject}`, {}, avoid collisions with the surrounding vehicles{compared}?",
             describe_estimator(plan.config.estimator)
         );
         Self {
@@ -115,8 +118,9 @@ impl FirstPage {
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             // Filled in later, because gates evaluate all other parts.
             gates: Vec::new(),
-            worst_failures: searches.worst_failures(subject, MAX_FAILURES_SHOWN),
-            both_sides_figure: usefulness.map(|usefulness| usefulness.figure("both-sides")),
+            comparison: compare_controllers(plan, summary, found),
+            worst_failures: found.searches.worst_failures(subject, MAX_FAILURES_SHOWN),
+            both_sides_figure: found.usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
     }
 }
@@ -126,13 +130,13 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, 
     let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
     let shown: Vec<_> =
-        compared.filter(|(.., standing)| standing.strength.is_assurance()).map(|(_, claim, _)| claim).collect();
+        compared.filter(|(.., status)| status.strength.is_assurance()).map(|(_, claim, _)| claim).collect();
     let spaces: Vec<_> = shown.iter().map(|claim| claim.describe_domain()).collect();
     match spaces.as_slice() {
-        [] => format!("That it fails less often than `{}` is not shown.", first.name),
+        [] => format!("It is not shown to fail less often than `{}`.", first.name),
         spaces => {
             format!(
-                "A certificate shows that it fails less often than `{}` {}, and none shows it elsewhere.",
+                "A certificate shows that it fails less often than `{}` {}; for other domains this is not shown.",
                 first.name,
                 spaces.join(" and ")
             )
@@ -146,31 +150,21 @@ fn is_relevant_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> bool {
 }
 
 /// Describes a claim that does not hold: the violation first, then its frequency.
-fn describe_refutation(words: &str, claim: &AssuranceClaim, standing: &ClaimStatus) -> String {
+fn describe_refutation(words: &str, claim: &AssuranceClaim, status: &ClaimStatus) -> String {
     if let (Domain::AnyLeaderBraking { scenario }, Strength::AttackFound { peak_brake_mps2 }) =
-        (&claim.domain, &standing.strength)
+        (&claim.domain, &status.strength)
     {
-        let what = claim.property.describe_violation();
-        return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
+        let violation = claim.property.describe_violation();
+        return format!("{violation} in {} if its leader brakes at up to {peak_brake_mps2} m/s²", scenario.name);
     }
-    let strength = standing.strength.describe();
-    // No violation occurred; the controller only failed to answer.
-    if let Strength::Unanswered { failures: 0, refutes: true, .. } = standing.strength {
-        return format!(
-            "a controller without an answer {}: it {}",
-            claim.describe_domain(),
-            strength.trim_start_matches("refuted: ")
-        );
-    }
-    match strength.strip_prefix("refuted") {
-        Some(how) => {
-            let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));
-            format!("{} {}{how}", claim.property.describe_violation(), claim.describe_domain())
+    let (domain, strength) = (claim.describe_domain(), status.strength.describe());
+    match status.strength {
+        // No violation occurred; the controller only failed to answer.
+        Strength::Unanswered { failures: 0, refutes: true, .. } => format!("failure {domain}: {strength}"),
+        _ if status.strength.is_refutation() => {
+            format!("{} {domain}: {strength}", claim.property.describe_violation())
         }
-        None if standing.strength.is_refutation() => {
-            format!("{} {}: {strength}", claim.property.describe_violation(), claim.describe_domain())
-        }
-        None => format!("{words}: {strength}"),
+        _ => format!("{words}: {strength}"),
     }
 }
 
@@ -179,15 +173,15 @@ impl SafetyAnswer {
     /// not count.
     fn new(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> Self {
         let about = claims.iter().filter(|(_, claim, _)| is_relevant_claim(plan, claim));
-        let about: Vec<_> = about.map(|(.., standing)| *standing).collect();
-        let refutes = |standing: &&ClaimStatus| {
-            standing.strength.is_refutation() || standing.secondary.iter().any(|beside| beside.strength.is_refutation())
+        let about: Vec<_> = about.map(|(.., status)| *status).collect();
+        let refutes = |status: &&ClaimStatus| {
+            status.strength.is_refutation() || status.secondary.iter().any(|beside| beside.strength.is_refutation())
         };
         if about.iter().any(refutes) {
             Self::NotSafe
-        } else if about.iter().any(|standing| standing.strength == Strength::Contradicted) {
+        } else if about.iter().any(|status| status.strength == Strength::Contradicted) {
             Self::Undecided
-        } else if about.iter().any(|standing| standing.strength.is_assurance()) {
+        } else if about.iter().any(|status| status.strength.is_assurance()) {
             Self::SafeInDomain
         } else {
             Self::Undecided
@@ -202,38 +196,35 @@ impl SafetyAnswer {
         claims: &[(&str, &AssuranceClaim, &ClaimStatus)],
         against: &[String],
     ) -> String {
-        let besides = || against.first().map_or(String::new(), |first| format!(" What speaks against it: {first}."));
+        let besides = || against.first().map_or(String::new(), |first| format!(" Evidence against it: {first}."));
         match self {
             Self::NotSafe => {
-                let is_why = |(_, claim, standing): &&(&str, &AssuranceClaim, &ClaimStatus)| {
+                let is_why = |(_, claim, status): &&(&str, &AssuranceClaim, &ClaimStatus)| {
                     is_relevant_claim(plan, claim)
-                        && standing.strength.is_refutation()
-                        && standing.rule != Some(InferenceRule::RefutedInPart)
+                        && status.strength.is_refutation()
+                        && status.rule != Some(InferenceRule::RefutedInPart)
                 };
-                let why = claims
-                    .iter()
-                    .find(is_why)
-                    .map(|(words, claim, standing)| describe_refutation(words, claim, standing));
-                let why = why.unwrap_or_else(|| "a run of a part that refutes the whole".to_owned());
-                format!("Not safe: `{subject}` fails in runs of this report, as in {why}.")
+                let why =
+                    claims.iter().find(is_why).map(|(words, claim, status)| describe_refutation(words, claim, status));
+                let why = why.unwrap_or_else(|| "a failed run in a part of a domain".to_owned());
+                format!("Not safe. Main evidence against `{subject}`: {why}.")
             }
             Self::SafeInDomain => {
                 let assured = claims
                     .iter()
-                    .filter(|(_, claim, standing)| is_relevant_claim(plan, claim) && standing.strength.is_assurance());
+                    .filter(|(_, claim, status)| is_relevant_claim(plan, claim) && status.strength.is_assurance());
                 let assured: Vec<_> =
-                    assured.map(|(words, _, standing)| format!("{words} ({})", standing.strength.describe())).collect();
+                    assured.map(|(words, _, status)| format!("{words} ({})", status.strength.describe())).collect();
                 format!(
-                    "Safe in this domain and to this strength, and no further: of `{subject}` there is {}. It touched nobody in \
-                     the runs of this report; of other situations nothing is said.{}",
+                    "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is known \
+                     about other situations.{}",
                     assured.join("; "),
                     besides()
                 )
             }
-            Self::Undecided => format!(
-                "Undecided: nothing in this report bounds how often `{subject}` fails as it is asked.{}",
-                besides()
-            ),
+            Self::Undecided => {
+                format!("Undecided: no result of this report bounds the failure rate of `{subject}`.{}", besides())
+            }
         }
     }
 
@@ -255,7 +246,7 @@ impl FirstPage {
             if lines.is_empty() { String::new() } else { format!("{head}\n{lines}") }
         };
         let text = format!("{}\n{}\n", TerminalText(&self.question), TerminalText(&self.answer_text));
-        text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
+        text + &list("evidence against it:", &self.against) + &list("evidence for it:", &self.speaks_for)
     }
 
     /// Returns the gates and their results, as text for a terminal; empty without gates.
@@ -263,7 +254,7 @@ impl FirstPage {
     pub fn gates_to_plain_text(&self) -> String {
         let line = |gate: &GateResult| {
             let verdict = if gate.holds { "holds " } else { "FAILED" };
-            format!("  {verdict}  {}\n", TerminalText(&format!("{} ({})", gate.gate, gate.because)))
+            format!("  {verdict}  {}\n", TerminalText(&format!("{} ({})", gate.gate, gate.reason)))
         };
         let lines: String = self.gates.iter().map(line).collect();
         if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.describe_gates()) }
@@ -279,65 +270,63 @@ impl FirstPage {
     }
 
     fn gate_table(&self) -> ReportTable {
-        let words = |gate: &GateResult| format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
         ReportTable::from_items(
             &self.gates,
             &[
                 ("gate", &|gate| ReportCell::text(&gate.gate)),
-                ("result", &|gate| ReportCell::with_verdict(words(gate), gate.holds)),
+                ("result", &|gate| ReportCell::with_verdict(&gate.reason, gate.holds)),
             ],
         )
     }
 }
 
-const GATES_NOTE: &str =
-    "The configuration states them, and they alone decide the exit code. The answer above does not depend on them.";
+const COMPARISON_NOTE: &str = "A cell counts the runs that fail, or gives a bound of the rate with its confidence level. All \
+    controllers run the same scenarios.";
 
-const AUDIENCE: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
-    is and how strong, where to look first. The parts that follow hold the evidence, the appendix lists and methods.";
+const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
 
 impl ReportPart for FirstPage {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("answer", "The answer".to_owned())
+        ("answer", "Result".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(AUDIENCE);
-        out.push_html(html! { p { b { (prose_to_html(&self.question)) } } p class=(self.answer.css_class()) { (prose_to_html(&self.answer_text)) } });
-        out.markdown_mut().paragraph(Inline::strong(&self.question));
+        out.push_html(html! { p class=(self.answer.css_class()) { (prose_to_html(&self.answer_text)) } });
         out.markdown_mut().paragraph(self.answer_text.as_str());
+        if !self.comparison.is_empty() {
+            out.table(&self.comparison);
+            out.paragraph(COMPARISON_NOTE);
+        }
+        out.push_html(html! { p { b { "Question: " } (prose_to_html(&self.question)) } });
+        out.markdown_mut().paragraph(Inline::strong("Question:").and_prose(&format!(" {}", self.question)));
         if !self.gates.is_empty() {
             out.push_html(html! { h3 { "Gates" } p { b { (self.describe_gates()) } " " (GATES_NOTE) } });
             out.markdown_mut().paragraph(format!("{} {GATES_NOTE}", self.describe_gates()));
             out.table(&self.gate_table());
         }
-        let sides = [
-            ("Against it", &self.against, "nothing that was found"),
-            ("For it", &self.speaks_for, "nothing that was shown"),
-        ];
+        let sides = [("Evidence against it", &self.against), ("Evidence for it", &self.speaks_for)];
         out.push_html(html! {
-            div.sides { @for (title, lines, nothing) in sides {
-                div { h3 { (title) } ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { (nothing) } } } }
+            div.sides { @for (title, lines) in sides {
+                div { h3 { (title) } ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { "none" } } } }
             } }
             @if let Some(sides) = &self.both_sides_figure {
-                h3 { "Both sides of each controller" }
-                p { "What it avoids where something threatens, and what it does where nothing does: the nearer to the left, the better." }
+                h3 { "Safety and usefulness of each controller" }
+                p { "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further left is better." }
                 figure { (sides) }
             }
             @if !self.worst_failures.is_empty() {
-                h3 { "Its severest failures" }
+                h3 { "Severest failures" }
                 div.worst { @for cases in &self.worst_failures { @for case in &cases.cases {
                     figure { (cases.figure(case)) figcaption { (case.verdict.describe()) " · " (cases.replay_html(case)) } }
                 } } }
             }
-            h3 { "Taken for granted" }
+            h3 { "Assumptions" }
             ul.short { @for line in &self.assumed { li { (line) } } }
         });
-        for (title, lines, _) in sides {
+        for (title, lines) in sides {
             out.markdown_mut().paragraph(format!("{title}:"));
             out.markdown_mut().list(lines.iter().map(String::as_str));
         }
-        out.markdown_mut().paragraph("Taken for granted:");
-        out.markdown_mut().list(self.assumed.iter().copied());
+        out.markdown_mut().paragraph("The assumptions are in the section \"Limits\".");
     }
 }

@@ -121,7 +121,7 @@ impl ArgumentBuilder {
             _ if matches!(strength, Strength::PartlyProved { .. }) => self.add_solution(&goal, proposition),
             CellMark::Good => self.add_solution(&goal, proposition),
             CellMark::Bad => {
-                let counter = self.add(GsnElementKind::Goal, format!("This does not hold: {}", strength.describe()));
+                let counter = self.add(GsnElementKind::Goal, format!("Refuted: {}", strength.describe()));
                 self.add_solution(&counter, proposition);
                 self.update(&counter, |element| element.challenges = Some(goal.clone()));
                 self.update(&goal, |element| element.defeated = true);
@@ -151,11 +151,11 @@ impl Proposition<'_> {
             Strength::PartlyProved { share_percent } => {
                 let seeing = describe_estimator(self.claim.subject.estimator);
                 format!(
-                    "{name}, {seeing}, has no contact in {share_percent} % of starts: {}",
+                    "{name}, {seeing}, has no collision in {share_percent} % of the initial states: {}",
                     self.claim.domain.describe()
                 )
             }
-            _ => format!("of {name} it is claimed: {}", self.row.claim),
+            _ => format!("Claim about {name}: {}", self.row.claim),
         }
     }
 }
@@ -177,22 +177,22 @@ impl ArgumentBuilder {
 /// The goals below the top one: statement, strategy, and filter of the properties.
 type PropertyFilter = fn(&Property) -> bool;
 const GOALS: [(&str, &str, PropertyFilter); 6] = [
-    ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
+    ("has no collision in any run of this report", "over the domains of the report", |property| {
         matches!(property, Property::NoContact | Property::NoContactAhead)
     }),
-    ("passes tests after regulations, as far as the model has them", "over suites of tests", |property| {
+    ("passes the tests that are modelled on regulations", "over suites of tests", |property| {
         matches!(property, Property::PassesTests)
     }),
-    ("fails rarely", "over spaces, by the law of each", |property| matches!(property, Property::RateAtMost { .. })),
-    ("fails less often than the controller that it is compared with", "over runs that both made", |property| {
+    ("fails rarely", "over the distributions of spaces", |property| matches!(property, Property::RateAtMost { .. })),
+    ("fails less often than the first controller", "over the same runs of both", |property| {
         matches!(property, Property::FailsLessOften { .. })
     }),
-    ("leaves the others clear of each other", "over runs in which others may touch", |property| {
+    ("causes no collision of other vehicles", "over runs in which other vehicles may collide", |property| {
         matches!(property, Property::OthersKeepClear)
     }),
     (
-        "is of use where nothing threatens: it brakes with a cause, keeps up, and damps disturbances",
-        "over everyday situations",
+        "is useful in ordinary traffic: no unnecessary braking, keeps up, string stability",
+        "over ordinary traffic",
         |property| {
             matches!(
                 property,
@@ -223,27 +223,26 @@ impl Argument {
             .claims
             .iter()
             .filter_map(|row| {
-                let (claim, standing) =
+                let (claim, status) =
                     (row.claims.get(plan.subject_index)?.as_ref()?, row.statuses.get(plan.subject_index)?);
-                Some(Proposition { row, claim, status: standing })
+                Some(Proposition { row, claim, status })
             })
             .collect();
         let top = building.add(
             GsnElementKind::Goal,
             format!(
-                "{subject}, {}, keeps off the vehicles around it in the situations of this report",
+                "{subject}, {}, avoids collisions in the domains of this report",
                 describe_estimator(plan.config.estimator)
             ),
         );
-        let over = building
-            .add(GsnElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
+        let over = building.add(GsnElementKind::Strategy, "over collisions, failure rates and usefulness");
         building.add_support(&top, over.clone());
         let mut around = vec![building.add(
             GsnElementKind::Context,
-            "one lane of vehicles on a straight road, as the simulation has them; situations are named in each goal",
+            "simulated vehicles in one lane of a straight road; each goal names its domain",
         )];
         let mut domains: Vec<String> = Vec::new();
-        for domain in all.iter().map(|one| format!("situations: {}", one.claim.domain.describe())) {
+        for domain in all.iter().map(|one| format!("domain: {}", one.claim.domain.describe())) {
             if !domains.contains(&domain) {
                 around.push(building.add(GsnElementKind::Context, domain.clone()));
                 domains.push(domain);
@@ -317,9 +316,9 @@ impl GsnElement {
     }
 }
 
-const INTRODUCTION: &str = "The verdict as a goal structure: a goal is claimed, a strategy says how it follows, a solution is \
-    evidence. A goal with a cross is defeated: a counterexample challenges it, and stands beside it with evidence of its \
-    own; or it rests on a goal that is defeated. A goal with a diamond has no evidence. The same argument is in assessment.gsn.yaml.";
+const INTRODUCTION: &str = "The goals of the safety case in Goal Structuring Notation, each with its evidence: ✗ a goal that a \
+    counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. assessment.gsn.yaml has the complete \
+    argument, with strategies, contexts and assumptions.";
 
 impl ReportPart for Argument {
     fn anchor_and_title(&self) -> (&'static str, String) {
@@ -337,21 +336,43 @@ impl ReportPart for Argument {
 }
 
 impl Argument {
-    fn push_outline(&self, element: &GsnElement, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
-        let sign = match (element.defeated, element.undeveloped) {
+    fn push_outline(&self, goal: &GsnElement, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
+        let sign = match (goal.defeated, goal.undeveloped) {
             (true, _) => "✗ ",
             (_, true) => "◇ ",
             _ => "",
         };
-        let words = format!(" {sign}{}", element.text);
+        let evidence = self.evidence_of(goal).map_or_else(String::new, |solution| format!(": {}", solution.text));
+        let words = format!(" {sign}{}{evidence}", goal.text);
         entries.push((
             depth,
-            Inline::strong(&element.id).and_prose(&words),
-            html! { b { (element.id) } (prose_to_html(&words)) },
+            Inline::strong(&goal.id).and_prose(&words),
+            html! { b { (goal.id) } (prose_to_html(&words)) },
         ));
-        let below = element.supported_by.iter().chain(&element.in_context_of).filter_map(|id| self.find(id));
-        for next in below.chain(self.challenges_to(&element.id)) {
+        for next in self.goals_below(goal) {
             self.push_outline(next, depth + 1, entries);
         }
+    }
+
+    /// Returns the goals that support an element, also those below its strategies.
+    fn goals_below(&self, element: &GsnElement) -> Vec<&GsnElement> {
+        let mut goals = Vec::new();
+        for below in element.supported_by.iter().filter_map(|id| self.find(id)) {
+            match below.kind {
+                GsnElementKind::Goal => goals.push(below),
+                GsnElementKind::Strategy => goals.extend(self.goals_below(below)),
+                GsnElementKind::Solution | GsnElementKind::Context | GsnElementKind::Assumption => {}
+            }
+        }
+        goals
+    }
+
+    /// Returns the evidence of a goal, or of the counterexample that challenges it.
+    fn evidence_of(&self, goal: &GsnElement) -> Option<&GsnElement> {
+        let supports = |holder: &GsnElement| {
+            let mut below = holder.supported_by.iter().filter_map(|id| self.find(id));
+            below.find(|element| element.kind == GsnElementKind::Solution)
+        };
+        supports(goal).or_else(|| self.challenges_to(&goal.id).find_map(supports))
     }
 }

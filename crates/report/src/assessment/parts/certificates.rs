@@ -95,7 +95,8 @@ pub enum CertificateSubject {
     #[serde(rename = "foreign")]
     Unrelated {
         /// Reason in words.
-        because: String,
+        #[serde(rename = "because")]
+        reason: String,
     },
 }
 
@@ -108,15 +109,15 @@ impl CertificateSubject {
             }
             Self::Kernel => "shields".to_owned(),
             Self::NoController => "no controller".to_owned(),
-            Self::Unrelated { because } => format!("nobody here: {because}"),
+            Self::Unrelated { reason } => format!("none: {reason}"),
         }
     }
 }
 
 pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     match estimator {
-        EstimatorKind::Truth => "seeing the true state",
-        EstimatorKind::Kalman => "through the Kalman filter",
+        EstimatorKind::Truth => "with the true state",
+        EstimatorKind::Kalman => "with the Kalman filter",
     }
 }
 
@@ -124,7 +125,7 @@ impl CertificateStatus {
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Accepted { shown, .. } => shown.clone(),
-            Self::NothingShown { counted, .. } => format!("nothing: {counted}"),
+            Self::NothingShown { counted, .. } => format!("not shown: {counted}"),
             Self::Rejected { reason } => format!("rejected: {reason}"),
         }
     }
@@ -227,17 +228,17 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
     match accepted {
         ProvedClaim::Rate { max_rate: at_most, confidence } => {
             let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
-            format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
+            format!("failure rate at most {percent:.4} % (confidence {confidence_percent} %)")
         }
         // Without a verified part, no gap is bounded.
         ProvedClaim::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
             let falsified = match down(100.0 * falsified_share) {
                 share if share > 0.0 => {
-                    format!("; {share:.2} % of its volume is in cells with a start that ends in contact")
+                    format!("; {share:.2} % of its volume is in cells with an initial state that ends in a collision")
                 }
                 _ => String::new(),
             };
-            format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
+            format!("no part of the box is verified, so no gap is bounded{falsified}")
         }
         ProvedClaim::Reach {
             verified_share,
@@ -247,20 +248,20 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
             ..
         } => {
             format!(
-                "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
+                "{:.2} % of the box: no collision, every gap at least {:.2} m, for {horizon_s} s{}",
                 down(100.0 * verified_share),
                 down(*smallest_gap_m),
-                limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
+                limit.map_or_else(String::new, |limit| format!(", for any braking of the leader up to {limit} m/s²"))
             )
         }
         ProvedClaim::GapBound { gap_m, horizon_s } => format!(
-            "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
+            "for every driver some gap becomes {:.2} m or less within {horizon_s} s",
             (100.0 * gap_m).ceil() / 100.0
         ),
-        ProvedClaim::Unavoidable { overlap_m, horizon_s } => format!(
-            "whatever is done, two vehicles would overlap by {:.2} m or more within {horizon_s} s",
-            down(*overlap_m)
-        ),
+        ProvedClaim::Unavoidable { overlap_m, horizon_s } => {
+            format!("for every driver two vehicles overlap by {:.2} m or more within {horizon_s} s", down(*overlap_m))
+        }
+        ProvedClaim::Kernel => "full braking avoids a collision exactly from the states of the kernel".to_owned(),
         other => other.to_string(),
     }
 }
@@ -331,8 +332,8 @@ fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certifica
             let ranges = describe_ranges(reach).join(", ");
             format!("{}: {ranges}", initial_states_id(plan, name, (certificate, reach), policy).name)
         }
-        Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
-        Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
+        Statement::Kernel(_) => "vehicles of these classes, dry road".to_owned(),
+        Statement::AdaptiveCruise(_) => "adaptive cruise control benchmark of ARCH-COMP AINNCS".to_owned(),
         _ => certificate.provenance.scenario.clone(),
     }
 }
@@ -359,7 +360,7 @@ fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
         true => format!("{name} {low} {unit}"),
         false => format!("{name} {low} to {high} {unit}"),
     });
-    words.chain(led.map(|limit_mps2| format!("leader brakes as it likes, at up to {limit_mps2} m/s²"))).collect()
+    words.chain(led.map(|limit_mps2| format!("any braking of the leader up to {limit_mps2} m/s²"))).collect()
 }
 
 fn certificate_subject(
@@ -382,7 +383,7 @@ fn certificate_subject(
                     property: Property::NoContact,
                     domain: Domain::Box { around: initial_states_id(plan, name, (certificate, reach), policy) },
                 })),
-                None => CertificateSubject::Unrelated { because: "its policy is not among the controllers".to_owned() },
+                None => CertificateSubject::Unrelated { reason: "its policy is not among the controllers".to_owned() },
             }
         }
         Statement::Kernel(_) => CertificateSubject::Kernel,
@@ -417,7 +418,7 @@ fn initial_states_id(
         Some(scenario) => format!("around `{}`", scenario.spec().name),
         None => format!("of certificate `{certificate_name}`"),
     };
-    let any_braking = if reach.leader_brakes_at_most_mps2.is_some() { ", however the leader brakes," } else { "" };
+    let any_braking = if reach.leader_brakes_at_most_mps2.is_some() { ", for any braking of the leader," } else { "" };
     ContentId {
         name: format!("the box of initial states {around}{any_braking} for {horizon_s} s"),
         sha256: sha256(&content),
@@ -426,7 +427,7 @@ fn initial_states_id(
 
 fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
     let sha256 = registration.configuration.get("space_sha256")?;
-    plan.distributions.iter().find(|named| named.content_id.sha256 == *sha256)
+    plan.rate_spaces.iter().find(|named| named.content_id.sha256 == *sha256)
 }
 
 /// True if other vehicles may collide in the runs of a rate. The rate counts them, but they are no evidence here.
@@ -439,16 +440,16 @@ pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> b
 
 /// Returns the claim of a registration with the hashes of this report's controllers and space, and the same release.
 fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> CertificateSubject {
-    let foreign = |because: String| CertificateSubject::Unrelated { because };
+    let foreign = |reason: String| CertificateSubject::Unrelated { reason };
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     if of("crumple") != env!("CARGO_PKG_VERSION") {
-        return foreign(format!("it was counted by crumple {}", of("crumple")));
+        return foreign(format!("crumple {} counted its runs", of("crumple")));
     }
     let Some(named) = find_space(plan, registration) else {
-        return foreign(format!("its space `{}` is not one that this report draws from", of("space")));
+        return foreign(format!("its space `{}` is not among `distributions`", of("space")));
     };
     let Some(&estimator) = EstimatorKind::ALL.iter().find(|one| one.name() == of("estimator")) else {
-        return foreign("it names no estimator".to_owned());
+        return foreign("it names no known estimator".to_owned());
     };
     let find = |place: &str| {
         let identity = of(&format!("{place}_sha256"));
@@ -461,17 +462,17 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
         plan.claim_subject(place, estimator).filter(|_| counts)
     };
     let Some(subject) = find("controller") else {
-        return foreign(format!("its `{}` is none of the controllers here", of("controller")));
+        return foreign(format!("its `{}` is not among the controllers", of("controller")));
     };
     let domain = Domain::Space { space: named.content_id.clone() };
     let property = match registration.configuration.get("against") {
         None => Property::FailureRate,
         Some(_) if named.can_others_collide() => {
-            return foreign("it counts contacts of vehicles that are not under test".to_owned());
+            return foreign("it counts collisions of vehicles that are not under test".to_owned());
         }
         Some(other) => match find("against") {
             Some(than) => Property::FailsLessOften { than: than.controller },
-            None => return foreign(format!("its `{other}` is none of the controllers here")),
+            None => return foreign(format!("its `{other}` is not among the controllers")),
         },
     };
     CertificateSubject::Claim(Box::new(AssuranceClaim { subject, property, domain }))
@@ -493,7 +494,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
         {
             let claim = AssuranceClaim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
             let mut source = first.source();
-            source.what = format!("{} certificates of kernels", certificates.len());
+            source.what = format!("{} certificates of safety kernels", certificates.len());
             all.push(Evidence { claim, strength: Strength::Proved { certificates: certificates.len() }, source });
         }
     }
@@ -538,9 +539,9 @@ mod tests {
                 residual_over: None,
             })
         };
-        let nothing = "nothing was verified of any part of the box, and so no gap is bounded";
+        let nothing = "no part of the box is verified, so no gap is bounded";
         assert_eq!(reach(0.0, 0.0, f64::INFINITY), nothing);
-        let falsified = "; 1.56 % of its volume is in cells with a start that ends in contact";
+        let falsified = "; 1.56 % of its volume is in cells with an initial state that ends in a collision";
         assert_eq!(reach(0.0, 0.015_625, f64::INFINITY), format!("{nothing}{falsified}"));
         assert!(reach(0.5, 0.0, 1.999).contains("50.00 %") && reach(0.5, 0.0, 1.999).contains("1.99 m"));
     }

@@ -39,7 +39,8 @@ pub struct AssessmentComparison {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AssessmentChange {
     /// Description of the subject.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub description: String,
     /// Earlier result.
     pub before: Option<String>,
     /// Present result.
@@ -79,7 +80,7 @@ pub enum ComparisonError {
         problem: String,
     },
     /// The file has another format version.
-    #[error("{}: version: {found}, and this release compares with {EVIDENCE_VERSION}", path.display())]
+    #[error("{}: version: {found} is not supported; this release compares with version {EVIDENCE_VERSION}", path.display())]
     Version {
         /// Path of the file.
         path: PathBuf,
@@ -192,8 +193,8 @@ impl EvidenceView {
     fn into_facts(self) -> Facts {
         let mut facts = Facts::new();
         for claim in self.summary.claims {
-            let standings = self.summary.controllers.iter().zip(claim.claims).zip(claim.statuses);
-            for ((controller, made), ClaimStatusView { strength }) in standings {
+            let statuses = self.summary.controllers.iter().zip(claim.claims).zip(claim.statuses);
+            for ((controller, made), ClaimStatusView { strength }) in statuses {
                 let what = format!("{controller}: {}", claim.claim);
                 let domain = made.map_or_else(String::new, |made| sha256(format!("{:?}", made.domain)));
                 // An untried claim is absent: neither better nor worse.
@@ -222,7 +223,7 @@ impl EvidenceView {
                     let class = match failure.class {
                         AvoidabilityClass::Avoidable => "avoidable",
                         AvoidabilityClass::Unavoidable => "unavoidable",
-                        AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classed",
+                        AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classified",
                     };
                     let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
                     let fact = Fact { score: 0.0, description: "found".to_owned(), is_failure: true };
@@ -289,7 +290,7 @@ impl EarlierAssessment {
         let syntax = |error: serde_json::Error| ComparisonError::Syntax {
             path: path.to_owned(),
             line: error.line(),
-            problem: format!("not the evidence of an assessment: {error}"),
+            problem: format!("the file is no evidence of an assessment (assessment.json): {error}"),
         };
         let Versioned { version } = serde_json::from_str(text).map_err(syntax)?;
         if version != EVIDENCE_VERSION {
@@ -299,7 +300,7 @@ impl EarlierAssessment {
         let controllers = view.summary.controllers.len();
         let is_wrong = |claim: &&ClaimView| claim.statuses.len() != controllers || claim.claims.len() != controllers;
         if let Some(claim) = view.summary.claims.iter().find(is_wrong) {
-            let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
+            let problem = format!("summary.claims: `{}` needs one entry per controller", claim.claim);
             return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
         }
         let config_sha256 = view.provenance.config_sha256.clone();
@@ -323,7 +324,7 @@ impl AssessmentComparison {
         for (key @ (what, _), fact) in facts {
             let before = earlier.facts.get(key);
             let change = AssessmentChange {
-                what: what.clone(),
+                description: what.clone(),
                 before: before.map(|before| before.description.clone()),
                 now: Some(fact.description.clone()),
                 is_failure: fact.is_failure,
@@ -337,7 +338,7 @@ impl AssessmentComparison {
         }
         let gone = earlier.facts.iter().filter(|(key, _)| !facts.contains_key(*key));
         let gone = gone.map(|((what, _), fact)| AssessmentChange {
-            what: what.clone(),
+            description: what.clone(),
             before: Some(fact.description.clone()),
             now: None,
             is_failure: fact.is_failure,
@@ -357,8 +358,8 @@ impl AssessmentComparison {
     #[must_use]
     pub fn describe(&self) -> String {
         format!(
-            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} as before.",
-            if self.same_configuration { "" } else { ", which was configured otherwise" },
+            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} unchanged.",
+            if self.same_configuration { "" } else { ", which has another configuration" },
             self.better.len(),
             self.worse.len(),
             self.new.len(),
@@ -368,7 +369,7 @@ impl AssessmentComparison {
     }
 
     fn table(&self) -> ReportTable {
-        let mut table = ReportTable::new(&["change", "what", "before", "now"]);
+        let mut table = ReportTable::new(&["change", "result", "before", "now"]);
         let dash = |words: &Option<String>| ReportCell::text(words.as_deref().unwrap_or("–"));
         for (kind, changes, judged) in [
             ("worse", &self.worse, Some(false)),
@@ -378,7 +379,12 @@ impl AssessmentComparison {
         ] {
             for change in changes {
                 let kind = judged.map_or_else(|| ReportCell::text(kind), |good| ReportCell::with_verdict(kind, good));
-                table.push_row(vec![kind, ReportCell::text(&change.what), dash(&change.before), dash(&change.now)]);
+                table.push_row(vec![
+                    kind,
+                    ReportCell::text(&change.description),
+                    dash(&change.before),
+                    dash(&change.now),
+                ]);
             }
         }
         table
@@ -395,7 +401,7 @@ impl AssessmentComparison {
 
 impl ReportPart for AssessmentComparison {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("changes", "Since the earlier assessment".to_owned())
+        ("changes", "Changes since the earlier assessment".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -424,7 +430,8 @@ mod tests {
         let before = earlier(&[("a", 1.0), ("b", 1.0), ("c", 1.0), ("d", 1.0)]);
         let found =
             AssessmentComparison::from_facts(&before, &facts_of(&[("a", 2.0), ("b", 0.0), ("c", 1.0), ("e", 1.0)]));
-        let names = |changes: &[AssessmentChange]| changes.iter().map(|change| change.what.clone()).collect::<String>();
+        let names =
+            |changes: &[AssessmentChange]| changes.iter().map(|change| change.description.clone()).collect::<String>();
         let all = [&found.better, &found.worse, &found.new, &found.gone].map(|changes| names(changes));
         assert_eq!((all, found.unchanged), (["a", "b", "e", "d"].map(str::to_owned), 1));
     }

@@ -33,7 +33,8 @@ pub struct MethodResult {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub unanswered: u64,
     /// Number that ended with a collision of other vehicles: no evidence about the controller.
-    pub others: u64,
+    #[serde(rename = "others")]
+    pub collisions_of_others: u64,
 }
 
 impl MethodResult {
@@ -42,8 +43,8 @@ impl MethodResult {
             .failures
             .iter()
             .filter(|kind| involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal));
-        let silent = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
-        let silent = silent.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
+        let unanswered = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
+        let unanswered = unanswered.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
         let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
         let failures = own.iter().map(|by| by.count).sum();
         Self {
@@ -51,8 +52,8 @@ impl MethodResult {
             evaluations: method.evaluations,
             first_failure: own.iter().map(|by| by.first).min(),
             failures,
-            unanswered: silent.map(|by| by.count).sum(),
-            others: method.failures.saturating_sub(failures),
+            unanswered: unanswered.map(|by| by.count).sum(),
+            collisions_of_others: method.failures.saturating_sub(failures),
         }
     }
 }
@@ -104,7 +105,8 @@ pub struct DistinctFailure {
     pub kind: String,
     /// Time and reason, if the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub because: Option<String>,
+    #[serde(rename = "because")]
+    pub reason: Option<String>,
     /// Time of the first collision, in seconds.
     pub contact_time_s: Option<Rounded<2>>,
     /// Relative speed of the vehicles, in m/s.
@@ -152,7 +154,7 @@ impl DistinctFailure {
             replay: replay(&file),
             file,
             kind: found.kind.clone(),
-            because: found.because.clone(),
+            reason: found.because.clone(),
             contact_time_s: found.contact_time_s.map(Rounded::new),
             impact_speed_mps: found.impact_speed_mps.map(Rounded::new),
             max_delta_v_mps: found.max_delta_v_mps.map(Rounded::new),
@@ -207,24 +209,28 @@ impl DistinctFailure {
         self.file.rsplit('/').next().unwrap_or(&self.file).trim_end_matches(".toml")
     }
 
-    pub(super) fn describe(&self) -> String {
-        let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
-        if let Some(because) = &self.because {
-            return format!("{} {because}{fragile}", self.kind);
-        }
-        match (self.impact_speed_mps, self.contact_time_s) {
-            (Some(speed), Some(time)) => format!("{}: impact at {speed} m/s, after {time} s{fragile}", self.kind),
-            _ => format!("{}{fragile}", self.kind),
-        }
+    /// Returns the name with its folder, which is named after the controller.
+    pub(super) fn name_with_folder(&self) -> String {
+        let folder = self.file.rsplit('/').nth(1).unwrap_or_default();
+        format!("{folder}/{}", self.short_name())
     }
 
-    pub(super) fn describe_class(&self) -> String {
+    /// Describes the failure. Numbers stand for vehicles, and braking is that of the ego vehicle.
+    pub(super) fn describe(&self) -> String {
+        let kind = self.kind.replace(", the ego braking", ", braking").replace("vehicle ", "");
+        let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(" {reason}"));
+        let fragile = if self.dt_fragile { ", only at the scenario's step" } else { "" };
+        format!("{kind}{reason}{fragile}")
+    }
+
+    /// Returns the smallest gap of the best escape in metres, or the class of a failure without one.
+    pub(super) fn describe_escape(&self) -> String {
         match (self.class, self.best_gap_m) {
-            (AvoidabilityClass::Avoidable, Some(gap_m)) => format!("avoidable, by {gap_m} m"),
+            (AvoidabilityClass::Avoidable, Some(gap_m)) => gap_m.to_string(),
             (AvoidabilityClass::Avoidable, None) => "avoidable".to_owned(),
-            (AvoidabilityClass::Unavoidable, _) => "unavoidable, proved".to_owned(),
+            (AvoidabilityClass::Unavoidable, _) => "unavoidable".to_owned(),
             (AvoidabilityClass::Undecided, _) => "undecided".to_owned(),
-            (AvoidabilityClass::NotAsked, _) => "not asked".to_owned(),
+            (AvoidabilityClass::NotAsked, _) => "not examined".to_owned(),
         }
     }
 }

@@ -26,29 +26,29 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
         .collect();
     let (_, first) = rates.first()?;
     let mut words = format!(
-        "On the road: {} episodes in {} waves were seen in {:.3} h and {:.1} km of following{}. Intervals are joint ones at {} %, of the number of \
-         episodes and of the probability of a failure (Bonferroni).",
+        "Exposure: the recordings have {} episodes in {} waves in {:.3} h and {:.1} km of following{}. Intervals are joint ones \
+         at {} %, for the number of episodes and the probability of a failure (Bonferroni).",
         first.episodes,
         first.clusters,
         first.hours,
         first.kilometres,
-        match first.left_out {
+        match first.undescribed_brakings {
             0 => String::new(),
             left_out => format!(
-                ", and {left_out} brakings besides that the space does not describe; rates count these as if they failed as often"
+                ", and {left_out} further episodes that the space does not describe; rates assume the same failure probability for them"
             ),
         },
         100.0 * first.confidence
     );
     if let Some(data) = first.with_data_uncertainty {
         words += &format!(
-            " With data: {} resamples of the episodes, the space fitted to each, {} runs in each.",
+            " With data: {} resamples of the episodes, with a space fitted to each and {} runs each.",
             data.resamples,
             data.runs_each.unwrap_or(0)
         );
     }
     if let Some(why) = &first.data_uncertainty_missing {
-        words += &format!(" The data's uncertainty is not stated: {why}.");
+        words += &format!(" The uncertainty of the data is not stated: {why}.");
     }
     let interval =
         |figure: IntervalEstimate| format!("{} – {}", format_rounded(figure.lower, 3), format_rounded(figure.upper, 3));
@@ -70,7 +70,7 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
             ("with data", &|(_, rate)| data(rate, |data| data.rates.per_hour)),
             ("failures per 1000 km", &|(_, rate)| shown(rate.fitted.per_1000_km)),
             ("with data", &|(_, rate)| data(rate, |data| data.rates.per_1000_km)),
-            ("deviation by count, data, runs", &|(_, rate)| {
+            ("deviation from count, data, runs", &|(_, rate)| {
                 ReportCell::optional(rate.with_data_uncertainty.map(parts))
             }),
         ],
@@ -92,8 +92,8 @@ pub(super) fn rate_per_exposure(
         // Between two batches, so that the user can interrupt.
         work.add_runs(0)?;
         let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let draws = run_samples(&scenarios, controller, plan)?;
-        Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
+        let results = run_samples(&scenarios, controller, plan)?;
+        Ok(results.iter().filter(|run| run.verdict.is_failure()).count() as u64)
     };
     let runs_each = u32::try_from(plan.config.draws).unwrap_or(MAX_RUNS_PER_RESAMPLE).clamp(1, MAX_RUNS_PER_RESAMPLE);
     let resamples = count_on_resamples(&named.space, plan.config.seed, RESAMPLES, runs_each, &mut failures)?;

@@ -20,7 +20,7 @@ const SPACE: &str = "high-risk";
 
 /// Horizontal and vertical parameter. Collisions are unavoidable only with little grip and hard braking.
 const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
-const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
+const UP: (&str, &str) = ("lead_brake_share", "Braking of the leader (share of the road's limit)");
 
 /// Number of columns and rows. Three in five cells need a convex program of about 50 ms.
 const CELLS: (usize, usize) = (14, 14);
@@ -152,12 +152,9 @@ impl FailureMaps {
         let held: Vec<_> =
             self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
         format!(
-            "The scenarios of the space {} over two of its parameters, {} and {}, with the others held at their nominal values \
-             ({}). These two are shown because they decide how much room is left: how hard the leader brakes, and how hard \
-             anybody can. Each of the {} cells is the scenario at its middle, run once for every controller; where every \
-             controller of this report collides ({} cells), a convex program looks for a drive without contact or for a proof \
-             that there is none. The line surrounds what is unavoidable. Shares are of cells, not of traffic: hard braking on \
-             ice takes as much room as what is common.",
+            "Scenarios of the space {} over {} and {}; other parameters are nominal ({}). Each of the {} cells is one scenario, run \
+             for every controller. If every controller of this report collides ({} cells), a convex program searches for an escape \
+             or a proof that there is none. Percentages are shares of cells, not of traffic.",
             self.space,
             self.across.parameter,
             self.up.parameter,
@@ -170,7 +167,7 @@ impl FailureMaps {
     fn table(&self) -> ReportTable {
         let kinds = MapCell::ALL.map(MapCell::label);
         let header: Vec<&str> =
-            ["controller"].into_iter().chain(kinds).chain(["avoidable cells without contact"]).collect();
+            ["controller"].into_iter().chain(kinds).chain(["avoidable cells without collision"]).collect();
         let mut table = ReportTable::new(&header);
         for map in &self.maps {
             let cells = MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>();

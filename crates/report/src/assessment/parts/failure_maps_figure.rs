@@ -49,8 +49,8 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
     };
     let content = html! { (key) @for placed in maps.maps.iter().enumerate() { (panel(placed)) } };
     let height = key_height + maps.maps.len().div_ceil(columns) as f64 * row_height;
-    let description = "One panel a controller; every cell is a scenario. Blank: no contact; cross: contact though avoidable; \
-        hatched: contact, unavoidable; question mark: undecided. A thick line surrounds what is unavoidable.";
+    let description = "One panel per controller, one cell per scenario. Blank: no collision; cross: avoidable collision; \
+        hatched: unavoidable collision; question mark: undecided. A thick line surrounds the unavoidable cells.";
     Svg::new(prefix, (width, height), "Failure maps", description, content)
 }
 
@@ -112,7 +112,7 @@ fn cell_style(kind: MapCell) -> CellStyle {
 }
 
 fn draw_legend(width: f64) -> (Markup, f64) {
-    let line = LegendEntry::Line(Stroke::solid(Ink::Text, BOUNDARY_WIDTH), "beyond it nobody avoids contact");
+    let line = LegendEntry::Line(Stroke::solid(Ink::Text, BOUNDARY_WIDTH), "boundary of the unavoidable cells");
     let kinds = MapCell::ALL.map(|kind| LegendEntry::Cell(cell_style(kind), kind.label()));
     draw::draw_legend(&kinds.into_iter().chain([line]).collect::<Vec<_>>(), width)
 }

@@ -19,7 +19,7 @@ use crate::assessment::claims::{
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::markdown::Inline;
+use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
@@ -35,6 +35,8 @@ use crumple_world::sim::{FailedControllerRuns, NamedController};
 /// Maximum number of shown failures of one search; a campaign of a few hundred runs finds fewer.
 const MAX_SHOWN: usize = 100;
 const MAX_DRAWN: usize = 3;
+/// Maximum number of failures that Markdown lists for a controller that is not a main one.
+const MAX_LISTED: usize = 3;
 
 /// The results of all failure searches.
 #[derive(Debug, Clone, Serialize)]
@@ -74,7 +76,11 @@ pub struct FailureSearch {
     /// Severest of the distinct failures.
     pub failures: Vec<DistinctFailure>,
     /// Number of distinct collisions of other vehicles, which are no failures of the controller.
-    pub others: usize,
+    #[serde(rename = "others")]
+    pub collisions_of_others: usize,
+    /// True for the first controller, the subject and the learned ones.
+    #[serde(skip)]
+    is_main: bool,
     #[serde(skip)]
     drawn_cases: Vec<ScenarioCases>,
 }
@@ -82,14 +88,14 @@ pub struct FailureSearch {
 impl FailureSearches {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let pairs: Vec<_> = plan
-            .spaces
+            .search_spaces
             .iter()
             .flat_map(|space| plan.controllers.iter().enumerate().map(move |one| (space, one)))
             .collect();
         let found =
             pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(plan, space, controller, work));
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
-        let spaces = plan.spaces.iter().map(|named| SpaceSearches {
+        let spaces = plan.search_spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
             content_id: named.content_id.clone(),
             about: named.space.spec().about.clone(),
@@ -137,14 +143,14 @@ impl FailureSearches {
                 failures => Strength::Falsified {
                     failures,
                     avoidable: search.count(AvoidabilityClass::Avoidable),
-                    because: search.unanswered().map(|silent| silent.because),
+                    reason: search.unanswered().map(|unanswered| unanswered.because),
                 },
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: space.domain(plan) };
             Evidence {
                 claim,
                 strength,
-                source: EvidenceSource::from_part("search", format!("{} evaluations", search.evaluations())),
+                source: EvidenceSource::from_part("search", format!("{} simulations", search.evaluations())),
             }
         };
         all.map(of).collect()
@@ -180,13 +186,11 @@ impl SpaceSearches {
                 ("avoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Avoidable))),
                 ("unavoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Unavoidable))),
                 ("undecided", &|search| ReportCell::number(search.count(AvoidabilityClass::Undecided))),
-                ("severest impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
-                ("first after (runs)", &|search| first(search.methods.first())),
-                ("uniform: first after", &|search| first(search.method_result(Method::Uniform))),
-                ("share failing", &|search| {
-                    ReportCell::optional(search.uniform_failure_percent().map(|share| format!("{share} %")))
-                }),
-                ("Halton: first after", &|search| first(search.method_result(Method::Halton))),
+                ("max impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
+                ("first failure (run)", &|search| first(search.methods.first())),
+                ("uniform: first (run)", &|search| first(search.method_result(Method::Uniform))),
+                ("uniform: failures (%)", &|search| ReportCell::optional(search.format_uniform_share())),
+                ("Halton: first (run)", &|search| first(search.method_result(Method::Halton))),
             ],
         )
     }
@@ -240,7 +244,7 @@ impl FailureSearch {
                 ["falsify", "--controller", word, "--space", &named.to_arg(), "--budget", &budget, "--seed", &seed];
             CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
         });
-        let drawn = if is_drawn(plan, index, controller) {
+        let drawn = if is_main_controller(plan, index, controller) {
             simulate_failures(plan, controller, &failures)?
         } else {
             Vec::new()
@@ -251,21 +255,22 @@ impl FailureSearch {
             methods: summary.methods.iter().map(|method| MethodResult::new(method, &summary, &nominal)).collect(),
             distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
             failures,
-            others: summary.counterexamples.len() - own.len(),
+            collisions_of_others: summary.counterexamples.len() - own.len(),
+            is_main: is_main_controller(plan, index, controller),
             drawn_cases: drawn,
         })
     }
 
     fn unanswered_failures(&self) -> impl Iterator<Item = &DistinctFailure> {
-        self.failures.iter().filter(|failure| failure.because.is_some())
+        self.failures.iter().filter(|failure| failure.reason.is_some())
     }
 
     fn unanswered(&self) -> Option<FailedControllerRuns> {
         let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
-        let because = self.unanswered_failures().find_map(|failure| failure.because.clone());
+        let reason = self.unanswered_failures().find_map(|failure| failure.reason.clone());
         (runs > 0).then(|| FailedControllerRuns {
             runs,
-            because: because.unwrap_or_else(|| "of none of them is it known why".to_owned()),
+            because: reason.unwrap_or_else(|| "the reason is unknown".to_owned()),
         })
     }
 
@@ -294,7 +299,7 @@ impl FailureSearch {
     /// Returns the number of simulations that are evidence about the controller.
     #[must_use]
     pub fn conclusive_evaluations(&self) -> u64 {
-        self.evaluations() - self.methods.iter().map(|reached| reached.others).sum::<u64>()
+        self.evaluations() - self.methods.iter().map(|reached| reached.collisions_of_others).sum::<u64>()
     }
 
     /// Returns the share of uniform samples that fail, in percent.
@@ -317,12 +322,14 @@ impl FailureSearch {
             &[
                 ("failure", &|failure| ReportCell::text(failure.short_name())),
                 ("what happens", &|failure| ReportCell::text(failure.describe())),
-                ("class", &|failure| ReportCell::text(failure.describe_class())),
+                ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
+                ("time (s)", &|failure| ReportCell::optional(failure.contact_time_s)),
+                ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
                 ("delta-v (m/s)", &|failure| ReportCell::optional(failure.max_delta_v_mps)),
                 ("vehicles", &|failure| ReportCell::number(failure.vehicles)),
                 ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
                 ("found by", &|failure| ReportCell::text(format!("{}, run {}", failure.found_by, failure.found_at))),
-                ("what is not nominal", &|failure| ReportCell::text(failure.changed.join(", "))),
+                ("changed from nominal", &|failure| ReportCell::text(failure.changed.join(", "))),
             ],
         )
     }
@@ -331,8 +338,8 @@ impl FailureSearch {
         let avoidable = self.count(AvoidabilityClass::Avoidable);
         match self.distinct_count() {
             0 => "no failure found".to_owned(),
-            1 => format!("one failure, {}", if avoidable == 1 { "avoidable" } else { "not known to be avoidable" }),
-            total => format!("{total} distinct failures, {avoidable} of them avoidable"),
+            1 => format!("one distinct failure, {avoidable} avoidable"),
+            total => format!("{total} distinct failures, {avoidable} avoidable"),
         }
     }
 
@@ -343,37 +350,55 @@ impl FailureSearch {
         };
         let random = match uniform.failures {
             0 => {
-                let upper = RateInterval::clopper_pearson(0, uniform.evaluations, 0.9).upper;
+                let upper = uniform_upper_bound(uniform);
                 format!(
-                    "of {} uniform points none fails, so that with 95 % confidence a random point fails with a probability below \
-                     {} % and random search would need more than {:.0} runs on average",
+                    "no uniform point of {} fails, so the probability of a failure is below {} % at 95 % confidence",
                     uniform.evaluations,
-                    Rounded::<2>::up(100.0 * upper),
-                    (1.0 / upper).floor()
+                    Rounded::<2>::up(100.0 * upper)
                 )
             }
-            failures => format!(
-                "of {} uniform points {failures} fail, one in {:.1}",
-                uniform.evaluations,
-                uniform.evaluations as f64 / failures as f64
-            ),
+            failures => format!("{failures} of {} uniform points fail", uniform.evaluations),
         };
         let first = match main.first_failure {
-            Some(first) => format!("`{}` met its first failure in run {first} of {}", main.method, main.evaluations),
-            None => format!("`{}` met none in {} runs", main.method, main.evaluations),
+            Some(first) => format!("`{}` found the first failure in run {first} of {}", main.method, main.evaluations),
+            None => format!("`{}` found no failure in {} runs", main.method, main.evaluations),
         };
         let rest = self.distinct_count().saturating_sub(self.failures.len());
         let rest = if rest == 0 { String::new() } else { format!(" {rest} further distinct failures are not listed.") };
-        let others = match self.others {
-            0 => String::new(),
-            others => format!(
-                " {} runs ended when vehicles touched that are not under test, in {others} ways: these say nothing of the \
-                 controller.",
-                self.evaluations() - self.conclusive_evaluations()
-            ),
-        };
+        let others = self.describe_others().map_or_else(String::new, |others| format!(" {others}"));
         format!("{first}; {random}.{rest}{others}")
     }
+
+    /// Returns the share of failing uniform points in percent; if there are none, with its upper bound at 95 %.
+    fn format_uniform_share(&self) -> Option<String> {
+        let uniform = self.method_result(Method::Uniform)?;
+        let share = self.uniform_failure_percent()?;
+        Some(match uniform.failures {
+            0 => format!("{share} (< {})", Rounded::<2>::up(100.0 * uniform_upper_bound(uniform))),
+            _ => share.to_string(),
+        })
+    }
+
+    fn describe_others(&self) -> Option<String> {
+        let runs = self.evaluations() - self.conclusive_evaluations();
+        (self.collisions_of_others > 0).then(|| {
+            format!(
+                "{runs} runs ended with {} distinct collisions of other vehicles, which are no evidence about the controller.",
+                self.collisions_of_others
+            )
+        })
+    }
+
+    /// Returns the failures that Markdown lists.
+    fn listed(&self) -> &[DistinctFailure] {
+        let most = if self.is_main { self.failures.len() } else { self.failures.len().min(MAX_LISTED) };
+        self.failures.get(..most).unwrap_or_default()
+    }
+}
+
+/// Returns the upper bound of the failure probability of a uniform point, at 95 %, if no point failed.
+fn uniform_upper_bound(uniform: &MethodResult) -> f64 {
+    RateInterval::clopper_pearson(0, uniform.evaluations, 0.9).upper
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -409,7 +434,7 @@ pub(super) fn run_campaign(
     })
 }
 
-fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
+fn is_main_controller(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
     index == 0 || index == plan.subject_index || controller.kind.is_learned()
 }
 
@@ -437,15 +462,14 @@ fn read_file(path: &Path) -> Result<String, AssessError> {
     Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(CacheError::from)?)
 }
 
-const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
-    replayed at the scenario's step and at a tenth of it, shrunk towards the nominal scenario, told apart, ranked by severity \
-    and by likelihood, and classed: avoidable, if a driver who knows the future has an escape; unavoidable, if the checker has \
-    accepted a proof that nobody has one; the escape lies beside the file of the failure, as `…-escape.toml`, and `avoid` shows the proof again. A failure says that something can \
-    happen, not how often: it may need values from the far tails of the law, which a search takes as readily as others.";
+const INTRODUCTION: &str = "A search looks for collisions; uniform points and a Halton sequence get the same budget. Each failure is \
+    simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: avoidable with the smallest gap \
+    of the best escape found, unavoidable if the checker accepted a proof, or undecided. A counterexample shows that a failure is \
+    possible, not how often it occurs; its values may be unlikely. If no uniform point fails, the share has an upper bound at \
+    95 % confidence.";
 
-const COMMANDS_NOTE: &str = "Commands run in the folder of this report, where policies and spaces that are not built in lie beside it; \
-    `replay.sh` checks the files of the report and runs all that show a failure or an escape. A controller from outside that is no file of its own \
-    (a process, an FMU) has no commands here.";
+const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all commands that show \
+    failures or escapes; the escape of `NAME.toml` is `NAME-escape.toml`. Processes and FMUs have no commands here.";
 
 impl FailureSearch {
     fn write(&self, out: &mut ReportDocument) {
@@ -460,7 +484,7 @@ impl FailureSearch {
                 @if let Some(command) = &self.command { p { "Search again: " code { (command) } } }
                 @if !self.drawn_cases.is_empty() {
                     details {
-                        summary { "the severest, drawn" }
+                        summary { "figures of the severest failures" }
                         @for (rank, cases) in self.drawn_cases.iter().enumerate() {
                             @for case in &cases.cases {
                                 figure { (cases.figure(case)) }
@@ -471,32 +495,61 @@ impl FailureSearch {
                 }
             }
         });
-        let with_command = |words: Inline, before: &str, command: &Option<CrumpleCommand>| match command {
-            Some(command) => words.and_prose(before).and_code(command),
-            None => words,
-        };
-        let words = Inline::prose(&format!("{}: {}", self.controller, self.describe_effort()));
-        out.markdown_mut().paragraph(with_command(words, " Search again: ", &self.command));
-        out.markdown_mut().list(self.failures.iter().map(|failure| {
-            let (words, class) = (failure.describe(), failure.describe_class());
-            let words = Inline::prose(&format!("{words}, {class}, rank {} by likelihood", failure.likelihood_rank));
-            with_command(words, ": ", &failure.replay)
-        }));
+    }
+}
+
+impl SpaceSearches {
+    /// Writes the severest failures of all controllers into one table; HTML has a table for each controller.
+    fn write_markdown(&self, out: &mut Markdown) {
+        let listed: Vec<&DistinctFailure> = self.controllers.iter().flat_map(FailureSearch::listed).collect();
+        if !listed.is_empty() {
+            let table = ReportTable::from_items(
+                listed.iter().copied(),
+                &[
+                    ("controller and file", &|failure| ReportCell::text(failure.name_with_folder())),
+                    ("what happens", &|failure| ReportCell::text(failure.describe())),
+                    ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
+                    ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
+                    ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
+                ],
+            );
+            table.write_markdown(out);
+        }
+        let unlisted = self.controllers.iter().filter_map(|search| {
+            let count = search.distinct_count().saturating_sub(search.listed().len());
+            (count > 0).then(|| format!("{count} of {}", search.controller))
+        });
+        let unlisted: Vec<_> = unlisted.collect();
+        if !unlisted.is_empty() {
+            out.paragraph(format!(
+                "Further failures, less severe, in assessment.html and in the folder `counterexamples`: {}.",
+                unlisted.join(", ")
+            ));
+        }
+        for search in &self.controllers {
+            if let Some(others) = search.describe_others() {
+                out.paragraph(format!("{}: {others}", search.controller));
+            }
+        }
+        let replay = listed.iter().find_map(|failure| failure.replay.as_ref());
+        let search = self.controllers.iter().find_map(|search| search.command.as_ref());
+        let examples = [("First counterexample: ", replay), ("First search: ", search)];
+        out.list(examples.into_iter().filter_map(|(what, command)| Some(Inline::prose(what).and_code(command?))));
     }
 }
 
 impl ReportPart for FailureSearches {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("search", "Failure search".to_owned())
+        ("search", "Counterexamples found by search".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&format!("{INTRODUCTION} {COMMANDS_NOTE}"));
         for space in &self.spaces {
             out.heading(&format!("Space {}", space.name));
-            out.paragraph(&space.about);
             out.table(&space.table());
             space.controllers.iter().for_each(|search| search.write(out));
+            space.write_markdown(out.markdown_mut());
         }
     }
 }

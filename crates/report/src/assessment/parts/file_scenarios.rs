@@ -11,6 +11,7 @@ use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
+use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
 use crumple_world::scenario::Scenario;
@@ -83,7 +84,7 @@ impl FileScenarios {
     }
 
     fn describe_left_out(&self) -> String {
-        format!("left out of the recordings: {}", self.left_out.len())
+        format!("parts of the recordings that are no scenario: {}", self.left_out.len())
     }
 
     fn overview_table(&self) -> ReportTable {
@@ -127,19 +128,21 @@ fn format_case(case: &CaseResult) -> String {
     }
 }
 
-const INTRODUCTION: &str = "Each scenario that the configuration names, and each braking episode of its recordings, under every controller: the smallest gap ahead of or \
-    behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
-    each other: the scenario was over before its story was.";
+const INTRODUCTION: &str = "Each scenario of the configuration, and each braking episode of its recordings, under every controller: \
+    the smallest gap ahead of or behind a vehicle under test, or the first collision. \"closing\" marks a run that ended while two \
+    vehicles approached each other.";
 
 impl ReportPart for FileScenarios {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Recorded traffic and other scenarios".to_owned())
+        (ANCHOR, "Scenario files and recordings".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
         let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
         out.paragraph(INTRODUCTION);
-        out.push_html(html! { p { (REGRET_EXPLANATION) " It was looked for in the scenarios shown in detail." } });
+        out.push_html(
+            html! { p { (prose_to_html(REGRET_EXPLANATION)) " Escapes are computed for the scenarios with details." } },
+        );
         out.markdown_mut().paragraph(REGRET_EXPLANATION);
         out.table(&self.overview_table());
         if !self.left_out.is_empty() {
@@ -148,11 +151,11 @@ impl ReportPart for FileScenarios {
         }
         let details = match telling.len() < self.scenarios.len() {
             true => format!(
-                "Details of the {} of {} scenarios in which somebody came closest:",
+                "Details of the {} of {} scenarios with the smallest gaps:",
                 telling.len(),
                 self.scenarios.len()
             ),
-            false => "Details, closest first:".to_owned(),
+            false => "Details, smallest gap first:".to_owned(),
         };
         out.push_html(html! {
             p { (details) }

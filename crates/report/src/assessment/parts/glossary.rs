@@ -8,42 +8,47 @@ use crate::assessment::table::{ReportCell, ReportTable};
 #[derive(Debug, Clone, Copy)]
 pub struct Glossary;
 
-const TERMS: [(&str, &str); 23] = [
+const TERMS: [(&str, &str); 24] = [
     (
         "avoidable",
-        "a driver who knows the future has a way to keep everybody apart: it is shown as a profile and replayed",
+        "some allowed command of the ego vehicle prevents the collision; the report has such a profile, simulated",
     ),
+    ("braking partly, fully", "the hardest braking is at least 10 %, or at least 95 %, of what the road allows"),
+    ("confidence", "the probability that a bound of this method is true"),
+    ("counterexample", "a scenario in which the controller fails, stored as a file"),
+    ("delta-v", "change of speed in an impact of vehicles that stick together, by mass"),
+    ("distinct failures", "failures of one search with other vehicles, other braking or another region of the space"),
+    ("DRAC", "constant deceleration that would just avoid the collision: closing speed squared over twice the gap"),
+    ("ego vehicle", "the vehicle with the controller under test"),
     (
-        "braking partly, fully",
-        "the hardest that the ego braked: a tenth at least, or 95 % at least, of what it can on the road",
+        "falls behind",
+        "at the end of a drive the leader moves faster than 1 m/s, and the ego vehicle at less than half its speed",
     ),
-    ("bounded", "the share of failures is at most a number, with a stated confidence, by counted runs"),
-    ("confidence", "how often, over many repetitions, a bound made this way is true"),
-    ("counterexample", "a scenario in which the controller fails, kept as a file"),
+    ("hard braking", "braking above 4 m/s² where less than 3 m/s² was required"),
     (
-        "distinct failure",
-        "of the failures of one search, those that differ in who hits whom, how the ego was braking and where in the space they lie",
+        "headway, time gap",
+        "time to the leader's position, from front bumper to front bumper, or from front to rear bumper",
     ),
-    ("draws", "scenarios taken from a space by its law, by chance, from a seed"),
-    ("ego, subject", "the vehicle with the controller under test, and the controller that the question is about"),
-    ("hard braking", "a drive in which the vehicle brakes harder than 4 m/s² where less than 3 m/s² had a cause"),
-    ("headway, time gap", "time to where the vehicle ahead is now, front to front, and from the own front to its rear"),
-    ("imposed braking", "deceleration that the vehicle behind is forced to by the one under test"),
-    ("kernel", "the states from which full braking avoids the vehicle ahead however that one brakes within its limit"),
+    ("induced braking", "braking that the ego vehicle causes its follower to do"),
+    ("peak jerk", "largest change of acceleration within 0.1 s, divided by 0.1 s"),
+    ("progress", "distance driven, relative to that of the leader"),
+    ("random scenarios", "scenarios drawn from the distribution of a space, from a seed"),
+    ("regret", "smallest gap of the best escape found, minus that of the controller"),
+    ("required brake", "deceleration that stops behind a leader that keeps its braking until standstill"),
     (
-        "left behind",
-        "at the end of a drive the vehicle ahead moves faster than 1 m/s, and the one under test not half as fast",
+        "safety kernel",
+        "states from which full braking avoids the leader, for any braking of the leader within its limit",
     ),
-    ("progress", "distance driven, relative to that of the vehicle ahead"),
-    ("proved", "a certificate says so and the checker accepted it; it holds under the assumptions that go with it"),
-    ("refuted", "there is at least one run to show that it does not hold"),
-    ("regret", "how much more gap the best escape found keeps"),
-    ("s a drive", "how long, on average over all drives, braking without cause lasts, in seconds"),
-    ("shield", "lets the controller act as long as a way out is left, and brakes fully otherwise"),
-    ("space", "scenarios with parameters that vary, each by a law within a range"),
-    ("tested", "it held whenever it was tried; nothing follows for what was not tried"),
-    ("TTC", "time to collision: the gap over the closing speed"),
-    ("undecided", "nobody's escape was found, and no proof that there is none"),
+    ("shield", "passes the controller's command on while the state stays in the kernel, and otherwise brakes fully"),
+    ("space", "scenarios whose parameters vary within ranges, each with a probability distribution"),
+    ("TET, TIT", "time with a TTC below 3 s, and the integral of the shortfall"),
+    ("TTC", "time to collision: gap divided by closing speed"),
+    ("undecided", "neither an escape nor a proof that there is none was found"),
+    (
+        "unnecessary braking",
+        "for 0.2 s, braking 2 m/s² harder than the Intelligent Driver Model at the true state, than the collision avoidance \
+         required, and than the leader braked",
+    ),
 ];
 
 impl ReportPart for Glossary {
@@ -54,7 +59,7 @@ impl ReportPart for Glossary {
     fn write(&self, out: &mut ReportDocument) {
         out.table(&ReportTable::from_items(
             TERMS,
-            &[("word", &|(word, _)| ReportCell::text(word)), ("meaning", &|(_, meaning)| ReportCell::text(meaning))],
+            &[("term", &|(word, _)| ReportCell::text(word)), ("meaning", &|(_, meaning)| ReportCell::text(meaning))],
         ));
     }
 }

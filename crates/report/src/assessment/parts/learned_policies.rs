@@ -95,7 +95,7 @@ impl LearnedPolicies {
             &self.policies,
             &[
                 ("policy", &|policy| ReportCell::text(&policy.name)),
-                ("trained by", &|policy| ReportCell::text(&policy.origin)),
+                ("training", &|policy| ReportCell::text(&policy.origin)),
                 ("network", &|policy| ReportCell::text(&policy.network)),
                 ("SHA-256", &|policy| ReportCell::digest(&policy.sha256)),
             ],
@@ -109,11 +109,9 @@ impl LearnedPolicies {
                 ("scenario, controller", &|one| ReportCell::text(format!("{}, {}", one.scenario, one.controller))),
                 ("leader brakes (s)", &|one| ReportCell::optional(one.leader_brakes_s)),
                 ("ego brakes (s)", &|one| ReportCell::optional(one.ego_brakes_s)),
-                ("follower's AEB fires (s)", &|one| ReportCell::optional(one.follower_brakes_s)),
-                ("ego's peak brake in the second before (m/s²)", &|one| {
-                    ReportCell::optional(one.ego_brake_before_mps2)
-                }),
-                ("ego's peak acceleration after (m/s²)", &|one| ReportCell::optional(one.ego_acceleration_after_mps2)),
+                ("follower's AEB (s)", &|one| ReportCell::optional(one.follower_brakes_s)),
+                ("braking in the second before (m/s²)", &|one| ReportCell::optional(one.ego_brake_before_mps2)),
+                ("peak acceleration after (m/s²)", &|one| ReportCell::optional(one.ego_acceleration_after_mps2)),
             ],
         )
     }
@@ -133,7 +131,7 @@ impl LearnedPolicy {
                 header.episode,
                 header.estimator.name()
             ),
-            network: format!("hidden layers {:?}, a decision every {} s", header.hidden, header.decision_interval_s),
+            network: format!("hidden layers {:?}, decision interval {} s", header.hidden, header.decision_interval_s),
         }
     }
 }
@@ -194,18 +192,16 @@ fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     )
 }
 
-const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which fires the follower's \
-    emergency brake before it is too late, and that it may speed up again at the end to leave room behind. Whether a policy \
-    here does so can be read off: when it first brakes, beside when its leader does; how hard in the second before the \
-    follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
-    paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
+const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which triggers the follower's emergency \
+    brake in time, and that it may accelerate again at the end. The table shows when each policy first brakes, its braking in the \
+    second before the follower's emergency brake, and its acceleration afterwards. A policy that brakes before its leader has \
+    overfitted to the paper's scenarios, whose reward has no cost of braking.";
 
 fn describe_learning_curve(curve: &LearningCurve) -> String {
     let reward = |point: Option<&CurvePoint>| point.map_or(0.0, |point| point.mean_reward);
     format!(
-        "{} seeds of preset {} score {} before any training, on average, and {} at the end, where 22500 is no contact in any run: what \
-         is learned lies between the two. A seed that has finished keeps its best from then on, so the end of the curve says when seeds \
-         finished, and not how they would have gone on.",
+        "{} seeds of preset {} have a mean reward of {} before training and {} at the end; 22500 is no collision in any run. A seed \
+         that has finished keeps its best reward in the curve.",
         curve.seeds,
         curve.preset,
         reward(curve.points.first()),
@@ -215,7 +211,7 @@ fn describe_learning_curve(curve: &LearningCurve) -> String {
 
 impl ReportPart for LearnedPolicies {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("learned", "How the learned policy drives".to_owned())
+        ("learned", "Driving of the learned policies".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {

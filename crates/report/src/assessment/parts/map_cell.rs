@@ -34,10 +34,10 @@ impl MapCell {
     #[must_use]
     pub fn label(self) -> &'static str {
         match self {
-            Self::NoContact => "no contact",
-            Self::Avoidable => "contact, though avoidable",
-            Self::Unavoidable => "contact, unavoidable",
-            Self::Undecided => "contact, undecided",
+            Self::NoContact => "no collision",
+            Self::Avoidable => "avoidable collision",
+            Self::Unavoidable => "unavoidable collision",
+            Self::Undecided => "undecided collision",
         }
     }
 }
@@ -50,7 +50,7 @@ pub struct MapRow(pub Vec<MapCell>);
 
 /// An error: a letter that stands for no cell.
 #[derive(Debug, thiserror::Error)]
-#[error("`{0}` is no cell of a failure map: there are . x # and ?")]
+#[error("`{0}` is no cell of a failure map; use one of . x # ?")]
 pub struct UnknownCell(char);
 
 impl From<MapRow> for String {

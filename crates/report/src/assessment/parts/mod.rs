@@ -4,6 +4,7 @@ mod answer;
 mod argument;
 mod certificates;
 mod comparison;
+mod controller_comparison;
 mod distinct_failure;
 mod exposure;
 mod failure_maps;
@@ -46,7 +47,7 @@ pub use map_cell::{MapCell, MapRow, UnknownCell};
 pub use map_grid::{FailureMapAxis, FixedParameter};
 pub use paper::PaperScenarios;
 pub use proofs::{EXAMPLE_MPS, KernelGap, Proofs};
-pub use provenance::{AssessmentProvenance, BuildInfo};
+pub use provenance::{AssessmentProvenance, RunInfo};
 pub(super) use rate_certificates::{
     gather_rate_certificate as count_one, generated_certificate_names, rate_count_names as counted_names,
 };

@@ -4,6 +4,7 @@ use maud::html;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::scenario_cases::FURTHER_MEASURES_NOTE;
 use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
 use crate::assessment::case::{CaseResult, MotionRetention, run_cases};
@@ -101,15 +102,9 @@ impl PaperScenarios {
     }
 }
 
-const MEASURES_NOTE: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
-    what stops short of a vehicle ahead that holds its braking to standstill. TET is how long TTC was below 3 s, TIT by how much, \
-    integrated. Headway is measured between front bumpers, the time gap between bumpers. Peak jerk is the largest change of \
-    acceleration within 0.1 s, divided by it. Delta-v is the change of speed in an impact in which vehicles stick together, by mass.";
-
-const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at 16 m, the vehicle or vehicles under test; \
-    last, a follower whose emergency brake (the baseline's) fires at TTC < 1.4 s. Each measure is that of the vehicle \
-    under test that fared worst by it, up to the first contact. The pile-up is what follows when everybody drives on and \
-    vehicles that touch stick together.";
+const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s². The vehicles under test follow at 16 m; behind them, a vehicle brakes \
+    fully at TTC < 1.4 s, like the baseline. Measures are the worst among the vehicles under test, until the first collision; the \
+    pile-up is simulated further. The glossary explains the measures.";
 
 impl ReportPart for PaperScenarios {
     fn anchor_and_title(&self) -> (&'static str, String) {
@@ -117,7 +112,7 @@ impl ReportPart for PaperScenarios {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        [INTRODUCTION, REGRET_EXPLANATION, MEASURES_NOTE].iter().for_each(|words| out.paragraph(words));
+        [INTRODUCTION, REGRET_EXPLANATION, FURTHER_MEASURES_NOTE].iter().for_each(|words| out.paragraph(words));
         for scenario in &self.scenarios {
             let (beside, others) = self.split_cases(scenario);
             out.heading(&scenario.scenario);

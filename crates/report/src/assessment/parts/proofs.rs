@@ -44,11 +44,11 @@ pub struct KernelGap {
 pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
 
 const CONDITIONS: [&str; 4] = [
-    "the vehicle starts inside the kernel; from outside it a shield brakes fully and reports that contact cannot be ruled out",
-    "what the shield sees is off by no more than its bounds: nothing with the true state, six standard deviations of the \
-     noise with the Kalman filter, or what the user states",
-    "the vehicle ahead is of the class assumed, and the road's friction is known to the shield",
-    "the code of the shield does what the kernel says: that is tested, not proved",
+    "the vehicle starts inside the kernel; outside it, a shield brakes fully and reports that a collision is possible",
+    "the estimation error stays within the bounds of the shield: zero with the true state, six standard deviations of the \
+     noise with the Kalman filter, or the values that the user states",
+    "the leader has the assumed class, and the shield knows the friction of the road",
+    "the code of the shield implements the kernel; this is tested, not proved",
 ];
 
 impl Proofs {
@@ -89,13 +89,13 @@ impl Proofs {
 
     fn gap_table(&self) -> ReportTable {
         let [own, ahead] = EXAMPLE_MPS;
-        let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
+        let example = format!("required gap at {own} m/s behind {ahead} m/s (m)");
         ReportTable::from_items(
             &self.kernels,
             &[
-                ("own class behind class ahead", &|kernel| ReportCell::text(&kernel.pair)),
+                ("vehicle classes", &|kernel| ReportCell::text(&kernel.pair)),
                 ("own brake (m/s²)", &|kernel| ReportCell::number(kernel.own_brake_mps2)),
-                ("hardest brake ahead (m/s²)", &|kernel| ReportCell::number(kernel.ahead_brake_mps2)),
+                ("brake of the leader (m/s²)", &|kernel| ReportCell::number(kernel.ahead_brake_mps2)),
                 (&example, &|kernel| ReportCell::number(kernel.example_gap_m)),
             ],
         )
@@ -107,11 +107,11 @@ impl Proofs {
             &[
                 ("certificate", &|proof| ReportCell::text(&proof.name)),
                 ("about", &|proof| ReportCell::text(&proof.about)),
-                ("what is shown", &|proof| match proof.status {
+                ("shown", &|proof| match proof.status {
                     CertificateStatus::NothingShown { .. } => ReportCell::text(proof.status.describe()),
                     _ => ReportCell::with_verdict(proof.status.describe(), proof.is_accepted()),
                 }),
-                ("of whom here", &|proof| ReportCell::text(proof.subject.describe())),
+                ("controller", &|proof| ReportCell::text(proof.subject.describe())),
                 ("SHA-256", &|proof| ReportCell::digest(&proof.sha256)),
             ],
         )
@@ -130,7 +130,10 @@ impl Proofs {
         let open: Vec<f64> = self.certificates.iter().filter_map(open).collect();
         let together = Rounded::<4>::down((100.0 - open.iter().sum::<f64>()).max(0.0));
         (open.len() > 1).then(|| {
-            format!("all {} bounds of rates and comparisons hold at once at confidence {together} %, the sum of what each leaves open", open.len())
+            format!(
+                "all {} bounds of rates and comparisons hold together at confidence {together} % (Bonferroni)",
+                open.len()
+            )
         })
     }
 
@@ -142,11 +145,11 @@ impl Proofs {
             if !said.contains(&own) {
                 said.push(own);
                 let all: Vec<_> = proof.assumptions.iter().map(Assumption::to_string).collect();
-                lines.push(format!("{} assumes that {}", proof.statement, all.join("; that ")));
+                lines.push(format!("{} assumes: {}", proof.statement, all.join("; ")));
             }
         }
         lines.extend(self.joint_confidence());
-        lines.extend(self.conditions.iter().map(|condition| format!("a shield needs besides: {condition}")));
+        lines.extend(self.conditions.iter().map(|condition| format!("a shield also requires: {condition}")));
         lines
     }
 }
@@ -164,16 +167,13 @@ impl KernelGap {
     }
 }
 
-const INTRODUCTION: &str = "Each claim here is a file that the checker accepted; it shares no code with the simulation, the \
-    search, the training or the solver. A kernel is the set of gaps, at given speeds, from which full braking avoids the \
-    vehicle ahead however that one brakes within its limit, and nothing avoids it from any other: a shield (shield:policy, \
-    or before any other controller) lets an action through only if the state stays inside. A rate bounds the share of \
-    failures from counted runs that were registered before the first of them; a comparison says which of two controllers \
-    fails less often. Both rest on counts: those made here are of this run, and whoever has only the file counts again by --rerun. Reach bounds the closed loop of a policy over a whole box of starts. A gap bound says of a scenario how \
-    close two vehicles get whoever drives; an unavoidable one, that they touch. Nothing is proved of the vehicle behind a shield, \
-    nor that a shielded vehicle drives well; on another friction the gaps of a kernel scale by its inverse.";
+const INTRODUCTION: &str = "The checker accepted each certificate in this run; it shares no code with simulation, search, training and \
+    solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure rate by counts of runs that \
+    were registered before the first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the \
+    counts. Reach is about all initial states of a box. A gap bound is about every driver of a scenario. No proof covers the \
+    vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel scale by its inverse.";
 
-const RECHECK: &str = "Check again, in the folder of this report: `crumple check --rerun certificates/*.json`";
+const RECHECK: &str = "Repeat the check in the folder of this report: `crumple check --rerun certificates/*.json`";
 
 impl ReportPart for Proofs {
     fn anchor_and_title(&self) -> (&'static str, String) {
@@ -184,9 +184,9 @@ impl ReportPart for Proofs {
         out.paragraph(INTRODUCTION);
         out.table(&self.table());
         out.paragraph(RECHECK);
-        out.push_html(html! { h3 { "What the kernels demand" } });
+        out.push_html(html! { h3 { "Gaps that the kernels require" } });
         out.table(&self.gap_table());
-        out.push_html(html! { h3 { "What the proofs take for granted" } });
+        out.push_html(html! { h3 { "Assumptions of the proofs" } });
         out.list(&self.assumptions());
     }
 }

@@ -12,7 +12,7 @@ use crumple_core::digest::sha256;
 /// The time, program and machine of an assessment. No evidence depends on them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct BuildInfo {
+pub struct RunInfo {
     /// Date and time in UTC, in the format of RFC 3339.
     pub at: String,
     /// Commit of the repository with the assessed configuration, if there is one.
@@ -39,22 +39,22 @@ pub struct AssessmentProvenance {
     pub evidence: Vec<EvidenceHash>,
     /// Time, program and machine of the assessment, if known.
     #[serde(rename = "made")]
-    pub build_info: Option<BuildInfo>,
+    pub run_info: Option<RunInfo>,
 }
 
 impl AssessmentProvenance {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &EvidenceCache) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, cache: &EvidenceCache) -> Self {
         // `Debug` writes every field of both, and unlike a serializer cannot fail.
         let scenarios = plan.file_scenarios.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
-        let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
+        let spaces = plan.rate_spaces.iter().chain(&plan.search_spaces).map(|named| named.text.clone());
         let config = std::iter::once(format!("{:?}", plan.config));
         let all = config.chain(scenarios).chain(spaces).collect::<Vec<_>>().join("\n");
         Self {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
             config_sha256: sha256(&all),
-            evidence: store.hashes(),
-            build_info: None,
+            evidence: cache.hashes(),
+            run_info: None,
         }
     }
 
@@ -63,8 +63,8 @@ impl AssessmentProvenance {
             &self.evidence,
             &[
                 ("evidence", &|hash| ReportCell::text(&hash.name)),
-                ("from inputs, SHA-256", &|hash| ReportCell::digest(&hash.inputs_sha256)),
-                ("says, SHA-256", &|hash| ReportCell::digest(&hash.evidence_sha256)),
+                ("SHA-256 of the inputs", &|hash| ReportCell::digest(&hash.inputs_sha256)),
+                ("SHA-256 of the evidence", &|hash| ReportCell::digest(&hash.evidence_sha256)),
             ],
         )
     }
@@ -72,14 +72,14 @@ impl AssessmentProvenance {
     fn lines(&self) -> Vec<(&'static str, String)> {
         let lines = vec![
             ("crumple", self.crumple.to_owned()),
-            ("estimator of the vehicles under test", self.config.estimator.name().to_owned()),
+            ("estimator", self.config.estimator.name().to_owned()),
             ("controllers", self.config.controllers.join(", ")),
-            ("draws", self.config.draws.to_string()),
+            ("random scenarios per space", self.config.draws.to_string()),
             ("seed", self.config.seed.to_string()),
             (
                 "searches",
                 format!(
-                    "{}, {} evaluations a method",
+                    "{}, {} simulations per method",
                     self.config.search_spaces().join(", "),
                     self.config.search.budget
                 ),
@@ -87,16 +87,13 @@ impl AssessmentProvenance {
             (
                 "counted runs",
                 format!(
-                    "{} at confidence {}, with the seed that each certificate states",
+                    "{} at confidence {}, with the seed in each certificate",
                     self.config.rates.runs, self.config.rates.confidence
                 ),
             ),
-            ("drives in everyday traffic", self.config.everyday_draws.to_string()),
-            ("gates", format!("{}, stated by the configuration", self.config.gates.len())),
-            (
-                "made again by",
-                "crumple assess, with this configuration, which is in assessment.json, as a file".to_owned(),
-            ),
+            ("drives in traffic and in high-risk", self.config.everyday_draws.to_string()),
+            ("gates", self.config.gates.len().to_string()),
+            ("repeat with", "crumple assess, and the configuration in assessment.json as a file".to_owned()),
             (
                 "scenarios from files",
                 self.config.scenarios.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
@@ -107,7 +104,7 @@ impl AssessmentProvenance {
     }
 }
 
-impl BuildInfo {
+impl RunInfo {
     fn describe(&self) -> String {
         let commit = self.commit.as_ref().map_or(String::new(), |commit| format!(", commit {commit}"));
         let program = self.program_sha256.get(..16).unwrap_or_default();
@@ -115,9 +112,9 @@ impl BuildInfo {
     }
 }
 
-const CACHE_NOTE: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
-    inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
-    hashes anew. What the checker says of the certificates listed here was said in this run. With `--fresh` everything is gathered again.";
+const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which the same program wrote for the same inputs. Its hashes detect \
+    damaged and edited files, but not a forger who also writes new hashes. Certificates were checked in this run. `--fresh` \
+    gathers all evidence again.";
 
 impl ReportPart for AssessmentProvenance {
     fn anchor_and_title(&self) -> (&'static str, String) {
@@ -126,12 +123,12 @@ impl ReportPart for AssessmentProvenance {
 
     fn write(&self, out: &mut ReportDocument) {
         out.push_html(html! {
-            @if let Some(made) = &self.build_info { p #made { "Made " (made.describe()) "." } }
+            @if let Some(made) = &self.run_info { p #made { "Run of " (made.describe()) "." } }
             dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
         });
         out.paragraph(CACHE_NOTE);
         out.push_html(html! { details { summary { "hashes of the evidence" } (self.hash_table().to_html()) } });
-        let lines = self.build_info.iter().map(|made| ("made", made.describe())).chain(self.lines());
+        let lines = self.run_info.iter().map(|made| ("made", made.describe())).chain(self.lines());
         out.markdown_mut().list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
     }
 }

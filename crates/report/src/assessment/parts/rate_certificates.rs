@@ -44,9 +44,9 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     }
     // A claim needs a controller with an identity.
     wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
-    let several = plan.distributions.len() > 1;
+    let several = plan.rate_spaces.len() > 1;
     let mut counted = Vec::new();
-    for space in &plan.distributions {
+    for space in &plan.rate_spaces {
         for (name, controller, against) in wanted.clone() {
             let name = if several { format!("{name}-{}", file_stem(space.space.name())) } else { name };
             counted.push(PlannedRateCount { name, space, controller, against });
@@ -83,7 +83,7 @@ fn count_rate(
 ) -> Result<CheckedCertificate, AssessError> {
     let PlannedRateCount { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
-        against,
+        second_controller: against,
         seed: plan.config.seed ^ COUNT_SEED_MASK,
         estimator: plan.config.estimator,
         confidence: plan.config.rates.confidence,
@@ -98,17 +98,17 @@ fn count_rate(
             work.add_runs(tally.runs - before)?;
         }
         let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
-        Ok::<_, AssessError>(match tally.unanswered_summary() {
-            silent if silent.is_empty() => text,
-            silent => format!("{text}\n{silent}"),
+        Ok::<_, AssessError>(match tally.missing_answers_summary() {
+            unanswered if unanswered.is_empty() => text,
+            unanswered => format!("{text}\n{unanswered}"),
         })
     })?;
-    let (text, silent) = kept.split_once('\n').unwrap_or((&kept, ""));
+    let (text, unanswered) = kept.split_once('\n').unwrap_or((&kept, ""));
     let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
     let mut proof = check_certificate(plan, name, &certificate, None)?;
     let counts_others = includes_others(plan, &certificate.statement);
     if let Some(status) =
-        not_shown_status(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted())
+        not_shown_status(&certificate.statement, counts_others, unanswered).filter(|_| !proof.is_accepted())
     {
         proof.status = status;
     }
@@ -116,20 +116,20 @@ fn count_rate(
 }
 
 /// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.
-fn not_shown_status(statement: &Statement, counts_others: bool, silent: &str) -> Option<CertificateStatus> {
+fn not_shown_status(statement: &Statement, counts_others: bool, unanswered: &str) -> Option<CertificateStatus> {
     match statement {
         Statement::Comparison(two) => {
             let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
             let Registration { runs, confidence, .. } = two.registration;
             Some(CertificateStatus::NothingShown {
                 counted: format!(
-                    "only the first failed in {only_first} runs, only the second in {only_second}{silent}"
+                    "only the first failed in {only_first} runs, only the second in {only_second}{unanswered}"
                 ),
                 strength: Strength::NotShownByCounting { confidence_percent: Rounded::down(100.0 * confidence), runs },
             })
         }
         Statement::Rate(rate) => Some(CertificateStatus::NothingShown {
-            counted: format!("{} of {} runs failed{silent}", rate.failures, rate.registration.runs),
+            counted: format!("{} of {} runs failed{unanswered}", rate.failures, rate.registration.runs),
             strength: rate_strength(rate, 1.0, counts_others),
         }),
         _ => None,

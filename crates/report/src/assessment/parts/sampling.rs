@@ -39,7 +39,8 @@ pub struct SpaceSample {
     /// Scenario space.
     pub space: ContentId,
     /// Number of random scenarios for each controller.
-    pub draws: u64,
+    #[serde(rename = "draws")]
+    pub random_scenarios: u64,
     /// Seed of the random scenarios.
     pub seed: u64,
     /// Confidence level of the intervals.
@@ -60,7 +61,8 @@ pub struct ControllerSample {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
     /// Number of scenarios that end with a collision of other vehicles: no evidence about the controller.
-    pub cut_short: u64,
+    #[serde(rename = "cut_short")]
+    pub ended_by_others: u64,
     /// Number of scenarios in which a vehicle under test first hits its leader.
     pub hit: u64,
     /// Number of scenarios in which a vehicle under test is first hit from behind.
@@ -100,13 +102,13 @@ impl PercentInterval {
 
     /// Returns the share of `count` and its exact bounds, rounded outwards. Runs that ended early count in the upper
     /// bound only.
-    pub(super) fn clopper_pearson([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
+    pub(super) fn clopper_pearson([count, ended_by_others]: [u64; 2], total: u64, confidence: f64) -> Self {
         let bounds = |count| RateInterval::clopper_pearson(count, total, confidence);
         let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
         Self {
             observed: Rounded::new(100.0 * observed),
             lower: Rounded::down(100.0 * bounds(count).lower),
-            upper: Rounded::up(100.0 * bounds(count + cut_short).upper),
+            upper: Rounded::up(100.0 * bounds(count + ended_by_others).upper),
         }
     }
 }
@@ -123,7 +125,7 @@ pub struct PairedCounts {
     pub only_this: u64,
 }
 
-pub(super) struct SampledRun {
+pub(super) struct RunSummary {
     pub(super) verdict: CaseVerdict,
     impact_speed_mps: Option<f64>,
     gaps_m: [Option<f64>; 2],
@@ -132,7 +134,7 @@ pub(super) struct SampledRun {
 impl ControllerSample {
     #[must_use]
     pub(crate) fn unanswered_runs(&self) -> u64 {
-        self.unanswered.as_ref().map_or(0, |silent| silent.runs)
+        self.unanswered.as_ref().map_or(0, |unanswered| unanswered.runs)
     }
 
     /// Returns the number of failures: collisions and scenarios without an answer.
@@ -143,11 +145,14 @@ impl ControllerSample {
 
     /// Returns the strength of the claim to fail less often. Scenarios without an answer of the other controller are
     /// open.
-    fn strength_against(&self, other: &Self, draws: u64) -> Strength {
-        let beside = [other.collisions, other.cut_short.saturating_add(other.unanswered_runs())];
-        match (Strength::from_paired_counts([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
-            (Strength::Untried, Some(FailedControllerRuns { runs: unanswered, because })) => {
-                Strength::OtherUnanswered { unanswered: *unanswered, runs: draws, because: because.clone() }
+    fn strength_against(&self, other: &Self, random_scenarios: u64) -> Strength {
+        let beside = [other.collisions, other.ended_by_others.saturating_add(other.unanswered_runs())];
+        match (
+            Strength::from_paired_counts([self.failures(), self.ended_by_others], beside, random_scenarios),
+            &other.unanswered,
+        ) {
+            (Strength::Untried, Some(FailedControllerRuns { runs: unanswered, because: reason })) => {
+                Strength::OtherUnanswered { unanswered: *unanswered, runs: random_scenarios, reason: reason.clone() }
             }
             (strength, _) => strength,
         }
@@ -159,7 +164,7 @@ impl ControllerSample {
             upper_percent: self.rate_percent.upper,
             // Each end of a two-sided interval is a one-sided bound at half the risk.
             confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
-            runs: distribution.draws,
+            runs: distribution.random_scenarios,
         }
     }
 }
@@ -167,22 +172,27 @@ impl ControllerSample {
 impl SpaceSamples {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let of = |named: &NamedSpace| SpaceSample::gather(plan, named, work);
-        Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
+        Ok(Self { spaces: plan.rate_spaces.iter().map(of).collect::<Result<_, _>>()? })
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let mut all = Vec::new();
-        for drawn in self.spaces.iter().filter(|drawn| drawn.draws > 0) {
+        for drawn in self.spaces.iter().filter(|drawn| drawn.random_scenarios > 0) {
             let space = || drawn.space.clone();
-            let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.draws };
-            let source = || EvidenceSource::from_part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
+            let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.random_scenarios };
+            let source = || {
+                EvidenceSource::from_part(
+                    ANCHOR,
+                    format!("{} random scenarios, seed {}", drawn.random_scenarios, drawn.seed),
+                )
+            };
             let first = plan.claim_subject(0, plan.config.estimator).zip(drawn.controllers.first());
             for (subject, sampled) in plan.claim_subjects().into_iter().zip(&drawn.controllers) {
                 let mut add = |property, domain, strength| {
                     let claim = AssuranceClaim { subject: subject.clone(), property, domain };
                     all.push(Evidence { claim, strength, source: source() });
                 };
-                let telling = drawn.draws - sampled.cut_short;
+                let telling = drawn.random_scenarios - sampled.ended_by_others;
                 let touching = Strength::from_counts_with_unanswered(
                     sampled.collisions,
                     telling,
@@ -190,11 +200,15 @@ impl SpaceSamples {
                     true,
                 );
                 add(Property::NoContact, draws(), touching);
-                add(Property::OthersKeepClear, draws(), Strength::from_counts(sampled.cut_short, drawn.draws));
+                add(
+                    Property::OthersKeepClear,
+                    draws(),
+                    Strength::from_counts(sampled.ended_by_others, drawn.random_scenarios),
+                );
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.rate_strength(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
                     let than = Property::FailsLessOften { than: first.controller.clone() };
-                    add(than, draws(), sampled.strength_against(of_first, drawn.draws));
+                    add(than, draws(), sampled.strength_against(of_first, drawn.random_scenarios));
                 }
             }
         }
@@ -221,19 +235,22 @@ impl SpaceSample {
             let scenarios = (from..to).map(draw).collect::<Result<Vec<_>, _>>()?;
             let mut first: Vec<SampleOutcome> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
-                let draws = run_samples(&scenarios, controller, plan)?;
+                let runs = run_samples(&scenarios, controller, plan)?;
                 let fared: Vec<SampleOutcome> =
-                    draws.iter().map(|draw| SampleOutcome::from_verdict(&draw.verdict)).collect();
+                    runs.iter().map(|run| SampleOutcome::from_verdict(&run.verdict)).collect();
                 if first.is_empty() {
                     first.clone_from(&fared);
                 }
-                tally.add(&draws, first.iter().copied().zip(fared));
+                tally.add(&runs, first.iter().copied().zip(fared));
             }
             work.add_runs((to - from) * plan.controllers.len() as u64)?;
         }
         let finish = |(index, (controller, tally)): (usize, (&NamedController, SampleTally))| {
-            let known =
-                FailureProbability::Counted { failures: tally.failures(), unknown: tally.cut_short, runs: tally.draws };
+            let known = FailureProbability::Counted {
+                failures: tally.failures(),
+                unknown: tally.ended_by_others,
+                runs: tally.random_scenarios,
+            };
             let exposed = rate_per_exposure(plan, named, controller, known, work)?;
             Ok(ControllerSample { rate_per_exposure: exposed, ..tally.finish(controller, index > 0) })
         };
@@ -241,7 +258,7 @@ impl SpaceSample {
             plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
         Ok(Self {
             space: named.content_id.clone(),
-            draws: config.draws,
+            random_scenarios: config.draws,
             seed: config.seed,
             confidence: CONFIDENCE,
             controllers,
@@ -250,9 +267,9 @@ impl SpaceSample {
 
     fn introduction(&self) -> String {
         format!(
-            "{} draws of `{}` (seed {}), the same for every controller. Bounds are exact (Clopper–Pearson, {} %, each controller by \
-             itself), their ends rounded outwards.",
-            self.draws,
+            "All controllers run the same {} random scenarios of `{}` (seed {}). Bounds are exact (Clopper–Pearson, {} %, each \
+             controller separately) and rounded outwards.",
+            self.random_scenarios,
             self.space.name,
             self.seed,
             100.0 * self.confidence
@@ -264,30 +281,30 @@ impl SpaceSample {
         let only_first = format!("only {first} collides");
         let columns: [ReportColumn<'_, &ControllerSample>; 13] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
-            ("collisions", &|one| ReportCell::with_verdict(one.collisions, one.collisions + one.cut_short == 0)),
+            ("collisions", &|one| ReportCell::with_verdict(one.collisions, one.collisions + one.ended_by_others == 0)),
             ("no answer", &|one| ReportCell::with_verdict(one.unanswered_runs(), one.unanswered_runs() == 0)),
-            ("rate %", &|one| ReportCell::number(one.rate_percent.observed)),
-            ("bounds %", &|one| ReportCell::number(one.rate_percent.format_bounds())),
-            ("hit ahead", &|one| ReportCell::number(one.hit)),
+            ("rate (%)", &|one| ReportCell::number(one.rate_percent.observed)),
+            ("bounds (%)", &|one| ReportCell::number(one.rate_percent.format_bounds())),
+            ("hits leader", &|one| ReportCell::number(one.hit)),
             ("hit from behind", &|one| ReportCell::number(one.was_hit)),
-            ("cut short by others", &|one| ReportCell::number(one.cut_short)),
-            ("min gap ahead m", &|one| ReportCell::optional(one.min_gap_ahead_m)),
-            ("min gap behind m", &|one| ReportCell::optional(one.min_gap_behind_m)),
-            ("mean impact m/s", &|one| ReportCell::optional(one.mean_impact_speed_mps)),
+            ("ended by others", &|one| ReportCell::number(one.ended_by_others)),
+            ("min gap ahead (m)", &|one| ReportCell::optional(one.min_gap_ahead_m)),
+            ("min gap behind (m)", &|one| ReportCell::optional(one.min_gap_behind_m)),
+            ("mean impact (m/s)", &|one| ReportCell::optional(one.mean_impact_speed_mps)),
             (&only_first, &|one| ReportCell::optional(one.paired.map(|paired| paired.only_first))),
-            ("only this one", &|one| ReportCell::optional(one.paired.map(|paired| paired.only_this))),
+            ("only this collides", &|one| ReportCell::optional(one.paired.map(|paired| paired.only_this))),
         ];
         let all_answered = self.controllers.iter().all(|sampled| sampled.unanswered.is_none());
         ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
     fn unanswered_notes(&self) -> Vec<String> {
-        let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
-        let words = silent.map(|(sampled, silent)| {
+        let unanswered = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
+        let words = unanswered.map(|(sampled, unanswered)| {
             format!(
-                "{} {}. That is a failure of it, and no collision.",
+                "{} {}. These are failures of the controller, but no collisions.",
                 sampled.controller,
-                silent.describe(self.draws)
+                unanswered.describe(self.random_scenarios)
             )
         });
         words.collect()
@@ -298,7 +315,7 @@ impl SpaceSample {
         let left = names.iter().map(|name| text_width(name, crate::draw::SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 30.0 * names.len() as f64);
         let frame = PixelRect { left, top: crate::draw::HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numeric("Collisions (% of draws)", (0.0, 100.0), 5);
+        let axis = Axis::numeric("Collisions (% of random scenarios)", (0.0, 100.0), 5);
         let mut panel =
             Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::categorical("", &names).reversed());
         for (index, sampled) in self.controllers.iter().enumerate() {
@@ -322,15 +339,15 @@ pub(super) fn run_samples(
     scenarios: &[Scenario],
     controller: &NamedController,
     plan: &AssessmentPlan,
-) -> Result<Vec<SampledRun>, RunError> {
+) -> Result<Vec<RunSummary>, RunError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| {
-        SampledRun::new(runs[index].scenario(), &simulated)
+        RunSummary::new(runs[index].scenario(), &simulated)
     }))
 }
 
-impl SampledRun {
+impl RunSummary {
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let gap_m = |behind: usize| {
             let of = |index: usize| simulated.vehicles.get(index + behind).and_then(|vehicle| vehicle.min_gap_m);
@@ -363,10 +380,10 @@ impl SampleOutcome {
 
 #[derive(Default)]
 struct SampleTally {
-    draws: u64,
+    random_scenarios: u64,
     collisions: u64,
     unanswered: Option<FailedControllerRuns>,
-    cut_short: u64,
+    ended_by_others: u64,
     hit: u64,
     was_hit: u64,
     impact_speed_sum_mps: f64,
@@ -376,19 +393,19 @@ struct SampleTally {
 }
 
 impl SampleTally {
-    fn add(&mut self, draws: &[SampledRun], with_first: impl Iterator<Item = (SampleOutcome, SampleOutcome)>) {
-        for draw in draws {
-            self.draws += 1;
-            self.collisions += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_) | CaseVerdict::WasHit(_)));
-            FailedControllerRuns::merge(&mut self.unanswered, draw.verdict.unanswered());
-            self.cut_short += u64::from(!draw.verdict.is_conclusive());
-            self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
-            self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
-            if let Some(impact_speed_mps) = draw.impact_speed_mps.filter(|_| draw.verdict.is_failure()) {
+    fn add(&mut self, runs: &[RunSummary], with_first: impl Iterator<Item = (SampleOutcome, SampleOutcome)>) {
+        for run in runs {
+            self.random_scenarios += 1;
+            self.collisions += u64::from(matches!(run.verdict, CaseVerdict::Hit(_) | CaseVerdict::WasHit(_)));
+            FailedControllerRuns::merge(&mut self.unanswered, run.verdict.unanswered());
+            self.ended_by_others += u64::from(!run.verdict.is_conclusive());
+            self.hit += u64::from(matches!(run.verdict, CaseVerdict::Hit(_)));
+            self.was_hit += u64::from(matches!(run.verdict, CaseVerdict::WasHit(_)));
+            if let Some(impact_speed_mps) = run.impact_speed_mps.filter(|_| run.verdict.is_failure()) {
                 self.impact_speed_sum_mps += impact_speed_mps;
                 self.impacts += 1;
             }
-            for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(draw.gaps_m) {
+            for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(run.gaps_m) {
                 *smallest = [*smallest, gap_m].into_iter().flatten().min_by(f64::total_cmp);
             }
         }
@@ -407,17 +424,21 @@ impl SampleTally {
     }
 
     fn failures(&self) -> u64 {
-        self.collisions.saturating_add(self.unanswered.as_ref().map_or(0, |silent| silent.runs))
+        self.collisions.saturating_add(self.unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
     }
 
     fn finish(self, controller: &NamedController, is_paired: bool) -> ControllerSample {
         let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
         ControllerSample {
             controller: controller.name.clone(),
-            rate_percent: PercentInterval::clopper_pearson([self.failures(), self.cut_short], self.draws, CONFIDENCE),
+            rate_percent: PercentInterval::clopper_pearson(
+                [self.failures(), self.ended_by_others],
+                self.random_scenarios,
+                CONFIDENCE,
+            ),
             collisions: self.collisions,
             unanswered: self.unanswered,
-            cut_short: self.cut_short,
+            ended_by_others: self.ended_by_others,
             hit: self.hit,
             was_hit: self.was_hit,
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
@@ -433,7 +454,7 @@ const ANCHOR: &str = "distribution";
 
 impl ReportPart for SpaceSamples {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Failure rates".to_owned())
+        (ANCHOR, "Collision rates".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {

@@ -49,13 +49,13 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
     let of = |(index, subject): (usize, Subject)| {
         let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
         let counted: Vec<_> = verdicts.filter(|verdict| verdict.is_conclusive()).collect();
-        let mut silent = None;
-        counted.iter().for_each(|verdict| FailedControllerRuns::merge(&mut silent, verdict.unanswered()));
+        let mut unanswered = None;
+        counted.iter().for_each(|verdict| FailedControllerRuns::merge(&mut unanswered, verdict.unanswered()));
         let touches = |verdict: &&&CaseVerdict| verdict.is_failure() && verdict.unanswered().is_none();
         let failures = counted.iter().filter(touches).count();
         let claim = AssuranceClaim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
         let strength =
-            Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, silent.as_ref(), true);
+            Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, unanswered.as_ref(), true);
         Evidence { claim, strength, source: EvidenceSource::from_part(part, format!("{} runs", counted.len())) }
     };
     plan.claim_subjects().into_iter().enumerate().map(of).collect()
@@ -64,11 +64,14 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
 pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     let about = match part {
         super::paper::ANCHOR => "the paper's scenarios",
-        _ => "recorded traffic and other scenarios",
+        _ => "scenario files and recordings",
     };
     let known = |cases: &ScenarioCases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario);
     Domain::Scenarios { about: UncomparedText(about.to_owned()), all: scenarios.iter().map(known).collect() }
 }
+
+pub(super) const FURTHER_MEASURES_NOTE: &str = "assessment.html and assessment.json also have headway, time gap, DRAC, required \
+    brake, TET, TIT, jerk and the gaps at standstill.";
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(scenario: &Scenario, replay: CrumpleCommand, cases: Vec<CaseResult>) -> Self {
@@ -115,7 +118,7 @@ impl ScenarioCases {
                 ("regret (m)", &|case| ReportCell::optional(case.regret_m)),
                 ("min TTC (s)", &|case| ReportCell::optional(case.ahead.min_ttc_s)),
                 ("peak brake (m/s²)", &|case| ReportCell::optional(case.peak_brake_mps2)),
-                ("imposed behind (m/s²)", &|case| ReportCell::optional(case.induced_brake_mps2)),
+                ("induced braking (m/s²)", &|case| ReportCell::optional(case.induced_brake_mps2)),
                 ("pile-up (vehicles)", &|case| ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
                 ("max delta-v (m/s)", &|case| {
                     ReportCell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))
@@ -145,9 +148,10 @@ impl ScenarioCases {
         )
     }
 
+    /// Writes both tables into HTML, and into Markdown only the first.
     pub(in crate::assessment) fn write_tables(&self, out: &mut ReportDocument) {
         out.table(&self.table());
-        out.collapsible("further measures", |out| out.table(&self.further_measures()));
+        out.push_html(html! { details { summary { "further measures" } (self.further_measures().to_html()) } });
     }
 
     pub(in crate::assessment) fn replay_command(&self, case: &CaseResult) -> Option<CrumpleCommand> {

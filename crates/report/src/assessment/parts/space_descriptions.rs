@@ -51,7 +51,7 @@ impl SpaceDescriptions {
         let mut spaces: Vec<SpaceDescription> = Vec::new();
         let everyday = usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
         let everyday = everyday.filter_map(|(name, _)| built_in_space(&name));
-        let own = plan.distributions.iter().chain(&plan.spaces).map(|named| named.space.clone());
+        let own = plan.rate_spaces.iter().chain(&plan.search_spaces).map(|named| named.space.clone());
         for space in own.chain(everyday) {
             if !spaces.iter().any(|known| known.name == space.name()) {
                 spaces.push(SpaceDescription::new(&space));
@@ -81,16 +81,16 @@ impl SpaceDescription {
         ReportTable::from_items(
             &self.parameters,
             &[
-                ("what varies", &|one| ReportCell::text(&one.field)),
+                ("parameter", &|one| ReportCell::text(&one.field)),
                 ("unit", &|one| ReportCell::text(&one.unit)),
-                ("range and law", &|one| ReportCell::text(&one.distribution)),
+                ("range and distribution", &|one| ReportCell::text(&one.distribution)),
             ],
         )
     }
 
     fn describe(&self) -> String {
         let depends = if self.has_dependence {
-            " Some of them depend on each other: the file of the space says how."
+            " Some parameters depend on each other, as the file of the space states."
         } else {
             ""
         };
@@ -98,13 +98,12 @@ impl SpaceDescription {
     }
 }
 
-const INTRODUCTION: &str = "Draws follow the law; a search moves over the whole range. Fields are those of scenario files: vehicle 0 is the \
-    leader, vehicles under test follow, and what is not listed is fixed. `crumple list spaces` names the built-in spaces, and each \
-    certificate of a rate holds the whole space that it was counted in.";
+const INTRODUCTION: &str = "Random scenarios follow the distribution; a search covers the whole range. Fields are those of scenario files: \
+    vehicle 0 is the leader, and parameters that are not listed are fixed. Each certificate of a rate contains its whole space.";
 
 impl ReportPart for SpaceDescriptions {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("domain", "The domain in numbers".to_owned())
+        ("domain", "Scenario spaces".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {

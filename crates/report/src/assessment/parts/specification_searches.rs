@@ -91,7 +91,7 @@ pub(in crate::assessment) struct SpecificationSearchPlan<'p> {
 
 impl<'p> SpecificationSearchPlan<'p> {
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
-        plan.spaces.iter().flat_map(move |space| {
+        plan.search_spaces.iter().flat_map(move |space| {
             plan.config.search.specifications.iter().flat_map(move |rule| {
                 plan.controllers.iter().enumerate().map(move |controller| Self {
                     space,
@@ -141,8 +141,8 @@ impl<'p> SpecificationSearchPlan<'p> {
             file_stem(self.specification),
             plan.controller_slug(index)
         );
-        let is_silent = |found: &&Counterexample| found.because.is_some();
-        let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
+        let is_unanswered = |found: &&Counterexample| found.because.is_some();
+        let severest = summary.counterexamples.first().filter(|found| !is_unanswered(found));
         let worst =
             severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
                 let file = format!("counterexamples/rules/{stem}.toml");
@@ -178,10 +178,10 @@ impl<'p> SpecificationSearchPlan<'p> {
             let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
             CrumpleCommand::new(what).with_args(how).with_args(seeing.clone())
         });
-        let silent = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
-        let runs: u64 = silent.clone().map(|kind| kind.count).sum();
-        let because = silent.filter_map(|kind| kind.because.clone()).next();
-        let because = because.unwrap_or_else(|| "of none of them is it known why".to_owned());
+        let unanswered = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
+        let runs: u64 = unanswered.clone().map(|kind| kind.count).sum();
+        let reason = unanswered.filter_map(|kind| kind.because.clone()).next();
+        let reason = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
         let breaking = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_none());
         let by_method = breaking.flat_map(|kind| &kind.by_method).filter(|by| by.method == summary.method);
         let failures: u64 = summary.methods.iter().map(|method| method.failures).sum();
@@ -189,8 +189,8 @@ impl<'p> SpecificationSearchPlan<'p> {
             controller: controller.name.clone(),
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             violations: failures.saturating_sub(runs),
-            unanswered: (runs > 0).then_some(FailedControllerRuns { runs, because }),
-            distinct: summary.counterexamples.iter().filter(|found| !is_silent(found)).count(),
+            unanswered: (runs > 0).then_some(FailedControllerRuns { runs, because: reason }),
+            distinct: summary.counterexamples.iter().filter(|found| !is_unanswered(found)).count(),
             first: by_method.map(|by| by.first).min(),
             worst,
             command,
@@ -229,7 +229,7 @@ impl SpecificationSearches {
                     search.unanswered.as_ref(),
                     false,
                 ),
-                source: EvidenceSource::from_part(ANCHOR, format!("{} evaluations", search.evaluations)),
+                source: EvidenceSource::from_part(ANCHOR, format!("{} simulations", search.evaluations)),
             });
             each.collect::<Vec<_>>()
         };
@@ -269,14 +269,14 @@ impl SpaceSpecificationSearches {
             &self.controllers,
             &[
                 ("controller", &|search| ReportCell::text(&search.controller)),
-                ("runs that break it", &|search| {
+                ("violations", &|search| {
                     let is_kept = search.violations == 0 && search.unanswered.is_none();
                     ReportCell::with_verdict(format!("{} of {}", search.violations, search.evaluations), is_kept)
                 }),
                 ("distinct", &|search| ReportCell::number(search.distinct)),
-                ("first after (runs)", &|search| ReportCell::optional(search.first)),
+                ("first violation (run)", &|search| ReportCell::optional(search.first)),
                 ("robustness", &|search| ReportCell::optional(worst(search, |one| one.robustness.to_string()))),
-                ("what is not nominal", &|search| {
+                ("changed from nominal", &|search| {
                     ReportCell::text(worst(search, |one| one.changed.join(", ")).unwrap_or_else(|| "–".to_owned()))
                 }),
             ],
@@ -284,8 +284,9 @@ impl SpaceSpecificationSearches {
     }
 
     fn unanswered_notes(&self) -> impl Iterator<Item = String> {
-        let silent = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
-        silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.describe(search.evaluations)))
+        let unanswered = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
+        unanswered
+            .map(|(search, unanswered)| format!("{} {}.", search.controller, unanswered.describe(search.evaluations)))
     }
 
     fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -297,13 +298,13 @@ impl SpaceSpecificationSearches {
     }
 }
 
-const INTRODUCTION: &str = "Whoever touches nobody may still drive as nobody could on a road. For each rule a search with two reference \
-    searches looks for runs that break it; the one that goes furthest is shrunk and kept. Robustness is how far the rule is from being \
-    broken, negative where it is.";
+const INTRODUCTION: &str = "A controller without collisions may still drive badly. A search and two reference searches look for \
+    violations of each specification; the worst one is shrunk and stored. Robustness is the signed distance from a violation, \
+    negative if the specification is violated.";
 
 impl ReportPart for SpecificationSearches {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Rules of conduct".to_owned())
+        (ANCHOR, "Violated specifications".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -313,7 +314,7 @@ impl ReportPart for SpecificationSearches {
             out.table(&one.table());
             one.unanswered_notes().for_each(|line| out.paragraph(&line));
             out.push_html(html! { p.replay { @for command in one.replay_commands() { code { (command) } " " } } });
-            out.collapsible("search again", |out| {
+            out.collapsible("commands that repeat the searches", |out| {
                 out.commands(one.controllers.iter().filter_map(|search| search.command.as_ref()));
             });
             out.markdown_mut().list(one.replay_commands().map(Inline::code));

@@ -34,7 +34,8 @@ pub enum StringStabilityVerdict {
     #[serde(rename = "no_answer")]
     Unanswered {
         /// Time and reason.
-        because: String,
+        #[serde(rename = "because")]
+        reason: String,
     },
 }
 
@@ -42,7 +43,7 @@ impl StringStabilityVerdict {
     pub(super) fn simulate(line: &Scenario, options: &RunOptions) -> Result<Self, RunError> {
         let simulated = simulate(&Run::new(line, options.clone())?, RecordingLevel::Trace);
         if let Some(failed) = simulated.outcome.failed_controller() {
-            return Ok(Self::Unanswered { because: failed.reason() });
+            return Ok(Self::Unanswered { reason: failed.reason() });
         }
         if !simulated.outcome.is_safe() {
             return Ok(Self::Collides);
@@ -59,9 +60,9 @@ impl StringStabilityVerdict {
         match self {
             Self::Damps { .. } => Strength::from_counts(0, 1),
             Self::Amplifies { .. } | Self::Collides => Strength::from_counts(1, 1),
-            Self::Unanswered { because } => {
-                let silent = FailedControllerRuns { runs: 1, because: because.clone() };
-                Strength::from_counts_with_unanswered(0, 1, Some(&silent), false)
+            Self::Unanswered { reason } => {
+                let unanswered = FailedControllerRuns { runs: 1, because: reason.clone() };
+                Strength::from_counts_with_unanswered(0, 1, Some(&unanswered), false)
             }
             Self::DoesNotSettle => Strength::Untried,
         }
@@ -73,13 +74,13 @@ impl StringStabilityVerdict {
 
     pub(in crate::assessment) fn describe(&self) -> String {
         match self {
-            Self::Damps { gain } => format!("it shrinks to {gain} of what it was"),
+            Self::Damps { gain } => format!("the disturbance shrinks to {gain} of the leader's"),
             Self::Amplifies { gain } => {
-                format!("some vehicle deviates more than the one ahead, the last by {gain} of it")
+                format!("a vehicle deviates more than its leader; the gain of the last is {gain}")
             }
-            Self::DoesNotSettle => "the line does not settle to one speed".to_owned(),
-            Self::Collides => "vehicles of the line touch".to_owned(),
-            Self::Unanswered { because } => format!("it gave no answer: {because}"),
+            Self::DoesNotSettle => "the platoon does not reach a common speed".to_owned(),
+            Self::Collides => "vehicles of the platoon collide".to_owned(),
+            Self::Unanswered { reason } => format!("it gave no answer: {reason}"),
         }
     }
 
@@ -87,8 +88,8 @@ impl StringStabilityVerdict {
         match self {
             Self::Damps { gain } => ReportCell::with_mark(gain, CellMark::Good),
             Self::Amplifies { gain } => ReportCell::with_mark(gain, CellMark::Bad),
-            Self::DoesNotSettle => ReportCell::text("does not settle"),
-            Self::Collides => ReportCell::with_mark("fails", CellMark::Bad),
+            Self::DoesNotSettle => ReportCell::text("unsettled"),
+            Self::Collides => ReportCell::with_mark("collides", CellMark::Bad),
             Self::Unanswered { .. } => ReportCell::with_mark("no answer", CellMark::Bad),
         }
     }

@@ -131,7 +131,8 @@ pub struct SuiteFailure {
     /// Parameters of the point.
     pub point: String,
     /// Description of the failure.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub description: String,
     /// Preventability by reference drivers.
     pub preventable: String,
     /// Escape, if the failure is avoidable.
@@ -173,24 +174,24 @@ impl Suites {
                 let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
                 let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
                 let points = failed + sum(|one| one.points_passed);
-                let silent = |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
+                let unanswered = |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
                     let mut all = None;
                     outcomes().for_each(|one| FailedControllerRuns::merge(&mut all, of(one).clone()));
                     all
                 };
                 // A point without an answer is a failure of the controller, but no collision.
-                let strength = |failed: u64, points: u64, silent: Option<FailedControllerRuns>| {
-                    let touching = failed.saturating_sub(silent.as_ref().map_or(0, |silent| silent.runs));
-                    Strength::from_counts_with_unanswered(touching, points, silent.as_ref(), true)
+                let strength = |failed: u64, points: u64, unanswered: Option<FailedControllerRuns>| {
+                    let touching = failed.saturating_sub(unanswered.as_ref().map_or(0, |unanswered| unanswered.runs));
+                    Strength::from_counts_with_unanswered(touching, points, unanswered.as_ref(), true)
                 };
                 // A search concentrates on failures, so its failure count is no evidence about the tests.
-                let of_tests = strength(failed, points, silent(|one| &one.unanswered));
+                let of_tests = strength(failed, points, unanswered(|one| &one.unanswered));
                 let (strength, made) = match of_tests.is_refutation() {
-                    true => (of_tests, format!("{points} points that the tests state")),
+                    true => (of_tests, format!("{points} points of the tests")),
                     false => {
                         let failures = sum(|one| one.failures);
-                        let strength = strength(failures, runs, silent(|one| &one.unanswered_in_tolerance));
-                        (strength, format!("{runs} points, searched ones too"))
+                        let strength = strength(failures, runs, unanswered(|one| &one.unanswered_in_tolerance));
+                        (strength, format!("{runs} points of tests and search"))
                     }
                 };
                 Some(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) })
@@ -301,16 +302,16 @@ impl SuiteOutcome {
 
     fn table_cell(&self) -> ReportCell {
         // The reason for no answer is below the table, because it may be long.
-        let silent = self.total_unanswered().map_or(0, |silent| silent.runs);
-        let contact = self.worst.as_ref().filter(|_| silent < self.failures);
+        let unanswered = self.total_unanswered().map_or(0, |unanswered| unanswered.runs);
+        let contact = self.worst.as_ref().filter(|_| unanswered < self.failures);
         let mut words = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
-            (points, None, _) => format!("{} of {points}, the rest cannot be run", self.points_passed),
-            (points, Some(_), Some(worst)) => format!("{} of {points}; {}", self.points_passed, worst.what),
+            (points, None, _) => format!("{} of {points}; the others cannot be run", self.points_passed),
+            (points, Some(_), Some(worst)) => format!("{} of {points}; {}", self.points_passed, worst.description),
             (points, Some(_), None) => format!("{} of {points}", self.points_passed),
         };
-        if silent > 0 {
-            words += &format!("; no answer in {silent} of {} runs", self.runs);
+        if unanswered > 0 {
+            words += &format!("; no answer in {unanswered} of {} runs", self.runs);
         }
         ReportCell::with_mark(
             words,
@@ -338,8 +339,8 @@ impl SuiteFailure {
         let escape = escape.map(|text| EscapeFile::for_counterexample(&file, text));
         files.extend(escape.iter().map(|escape| (escape.file.clone(), escape.text.clone())));
         files.insert(file.clone(), text);
-        let (point, what) = (failed.point.clone(), describe_verdict(&failed.verdict));
-        Ok(Self { file, sha256, replay, point, what, preventable: describe_preventability(failed), escape })
+        let (point, description) = (failed.point.clone(), describe_verdict(&failed.verdict));
+        Ok(Self { file, sha256, replay, point, description, preventable: describe_preventability(failed), escape })
     }
 
     fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -359,7 +360,7 @@ impl SuiteFindings {
         let names = self.controllers.iter().map(String::as_str);
         let mut table = ReportTable::new(&["test", "clause"].into_iter().chain(names).collect::<Vec<_>>());
         for test in &self.tests {
-            let chosen = if test.is_as_stated { "" } else { " (some figures are chosen)" };
+            let chosen = if test.is_as_stated { "" } else { " (some parameters chosen)" };
             let head = [ReportCell::text(format!("{}{chosen}", test.test)), ReportCell::text(&test.clause)];
             table.push_row(head.into_iter().chain(test.outcomes.iter().map(SuiteOutcome::table_cell)).collect());
         }
@@ -381,10 +382,10 @@ impl SuiteFindings {
                 ("margins", &|(.., outcome)| {
                     ReportCell::text(if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") })
                 }),
-                ("worst that the clause allows", &|(.., outcome)| {
+                ("worst within tolerances", &|(.., outcome)| {
                     ReportCell::text(outcome.worst_in_tolerance.clone().unwrap_or_else(dash))
                 }),
-                ("who could have prevented it", &|(.., outcome)| {
+                ("preventable by", &|(.., outcome)| {
                     ReportCell::text(outcome.worst.as_ref().map_or_else(dash, prevented))
                 }),
             ],
@@ -398,13 +399,16 @@ impl SuiteFindings {
                 FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
                 runs += outcome.runs;
             }
-            Some(format!("{controller} {}. That is a failure of it, and no contact.", all?.describe(runs)))
+            Some(format!(
+                "{controller} {}. These are failures of the controller, but no collisions.",
+                all?.describe(runs)
+            ))
         };
         self.controllers.iter().enumerate().filter_map(of).collect()
     }
 
     fn describe(&self) -> String {
-        format!("After {}. Figures from: {} {DISCLAIMER}", self.document, self.figures_from)
+        format!("Modelled on {}. Source of the parameters: {} {DISCLAIMER}", self.document, self.figures_from)
     }
 
     fn out_of_scope(&self) -> Vec<String> {
@@ -417,13 +421,12 @@ impl SuiteFindings {
     }
 }
 
-const INTRODUCTION: &str = "Tests of documents as data: every combination of their figures is a scenario, and it passes if nothing \
-    touches before the test ends. A cell says how many of them pass, and the fastest impact. What regulations ask for besides is \
-    outside the model.";
+const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no vehicle collides before its end. A cell gives the passed \
+    scenarios and the fastest impact. Other requirements of the documents are outside the model.";
 
 impl ReportPart for Suites {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Tests after regulations".to_owned())
+        (ANCHOR, "Tests modelled on regulations".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -433,9 +436,11 @@ impl ReportPart for Suites {
             out.paragraph(&found.describe());
             out.table(&found.matrix());
             found.unanswered_notes().iter().for_each(|line| out.paragraph(line));
-            out.collapsible("verdicts, margins, the worst within each clause", |out| out.table(&found.details_table()));
-            out.markdown_mut().paragraph("Outside the model, and left out:");
-            out.collapsible("outside the model, and left out", |out| out.list(&found.out_of_scope()));
+            out.collapsible("verdicts, margins and worst points within tolerances", |out| {
+                out.table(&found.details_table())
+            });
+            out.markdown_mut().paragraph("Not modelled, or omitted:");
+            out.collapsible("not modelled, or omitted", |out| out.list(&found.out_of_scope()));
             out.push_html(html! { p.replay { @for command in found.replay_commands() { code { (command) } " " } } });
         }
     }

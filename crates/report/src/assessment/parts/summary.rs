@@ -42,7 +42,8 @@ pub struct NameExplanation {
     /// Name of a controller or scenario space.
     pub name: String,
     /// Explanation in a few words.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub explanation: String,
 }
 
 /// One property in one domain, claimed of every controller.
@@ -63,7 +64,7 @@ pub struct ClaimRow {
 /// The parts of the report that claims refer to.
 pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
-    pub(in crate::assessment) distributions: &'a SpaceSamples,
+    pub(in crate::assessment) rate_spaces: &'a SpaceSamples,
     pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
@@ -77,7 +78,7 @@ impl GatheredEvidence<'_> {
     pub(in crate::assessment) fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
         let mut all = Vec::new();
         all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.distributions.evidence(plan));
+        all.extend(self.rate_spaces.evidence(plan));
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
@@ -113,14 +114,17 @@ impl ClaimSummary {
         }
     }
 
-    fn table(&self, columns: &[usize]) -> ReportTable {
+    /// Returns the table of all claims: the main controllers first, then the others.
+    fn table(&self) -> ReportTable {
+        let (main, others) = self.split_columns();
+        let columns = [main, others].concat();
         let names = columns.iter().filter_map(|&index| self.controllers.get(index).map(String::as_str));
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
         let mut table = ReportTable::new(&header);
         for claim in &self.claims {
             let of = |&index: &usize| Some((claim.claims.get(index)?.as_ref(), claim.statuses.get(index)?));
-            let cells = columns.iter().filter_map(of).map(|(claim, standing)| match claim {
-                Some(_) => ReportCell::with_mark(standing.describe(), standing.strength.mark()),
+            let cells = columns.iter().filter_map(of).map(|(claim, status)| match claim {
+                Some(_) => ReportCell::with_mark(status.strength.table_text(), status.strength.mark()),
                 None => ReportCell::text("–"),
             });
             table.push_row(std::iter::once(ReportCell::text(&claim.claim)).chain(cells).collect());
@@ -131,7 +135,7 @@ impl ClaimSummary {
     fn name_table(&self) -> ReportTable {
         ReportTable::from_items(
             &self.named,
-            &[("name", &|one| ReportCell::text(&one.name)), ("what it is", &|one| ReportCell::text(&one.what))],
+            &[("name", &|one| ReportCell::text(&one.name)), ("explanation", &|one| ReportCell::text(&one.explanation))],
         )
     }
 
@@ -144,16 +148,16 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
     let controllers = plan
         .controllers
         .iter()
-        .map(|one| NameExplanation { name: one.name.clone(), what: describe_controller(&one.kind) });
+        .map(|one| NameExplanation { name: one.name.clone(), explanation: describe_controller(&one.kind) });
     let mut all: Vec<NameExplanation> = controllers.collect();
     let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
-    let own = plan.distributions.iter().chain(&plan.spaces);
+    let own = plan.rate_spaces.iter().chain(&plan.search_spaces);
     let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
     for (name, about) in own.chain(everyday) {
         let name = format!("space `{name}`");
         if !all.iter().any(|known| known.name == name) {
             let first = about.split_inclusive(['.', ':']).next().unwrap_or_default();
-            all.push(NameExplanation { name, what: first.trim_end_matches(['.', ':']).to_owned() });
+            all.push(NameExplanation { name, explanation: first.trim_end_matches(['.', ':']).to_owned() });
         }
     }
     all
@@ -162,34 +166,31 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
 fn describe_controller(kind: &ControllerKind) -> String {
     match kind {
         ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
-        ControllerKind::Policy(policy) => format!("a learned policy with hidden layers {:?}", policy.header().hidden),
+        ControllerKind::Policy(policy) => format!("learned policy with hidden layers {:?}", policy.header().hidden),
         ControllerKind::Network(network) => {
             let saved = network.file().saved_model();
             let saved = saved.map_or(String::new(), |saved| format!(" ({} of Stable-Baselines3)", saved.algorithm));
-            format!("a network from outside{saved} with layers {}", network.network().shape())
+            format!("external network{saved} with layers {}", network.network().shape())
         }
         ControllerKind::Shielded(shielded) => {
-            format!(
-                "behind a shield, which brakes fully where no way out would be left: {}",
-                describe_controller(&shielded.controller)
-            )
+            format!("with a shield: {}", describe_controller(&shielded.controller))
         }
         ControllerKind::Process(process) => match process.is_deterministic() {
             true => describe_process(process).to_owned(),
             false => {
                 format!(
-                    "{} that is not deterministic: made again, this report may say otherwise",
+                    "{} that is not deterministic: a repeated assessment may have other results",
                     describe_process(process)
                 )
             }
         },
-        ControllerKind::Custom(_) => "a controller from outside".to_owned(),
+        ControllerKind::Custom(_) => "external controller".to_owned(),
     }
 }
 
 /// An FMU runs in its own process, but the user sees an FMU.
 fn describe_process(process: &ProcessController) -> &'static str {
-    if process.setup().program.is_some() { "an FMU" } else { "a process" }
+    if process.setup().program.is_some() { "FMU" } else { "process" }
 }
 
 fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
@@ -200,11 +201,11 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
             return;
         }
         let claim = words.unwrap_or_else(|| first.describe());
-        let standing = |claim: &Option<AssuranceClaim>| {
+        let status = |claim: &Option<AssuranceClaim>| {
             claim.as_ref().map_or_else(ClaimStatus::default, |one| ledger.claim_status(one))
         };
-        let standings = claims.iter().map(standing).collect();
-        rows.push(ClaimRow { claim, part, claims, statuses: standings });
+        let statuses = claims.iter().map(status).collect();
+        rows.push(ClaimRow { claim, part, claims, statuses });
     };
     let of_all = |property: Property, domain: Domain, estimator: EstimatorKind| -> Vec<Option<AssuranceClaim>> {
         let claim = |index| {
@@ -223,9 +224,9 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     for claims in Suites::claims(plan) {
         add("suites", None, claims);
     }
-    let drawn_from = found.distributions.spaces.iter().zip(&plan.distributions);
-    for (drawn, named) in drawn_from.filter(|(drawn, _)| drawn.draws > 0) {
-        let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.draws);
+    let drawn_from = found.rate_spaces.spaces.iter().zip(&plan.rate_spaces);
+    for (drawn, named) in drawn_from.filter(|(drawn, _)| drawn.random_scenarios > 0) {
+        let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.random_scenarios);
         let in_draws = || Domain::Draws { space: space(), seed, draws };
         add("distribution", None, of_all(Property::NoContact, in_draws(), own));
         if named.can_others_collide() {
@@ -259,7 +260,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     }
     // For a whole space only a proof could support the claim; one failure refutes it.
     let mut spaces: Vec<&ContentId> = Vec::new();
-    let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
+    let drawn = found.rate_spaces.spaces.iter().filter(|drawn| drawn.random_scenarios > 0).map(|drawn| &drawn.space);
     for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.content_id)) {
         if !spaces.contains(&space) {
             spaces.push(space);
@@ -293,15 +294,16 @@ impl ReportPart for ClaimSummary {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        let (asked, others) = self.split_columns();
-        out.collapsible("what the names stand for", |out| out.table(&self.name_table()));
-        out.table(&self.table(&asked));
-        if !others.is_empty() {
-            out.markdown_mut().paragraph("The other controllers:");
-            out.collapsible("the other controllers", |out| out.table(&self.table(&others)));
-        }
+        out.collapsible("names of controllers and spaces", |out| out.table(&self.name_table()));
+        out.paragraph(LEGEND);
+        out.table(&self.table());
         out.push_html(html! {
-            details { summary { "how evidence speaks for claims" } ul { li { (InferenceRule::Direct.describe()) } @for rule in InferenceRule::DERIVED { li { (rule.describe()) } } } }
+            details { summary { "rules from evidence to claims" } ul { li { (InferenceRule::Direct.describe()) } @for rule in InferenceRule::DERIVED { li { (rule.describe()) } } } }
         });
     }
 }
+
+const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the failures of both \
+    controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level (`≤ 0.24 % (99.9 %)`), the \
+    distinct failures of a search, or the hardest braking of a leader that causes a collision (m/s²). \
+    A proof holds under the assumptions in the section \"Proofs\".";

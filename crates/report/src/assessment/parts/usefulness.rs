@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::sampling::{SampledRun, run_samples};
+use super::sampling::{RunSummary, run_samples};
 use super::{PercentInterval, StringStabilityVerdict};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{
@@ -47,7 +47,8 @@ pub struct UsefulnessReport {
     #[serde(rename = "line")]
     pub platoon: ContentId,
     /// Number of random scenarios of each space for each controller.
-    pub draws: u64,
+    #[serde(rename = "draws")]
+    pub random_scenarios: u64,
     /// Seed of the random scenarios.
     pub seed: u64,
     /// Confidence level of the bounds.
@@ -66,7 +67,8 @@ pub struct ControllerUsefulness {
     /// Everyday drives in which a vehicle under test collided or its controller failed.
     pub failures: u64,
     /// Scenarios that ended with a collision of other vehicles: no evidence about the controller.
-    pub cut_short: [u64; 2],
+    #[serde(rename = "cut_short")]
+    pub ended_by_others: [u64; 2],
     /// Dangerous scenarios that the controller failed.
     pub high_risk_failures: u64,
     /// Scenarios in which a vehicle under test first hit its leader.
@@ -141,10 +143,11 @@ impl UsefulnessReport {
             .map(|space| space_file::to_toml(space).map(|text| ContentId::new(space.name(), text)));
         let [traffic_known, high_risk_known] = spaces;
         let spaces = [traffic_known.map_err(CacheError::encoding)?, high_risk_known.map_err(CacheError::encoding)?];
-        let draws =
+        let random_scenarios =
             |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
-        let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
-        let known_line = ContentId::from_scenario("a line of five vehicles behind a leader that slows down", &line);
+        let (traffic, high_risk, line) =
+            (random_scenarios(traffic)?, random_scenarios(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
+        let known_line = ContentId::from_scenario("a platoon of five vehicles whose leader slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = EverydayDrive::simulate_all(&traffic, &options)?;
@@ -154,11 +157,18 @@ impl UsefulnessReport {
             Ok(ControllerUsefulness::new(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, platoon: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
+        Ok(Some(Self {
+            spaces,
+            platoon: known_line,
+            random_scenarios: count,
+            seed,
+            confidence: CONFIDENCE,
+            controllers,
+        }))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
-        let (seed, draws) = (self.seed, self.draws);
+        let (seed, draws) = (self.seed, self.random_scenarios);
         self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
     }
 
@@ -177,10 +187,10 @@ impl UsefulnessReport {
         let failures = [useful.failures, useful.high_risk_failures];
         let unanswered = useful.unanswered_runs()[place];
         Some(SpaceTally {
-            scenarios: self.draws,
+            scenarios: self.random_scenarios,
             collisions: failures[place].saturating_sub(unanswered),
             unanswered,
-            cut_short: useful.cut_short[place],
+            ended_by_others: useful.ended_by_others[place],
         })
     }
 
@@ -195,27 +205,36 @@ impl UsefulnessReport {
             let touching = |place: usize, failures: u64| failures.saturating_sub(useful.unanswered_runs()[place]);
             let [in_traffic, in_danger] = &useful.unanswered;
             let counts = [
-                (Property::NoContact, &traffic, touching(0, useful.failures), useful.cut_short[0], in_traffic),
+                (Property::NoContact, &traffic, touching(0, useful.failures), useful.ended_by_others[0], in_traffic),
                 (Property::NoUnnecessaryBraking, &traffic, useful.unnecessary_braking, 0, in_traffic),
                 (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
-                (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
+                (
+                    Property::NoContact,
+                    &danger,
+                    touching(1, useful.high_risk_failures),
+                    useful.ended_by_others[1],
+                    in_danger,
+                ),
             ];
             let line = AssuranceClaim {
                 subject: subject.clone(),
                 property: Property::StringStable,
                 domain: self.platoon_domain(),
             };
-            let source = EvidenceSource::from_part(ANCHOR, "one run of a line");
+            let source = EvidenceSource::from_part(ANCHOR, "one run of a platoon");
             all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
-            all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
+            all.extend(counts.map(|(property, domain, failures, ended_by_others, unanswered)| Evidence {
                 strength: Strength::from_counts_with_unanswered(
                     failures,
-                    self.draws - cut_short,
-                    silent.as_ref(),
+                    self.random_scenarios - ended_by_others,
+                    unanswered.as_ref(),
                     property == Property::NoContact,
                 ),
                 claim: AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() },
-                source: EvidenceSource::from_part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
+                source: EvidenceSource::from_part(
+                    ANCHOR,
+                    format!("{} drives, seed {}", self.random_scenarios, self.seed),
+                ),
             }));
         }
         all
@@ -223,13 +242,14 @@ impl UsefulnessReport {
 
     fn introduction(&self) -> String {
         format!(
-            "Who stands still hits nobody. {} draws of `traffic` (seed {}), everyday driving in which nobody need brake hard, \
-             and as many of `high-risk`, the same for every controller. Braking is without cause where it is more than \
-             {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than \
-             avoiding a contact took, and than the vehicle ahead braked itself. In the line, {FOLLOWERS} vehicles under test \
-             follow a leader that slows down by 4 m/s and recovers: its gain is the last one's largest change of speed relative \
-             to the leader's. Bounds are exact (Clopper–Pearson, {} %, each by itself).",
-            self.draws,
+            "A controller that stands still never collides, so the report also measures usefulness. Every controller drives the \
+             same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as many of `high-risk`. \
+             Columns without a space are about `traffic`. Braking is unnecessary if it is more than {UNNECESSARY_MARGIN_MPS2} \
+             m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than the collision \
+             avoidance required, and than the leader braked. Gain: {FOLLOWERS} vehicles with the controller follow a leader that \
+             slows down by 4 m/s and recovers; the change of speed of the last one, relative to the leader's. Bounds are exact \
+             (Clopper–Pearson, {} %).",
+            self.random_scenarios,
             self.seed,
             100.0 * self.confidence
         )
@@ -239,30 +259,30 @@ impl UsefulnessReport {
         let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 17] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
-            ("fails in traffic", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
-            ("no answer in traffic, high-risk", &|one| {
+            ("failures", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
+            ("no answer (traffic, high-risk)", &|one| {
                 ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
             }),
-            ("brakes without cause %", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
+            ("unnecessary braking (%)", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
                 // A drive without an answer is no evidence for the absence of unnecessary braking.
-                (0, [silent, _]) if silent > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
+                (0, [unanswered, _]) if unanswered > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
                 (needless, _) => ReportCell::with_verdict(one.unnecessary_braking_percent.observed, needless == 0),
             }),
-            ("bounds %", &|one| ReportCell::number(one.unnecessary_braking_percent.format_bounds())),
-            ("s a drive", &|one| ReportCell::optional(one.unnecessary_braking_s)),
-            ("brakes hard", &|one| ReportCell::number(one.hard_braking)),
-            ("left behind", &|one| ReportCell::number(one.left_behind)),
+            ("bounds (%)", &|one| ReportCell::number(one.unnecessary_braking_percent.format_bounds())),
+            ("per drive (s)", &|one| ReportCell::optional(one.unnecessary_braking_s)),
+            ("hard braking", &|one| ReportCell::number(one.hard_braking)),
+            ("falls behind", &|one| ReportCell::number(one.left_behind)),
             ("progress", &|one| ReportCell::optional(one.progress)),
-            ("time gap s", &|one| {
+            ("time gap (s)", &|one| {
                 ReportCell::number(format!("{} ± {}", or_dash(one.time_gap_s), or_dash(one.time_gap_deviation_s)))
             }),
-            ("rms a m/s²", &|one| ReportCell::optional(one.rms_acceleration_mps2)),
-            ("rms jerk m/s³", &|one| ReportCell::optional(one.rms_jerk_mps3)),
-            ("follower brakes m/s²", &|one| ReportCell::optional(one.induced_brake_mps2)),
-            ("gain of a line", &|one| one.string_stability.table_cell()),
-            ("fails in high-risk %", &|one| ReportCell::number(one.high_risk_percent.observed)),
-            ("hit ahead in traffic, high-risk", &|one| ReportCell::number(pair(one.hit))),
-            ("hit from behind in traffic, high-risk", &|one| ReportCell::number(pair(one.was_hit))),
+            ("rms acceleration (m/s²)", &|one| ReportCell::optional(one.rms_acceleration_mps2)),
+            ("rms jerk (m/s³)", &|one| ReportCell::optional(one.rms_jerk_mps3)),
+            ("induced braking (m/s²)", &|one| ReportCell::optional(one.induced_brake_mps2)),
+            ("gain", &|one| one.string_stability.table_cell()),
+            ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
+            ("hits leader (traffic, high-risk)", &|one| ReportCell::number(pair(one.hit))),
+            ("hit from behind (traffic, high-risk)", &|one| ReportCell::number(pair(one.was_hit))),
         ];
         let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
         ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
@@ -271,12 +291,16 @@ impl UsefulnessReport {
     fn unanswered_notes(&self) -> Vec<String> {
         let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
-            let words = places.filter_map(|(place, silent)| {
-                Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.describe(self.draws)))
+            let words = places.filter_map(|(place, unanswered)| {
+                Some(format!(
+                    "{} in `{place}`: {}",
+                    useful.controller,
+                    unanswered.as_ref()?.describe(self.random_scenarios)
+                ))
             });
             let line = match &useful.string_stability {
-                StringStabilityVerdict::Unanswered { because } => {
-                    Some(format!("{} in the line: gave no answer: {because}", useful.controller))
+                StringStabilityVerdict::Unanswered { reason } => {
+                    Some(format!("{} in the platoon gave no answer: {reason}", useful.controller))
                 }
                 _ => None,
             };
@@ -291,8 +315,8 @@ impl UsefulnessReport {
         let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 36.0 * names.len() as f64);
         let frame = PixelRect { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numeric("Share of draws (%)", (0.0, 100.0), 5);
-        let title = "Failures in danger (×), needless brakes (○)";
+        let axis = Axis::numeric("Share of random scenarios (%)", (0.0, 100.0), 5);
+        let title = "Failures in high-risk (×), unnecessary braking (○)";
         let mut panel = Panel::new(frame, title, axis, Axis::categorical("", &names).reversed());
         for (index, useful) in self.controllers.iter().enumerate() {
             let row = (names.len() - 1 - index) as f64;
@@ -308,13 +332,13 @@ impl UsefulnessReport {
         let of = |useful: &ControllerUsefulness| {
             let (fails, brakes) = (useful.high_risk_percent.observed, useful.unnecessary_braking_percent.observed);
             format!(
-                "{} fails in {fails} % of high-risk, brakes without cause in {brakes} % of traffic",
+                "{} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic",
                 useful.controller
             )
         };
         let description = self.controllers.iter().map(of).collect::<Vec<_>>().join("; ");
         let size = (width, frame.bottom() + BOTTOM_MARGIN);
-        Svg::new(id, size, "Both sides", &description, panel.draw(&Svg::id(id, "panel")))
+        Svg::new(id, size, "Safety and usefulness", &description, panel.draw(&Svg::id(id, "panel")))
     }
 }
 
@@ -342,13 +366,13 @@ impl ControllerUsefulness {
     /// Returns the number of everyday drives and of dangerous scenarios in which the controller gave no answer.
     #[must_use]
     pub fn unanswered_runs(&self) -> [u64; 2] {
-        self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
+        self.unanswered.each_ref().map(|unanswered| unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
     }
 
     fn new(
         controller: &NamedController,
         drives: &[EverydayDrive],
-        danger: &[SampledRun],
+        danger: &[RunSummary],
         line: StringStabilityVerdict,
     ) -> Self {
         // A drive without an answer is no evidence about driving or keeping up.
@@ -356,7 +380,7 @@ impl ControllerUsefulness {
         let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
         let mut unanswered = [None, None];
         drives.iter().for_each(|drive| FailedControllerRuns::merge(&mut unanswered[0], drive.verdict.unanswered()));
-        danger.iter().for_each(|draw| FailedControllerRuns::merge(&mut unanswered[1], draw.verdict.unanswered()));
+        danger.iter().for_each(|run| FailedControllerRuns::merge(&mut unanswered[1], run.verdict.unanswered()));
         let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| all.iter().filter(|one| is(one)).count() as u64;
         let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
             let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
@@ -365,27 +389,27 @@ impl ControllerUsefulness {
         let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
         let needless = count(&|one| !one.unnecessary.is_empty());
         // The results of these drives are unknown.
-        let silent = unanswered[0].as_ref().map_or(0, |silent: &FailedControllerRuns| silent.runs);
+        let unanswered_drives = unanswered[0].as_ref().map_or(0, |runs: &FailedControllerRuns| runs.runs);
         let (drives_end, danger_ends) =
-            (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
+            (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|run| &run.verdict));
         let [in_traffic, in_danger] = [EndCounts::from_verdicts(drives_end), EndCounts::from_verdicts(danger_ends)];
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures,
             unanswered,
-            cut_short: [in_traffic.cut_short, in_danger.cut_short],
+            ended_by_others: [in_traffic.ended_by_others, in_danger.ended_by_others],
             high_risk_failures: in_danger.failures,
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
             unnecessary_braking_percent: PercentInterval::clopper_pearson(
-                [needless, silent],
+                [needless, unanswered_drives],
                 drives.len() as u64,
                 CONFIDENCE,
             ),
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
-            left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
+            left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
             progress: following(|following| following.progress),
             time_gap_s: following(|following| following.mean_time_gap_s),
             time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
@@ -394,7 +418,7 @@ impl ControllerUsefulness {
             induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
             string_stability: line,
             high_risk_percent: PercentInterval::clopper_pearson(
-                [in_danger.failures, in_danger.cut_short],
+                [in_danger.failures, in_danger.ended_by_others],
                 danger.len() as u64,
                 CONFIDENCE,
             ),
@@ -406,7 +430,7 @@ impl ControllerUsefulness {
 struct EndCounts {
     failures: u64,
     /// Runs that a collision of other vehicles ended.
-    cut_short: u64,
+    ended_by_others: u64,
     hit: u64,
     was_hit: u64,
 }
@@ -416,7 +440,7 @@ impl EndCounts {
         let mut ends = Self::default();
         for verdict in verdicts {
             ends.failures += u64::from(verdict.is_failure());
-            ends.cut_short += u64::from(!verdict.is_conclusive());
+            ends.ended_by_others += u64::from(!verdict.is_conclusive());
             ends.hit += u64::from(matches!(verdict, CaseVerdict::Hit(_)));
             ends.was_hit += u64::from(matches!(verdict, CaseVerdict::WasHit(_)));
         }
@@ -426,7 +450,7 @@ impl EndCounts {
 
 impl ReportPart for UsefulnessReport {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Usefulness: everyday traffic".to_owned())
+        (ANCHOR, "Comfort and unnecessary braking".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -446,7 +470,7 @@ mod tests {
     use crumple_core::observer::{ProgressCounter, Quiet};
 
     #[test]
-    fn both_sides_are_told_of_every_controller() {
+    fn both_measures_are_reported_for_every_controller() {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
@@ -456,12 +480,12 @@ mod tests {
         )
         .unwrap()
         .unwrap();
-        let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
+        let [idm, retrained] = &found.controllers[..] else { panic!("one entry per controller") };
         assert_eq!((idm.failures, idm.unnecessary_braking, idm.hard_braking, retrained.failures), (0, 0, 0, 0));
-        assert!(retrained.unnecessary_braking > found.draws / 2 && retrained.progress < idm.progress);
+        assert!(retrained.unnecessary_braking > found.random_scenarios / 2 && retrained.progress < idm.progress);
         assert!(retrained.high_risk_percent.observed < idm.high_risk_percent.observed, "the other side");
         for useful in [idm, retrained] {
-            assert_eq!(useful.hit[1] + useful.was_hit[1], useful.high_risk_failures, "whoever fails touches");
+            assert_eq!(useful.hit[1] + useful.was_hit[1], useful.high_risk_failures, "a failure is a collision");
         }
         assert!(idm.was_hit[1] > 0 || idm.hit[1] > 0);
         assert!(

@@ -149,23 +149,21 @@ impl WorstProfiles {
             self.attacks(),
             &[
                 ("controller", &|(controller, _)| ReportCell::text(controller)),
-                ("peak of the leader (m/s²)", &|(_, mildest)| ReportCell::number(mildest.peak_brake_mps2)),
+                ("peak braking (m/s²)", &|(_, mildest)| ReportCell::number(mildest.peak_brake_mps2)),
                 ("∫a² (m²/s³)", &|(_, mildest)| ReportCell::number(mildest.effort_m2ps3)),
-                ("what follows", &|(_, mildest)| {
-                    ReportCell::with_mark(mildest.verdict.describe(), mildest.verdict.mark())
-                }),
+                ("outcome", &|(_, mildest)| ReportCell::with_mark(mildest.verdict.describe(), mildest.verdict.mark())),
                 ("pile-up (vehicles)", &|(_, mildest)| {
                     ReportCell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))
                 }),
-                ("gap of the best escape found", &|(_, mildest)| ReportCell::text(mildest.avoidance.label())),
-                ("margin predicted (m)", &|(_, mildest)| ReportCell::optional(mildest.predicted_margin_m)),
-                ("simulated (m)", &|(_, mildest)| ReportCell::optional(mildest.margin_m)),
-                ("a milder one is", &|(_, mildest)| {
+                ("best escape", &|(_, mildest)| ReportCell::text(mildest.avoidance.label())),
+                ("predicted margin (m)", &|(_, mildest)| ReportCell::optional(mildest.predicted_margin_m)),
+                ("simulated margin (m)", &|(_, mildest)| ReportCell::optional(mildest.margin_m)),
+                ("milder braking", &|(_, mildest)| {
                     ReportCell::text(match mildest.method {
                         _ if mildest.verdict.unanswered().is_some() => "–",
                         AttackMethod::Exact => "ruled out on this grid",
-                        AttackMethod::Widened => "not ruled out, but near the least",
-                        AttackMethod::Sequential => "not ruled out",
+                        AttackMethod::Widened => "possible, near the minimum",
+                        AttackMethod::Sequential => "possible",
                     })
                 }),
             ],
@@ -174,13 +172,10 @@ impl WorstProfiles {
 
     fn introduction(&self) -> String {
         format!(
-            "How little must the leader of {} brake for a controller to collide? Any braking up to {} m/s² that changes by at \
-             most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search \
-             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter. Against the others it \
-             simulates pulses and ramps and improves the best of them along rollouts. That braking is the best found, and a milder \
-             one may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
-             m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
-             for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
+            "The mildest braking of the leader of {} that makes each controller collide: up to {} m/s², with a jerk of at most {} \
+             m/s³, and the smallest ∫a². For the baseline the search enumerates the times at which its brake fires. For the \
+             others it simulates pulses and ramps and improves the best by convex programs, so a milder braking may exist. The \
+             margin is the smallest gap, or minus v²/10 after a collision at v m/s; a program aims slightly beyond a collision.",
             self.scenario, self.max_brake_mps2, self.max_jerk_mps3
         )
     }
@@ -190,15 +185,15 @@ impl WorstProfiles {
         let (found, avoidable) = touching.fold((0, 0), |(found, avoidable), (_, mildest)| {
             (found + 1, avoidable + usize::from(matches!(mildest.avoidance, RoundedAvoidance::Avoidable { .. })))
         });
-        format!("Another driver would have avoided {avoidable} of these {found} collisions.")
+        format!("Of these {found} collisions, {avoidable} are avoidable.")
     }
 
     fn describe_withstood(&self) -> Vec<String> {
         let none = self.profiles.iter().filter(|profile| profile.mildest.is_none());
         none.map(|profile| {
             format!(
-                "{}: no braking was found that makes it collide, in {} simulations and {} convex programs. This is \
-                 no proof that there is none.",
+                "{}: no braking found that makes it collide, in {} simulations and {} convex programs. This is no \
+                 proof.",
                 profile.controller, profile.evaluations, profile.programs
             )
         })
@@ -277,7 +272,7 @@ impl MildestAttack {
 
 impl ReportPart for WorstProfiles {
     fn anchor_and_title(&self) -> (&'static str, String) {
-        ("worst", "Worst brake profiles".to_owned())
+        ("worst", "Worst-case braking of the leader".to_owned())
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -288,8 +283,9 @@ impl ReportPart for WorstProfiles {
             out.figure(worst_profiles_figure::draw_responsive(self.attacks(), self.duration_s.value()));
         }
         self.describe_withstood().iter().for_each(|line| out.paragraph(line));
-        out.collapsible("commands that find them again", |out| out.commands(self.commands()));
-        out.markdown_mut().paragraph("Commands that find them again:");
-        out.markdown_mut().list(self.commands().map(Inline::code));
+        out.collapsible("commands that repeat the searches", |out| out.commands(self.commands()));
+        if let Some(first) = self.commands().next() {
+            out.markdown_mut().paragraph(Inline::prose("Search for the first controller: ").and_code(first));
+        }
     }
 }

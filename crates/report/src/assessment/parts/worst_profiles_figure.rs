@@ -51,8 +51,8 @@ fn draw(profiles: &[(&str, &MildestAttack)], duration_s: f64, prefix: &str, widt
     };
     let content = html! { @for placed in profiles.iter().enumerate() { (chart(placed)) } };
     let size = (width, rows as f64 * row_height);
-    let description = "Acceleration of the leader over time, one chart a controller; a star marks the contact.";
-    Svg::new(prefix, size, "The mildest lead braking that makes each controller collide", description, content)
+    let description = "Acceleration of the leader over time, one chart per controller; a star marks the collision.";
+    Svg::new(prefix, size, "Mildest braking of the leader that makes each controller collide", description, content)
 }
 
 fn contact_s(mildest: &MildestAttack) -> Option<f64> {

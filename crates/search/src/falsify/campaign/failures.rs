@@ -67,7 +67,7 @@ impl FailureKind {
 
     /// Returns true if the rear vehicle or the failed controller is the same, or both violate the formula.
     #[must_use]
-    pub fn is_same_pair(&self, other: &Self) -> bool {
+    pub fn is_same_failure_mode(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
             (Self::ControllerFailed { vehicle: a }, Self::ControllerFailed { vehicle: b }) => a == b,

@@ -25,7 +25,7 @@ pub(super) struct MethodResults {
     pub(super) failing: Vec<u64>,
     /// Evaluations for which the partner controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) other_unanswered: Option<UnansweredRuns>,
+    pub(super) other_unanswered: Option<UnansweredPartnerRuns>,
     /// Evaluations of infinite robustness: there is no partner scenario, or no vehicle to collide with.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub(super) unbounded: u64,
@@ -37,7 +37,7 @@ fn is_zero(count: &u64) -> bool {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct UnansweredRuns {
+pub(super) struct UnansweredPartnerRuns {
     pub(super) runs: u64,
     /// Number of the first one, its values, and the reason.
     pub(super) first: u64,
@@ -71,7 +71,7 @@ impl MethodResults {
         if fails {
             self.failures += 1;
             self.first = self.first.or(Some(evaluated.number));
-            if self.method.is_blind() && evaluated.number <= MAX_POINTS as u64 {
+            if self.method.is_non_adaptive() && evaluated.number <= MAX_POINTS as u64 {
                 self.failing.push(evaluated.number);
             }
         }
@@ -79,7 +79,7 @@ impl MethodResults {
             u64::from(evaluated.verdict.failure.is_none() && evaluated.verdict.robustness == f64::INFINITY);
         // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
-            let silent = self.other_unanswered.get_or_insert_with(|| UnansweredRuns {
+            let silent = self.other_unanswered.get_or_insert_with(|| UnansweredPartnerRuns {
                 runs: 0,
                 first: evaluated.number,
                 values: evaluated.values.clone(),
@@ -116,7 +116,7 @@ impl MethodResults {
     /// Returns true if the evaluations `made`, in a space of that dimension, can have these results.
     pub(super) fn is_consistent_with(&self, made: &Range<u64>, dimension: usize) -> bool {
         let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
-        let sampled = if self.method.is_blind() { MAX_POINTS as u64 } else { 0 };
+        let sampled = if self.method.is_non_adaptive() { MAX_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
             && self.failures.saturating_add(self.unbounded) <= self.evaluations
             && self
@@ -161,7 +161,7 @@ impl CampaignFindings {
             let after = missing.partition_point(|range| range.end <= index);
             missing.get(after).is_some_and(|range| range.contains(&index))
         };
-        for reached in self.method_results.iter().filter(|reached| reached.method.is_blind()) {
+        for reached in self.method_results.iter().filter(|reached| reached.method.is_non_adaptive()) {
             let mut search = reached.method.start(&terms.cube, terms.record.seed);
             let most = terms.record.budget.min(MAX_POINTS as u64);
             let mut points = Vec::new().into_iter();

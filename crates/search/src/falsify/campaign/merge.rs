@@ -102,7 +102,7 @@ impl MergedCampaign {
     /// Returns the division of the campaign, if it differs from the undivided campaign.
     fn sharding(&self) -> Option<Sharding> {
         let missing = self.missing_ranges();
-        let searches = if self.config.record.method.is_blind() { 1 } else { self.parts.shard_count() };
+        let searches = if self.config.record.method.is_non_adaptive() { 1 } else { self.parts.shard_count() };
         let MissingShards { shard_count: of_shards, missing_shards } = self.parts.missing_shards();
         (searches > 1 || !missing.is_empty()).then(|| Sharding {
             searches,

@@ -132,7 +132,7 @@ fn a_divided_reference_search_is_that_of_one_machine() {
 
 /// With other methods, evaluations and failures are sums, in any order, and the summary names missing parts.
 #[test]
-fn a_divided_search_is_one_campaign_with_what_is_missing() {
+fn merged_shards_form_one_campaign_and_list_missing_shards() {
     let (campaign, root) = (campaign(Method::Auto, 5), tempfile::tempdir().unwrap());
     run_all_shards(&campaign, root.path());
     let single = run_unsharded(&campaign);
@@ -287,8 +287,8 @@ fn findings_that_cannot_be_are_refused() {
         ),
         (
             |found| {
-                let twice = found["kinds"][0].clone();
-                found["kinds"].as_array_mut().unwrap().push(twice);
+                let doubled = found["kinds"][0].clone();
+                found["kinds"].as_array_mut().unwrap().push(doubled);
             },
             "kinds: a kind is listed twice",
         ),
@@ -296,7 +296,7 @@ fn findings_that_cannot_be_are_refused() {
     ];
     let genuine = root.path().join("genuine");
     campaign.run_shard(shard, &genuine, false, &Quiet).unwrap();
-    for (place, (change, said)) in changes.into_iter().enumerate() {
+    for (place, (change, text)) in changes.into_iter().enumerate() {
         let folder = root.path().join(place.to_string());
         for (path, bytes) in read_files(&genuine) {
             let path = folder.join(path);
@@ -312,8 +312,8 @@ fn findings_that_cannot_be_are_refused() {
         work.finish().unwrap();
         drop(work);
         match merge(&[folder]) {
-            Ok(_) => assert_eq!(said, ""),
-            Err(error) => assert!(!said.is_empty() && error.to_string().contains(said), "{place}: {error}"),
+            Ok(_) => assert_eq!(text, ""),
+            Err(error) => assert!(!text.is_empty() && error.to_string().contains(text), "{place}: {error}"),
         }
     }
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::config::CampaignRecord;
 use super::failures::Failures;
 use super::resolved_config::ResolvedConfig;
-use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, SUMMARY_FILE};
+use super::run::{CAMPAIGN_KIND, CONFIGURATION_FILE, JOURNAL_FILE, SUMMARY_FILE};
 use super::{CampaignError, CampaignSummary, EvaluatedPoint, FailureKind, FrontPoint, journal, table};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_store::disk;
@@ -259,8 +259,6 @@ impl CampaignReader {
         Ok(Some(scenario.map_err(|error| CampaignError::Encoding(error.to_string()))?))
     }
 }
-
-const CAMPAIGN_KIND: &str = "campaign";
 
 impl JournalTail {
     /// Returns the evaluation of the next verdict, from the search that receives all verdicts; `None` beyond the last.

@@ -191,7 +191,7 @@ mod tests {
     use crumple_world::scenario::space::built_in_space;
 
     #[test]
-    fn a_box_of_failures_is_found_and_said_in_units() {
+    fn a_failure_region_is_found_and_reported_in_units() {
         let space = built_in_space("high-risk").unwrap();
         let mut sample = LabelledPoints::default();
         for index in 0..4000 {

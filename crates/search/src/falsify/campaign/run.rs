@@ -115,7 +115,7 @@ impl Campaign {
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NoVehicleUnderTest(self.space.name().to_owned()));
         }
-        if self.failure_criterion.as_ref().is_some_and(|contrast| contrast.is_self_comparison(&self.controller)) {
+        if self.failure_criterion.as_ref().is_some_and(|criterion| criterion.is_self_comparison(&self.controller)) {
             return Err(CampaignError::ComparedWithItself(self.controller.name.clone()));
         }
         self.evaluator().evaluate(nominal, 1)?;
@@ -180,7 +180,7 @@ impl CampaignRun<'_> {
         let budget = self.evaluation_range.end - self.evaluation_range.start;
         while reached.evaluations < budget {
             let mut points = search.ask();
-            if method.is_blind() {
+            if method.is_non_adaptive() {
                 // The points do not depend on values, so many batches can be requested at once.
                 for _ in 1..BLIND_BATCHES {
                     points.extend(search.ask());
@@ -203,7 +203,7 @@ impl CampaignRun<'_> {
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
                 self.run_folder.record_prefix(JOURNAL_FILE, durable)?;
             }
-            let mut told = Vec::with_capacity(points.len());
+            let mut costs = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
                 let evaluated = EvaluatedPoint {
                     number: self.evaluation_range.start + reached.evaluations + 1,
@@ -213,13 +213,13 @@ impl CampaignRun<'_> {
                     point,
                     verdict,
                 };
-                told.push(self.campaign.objective.cost(&evaluated));
+                costs.push(self.campaign.objective.cost(&evaluated));
                 self.findings.add(&mut reached, &evaluated);
                 if let Some(table) = &mut self.table {
                     table.add(&method, &evaluated)?;
                 }
             }
-            search.tell(&told);
+            search.tell(&costs);
             observer.notify(&self.progress(Some(&reached)))?;
         }
         Ok(reached)

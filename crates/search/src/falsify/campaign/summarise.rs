@@ -71,8 +71,8 @@ impl CampaignSummary {
 }
 
 impl MethodSummary {
-    fn from_results(reached: &MethodResults, contrast: Option<&FailureCriterionRecord>) -> Self {
-        let is_metamorphic = matches!(contrast, Some(FailureCriterionRecord::Metamorphic(_)));
+    fn from_results(reached: &MethodResults, criterion: Option<&FailureCriterionRecord>) -> Self {
+        let is_metamorphic = matches!(criterion, Some(FailureCriterionRecord::Metamorphic(_)));
         Self {
             method: reached.method.name().to_owned(),
             evaluations: reached.evaluations,

@@ -300,8 +300,8 @@ impl CampaignSummary {
         if self.objective != SearchObjective::default().name() {
             writeln!(out, "  objective of the search: the {} failures", self.objective)?;
         }
-        if let Some(contrast) = &self.failure_criterion {
-            writeln!(out, "  the search counts only failures {}", TerminalText(&contrast.describe()))?;
+        if let Some(criterion) = &self.failure_criterion {
+            writeln!(out, "  the search counts only failures {}", TerminalText(&criterion.describe()))?;
         }
         if self.nondeterministic {
             writeln!(

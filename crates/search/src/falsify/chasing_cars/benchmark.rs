@@ -129,7 +129,7 @@ fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> R
     let Ok(cube) = UnitCube::new([PIECES, PIECES]) else { return Ok(run) };
     let mut search = method.start(&cube, seed);
     while run.evaluations < budget {
-        let mut told = Vec::new();
+        let mut costs = Vec::new();
         for point in search.ask().into_iter().take(budget - run.evaluations) {
             let inputs = ChasingCarsInputs::from_unit(&point);
             let robustness = robustness(formula, &inputs)?;
@@ -152,9 +152,9 @@ fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> R
                 }
             }
             run.best_robustness = run.best_robustness.min(value);
-            told.push(value);
+            costs.push(value);
         }
-        search.tell(&told);
+        search.tell(&costs);
     }
     Ok(run)
 }
@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_portfolio_falsifies_all_six_whatever_the_number_of_threads() {
+    fn the_portfolio_falsifies_all_six_with_any_number_of_threads() {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| run_benchmark(&Method::Auto, 1500, 0, 3).unwrap())

@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_class_survives_its_file_and_an_old_file_says_that_nobody_asked() {
+    fn every_class_round_trips_and_old_files_have_none() {
         let all = [
             (Avoidability::NotAsked, "null"),
             (Avoidability::Avoidable { best_min_gap_m: 0.1 + 0.2 }, "true"),

@@ -9,16 +9,16 @@ use std::thread;
 const MAX_BATCH_SIZE: usize = 64;
 
 /// A message of a thread: its index, and its question; `None` at its end.
-type AskerMessage<Q> = (usize, Option<Q>);
+type Question<Q> = (usize, Option<Q>);
 
 /// Client side of one thread, which asks one question at a time.
-struct Asker<Q, A> {
+struct QuestionSender<Q, A> {
     index: usize,
-    questions: Sender<AskerMessage<Q>>,
+    questions: Sender<Question<Q>>,
     answers: Receiver<A>,
 }
 
-impl<Q, A> Asker<Q, A> {
+impl<Q, A> QuestionSender<Q, A> {
     /// Sends a question and waits for the answer; `None` if the server has ended.
     fn ask(&self, question: Q) -> Option<A> {
         self.questions.send((self.index, Some(question))).ok()?;
@@ -26,7 +26,7 @@ impl<Q, A> Asker<Q, A> {
     }
 }
 
-impl<Q, A> Drop for Asker<Q, A> {
+impl<Q, A> Drop for QuestionSender<Q, A> {
     /// Reports the end of the thread, also on panic, so that the server does not wait for it.
     fn drop(&mut self) {
         let _ = self.questions.send((self.index, None));
@@ -50,27 +50,31 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
 ) -> Vec<R> {
     thread::scope(|scope| {
         let (questions, asked) = channel();
-        let (mut threads, mut desks) = (Vec::new(), Vec::new());
+        let (mut threads, mut answer_senders) = (Vec::new(), Vec::new());
         for (index, member) in members.iter().enumerate() {
-            let (desk, answers) = channel();
-            desks.push(Some(desk));
-            let asker = Asker { index, questions: questions.clone(), answers };
-            threads.push(scope.spawn(move || work(member, &mut |question| asker.ask(question))));
+            let (answer_sender, answers) = channel();
+            answer_senders.push(Some(answer_sender));
+            let sender = QuestionSender { index, questions: questions.clone(), answers };
+            threads.push(scope.spawn(move || work(member, &mut |question| sender.ask(question))));
         }
         drop(questions);
-        serve(&asked, desks, answer);
+        serve(&asked, answer_senders, answer);
         let joined = threads.into_iter().map(|thread| thread.join());
         joined.map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     })
 }
 
-fn serve<Q, A>(asked: &Receiver<AskerMessage<Q>>, mut desks: Vec<Option<Sender<A>>>, answer: &impl Fn(&[Q]) -> Vec<A>) {
+fn serve<Q, A>(
+    asked: &Receiver<Question<Q>>,
+    mut answer_senders: Vec<Option<Sender<A>>>,
+    answer: &impl Fn(&[Q]) -> Vec<A>,
+) {
     let mut waiting: Vec<(usize, Q)> = Vec::new();
     loop {
-        while waiting.len() < desks.iter().flatten().count() {
+        while waiting.len() < answer_senders.iter().flatten().count() {
             match asked.recv() {
-                Ok((index, Some(question))) if desks[index].is_some() => waiting.push((index, question)),
-                Ok((index, _)) => desks[index] = None,
+                Ok((index, Some(question))) if answer_senders[index].is_some() => waiting.push((index, question)),
+                Ok((index, _)) => answer_senders[index] = None,
                 Err(_) => return,
             }
         }
@@ -81,9 +85,9 @@ fn serve<Q, A>(asked: &Receiver<AskerMessage<Q>>, mut desks: Vec<Option<Sender<A
         let (who, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
         let mut answers = answer(&questions).into_iter();
         for index in who {
-            match (answers.next(), &desks[index]) {
-                (Some(answer), Some(desk)) => drop(desk.send(answer)),
-                _ => desks[index] = None,
+            match (answers.next(), &answer_senders[index]) {
+                (Some(answer), Some(answer_sender)) => drop(answer_sender.send(answer)),
+                _ => answer_senders[index] = None,
             }
         }
     }
@@ -97,7 +101,7 @@ mod tests {
 
     /// Results equal those of separate runs, whenever a thread ends, and questions are answered in batches.
     #[test]
-    fn what_is_learned_together_is_what_is_learned_alone() {
+    fn batched_answers_equal_single_answers() {
         let members: Vec<u64> = (0..150).map(|i| i * i % 23).collect();
         let asked = RefCell::new(Vec::new());
         let learned = run_batched(
@@ -116,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn who_gets_no_answer_is_told_so_and_nobody_waits_for_it() {
+    fn a_missing_answer_is_reported_and_blocks_no_thread() {
         let learned =
             run_batched(&[1, 2, 3], |_, ask| ask(0).is_some() && ask(0).is_some(), |all| vec![(); all.len() - 1]);
         assert_eq!(learned.len(), 3);

@@ -59,13 +59,13 @@ impl<'a> Examiner<'a> {
         ask: &mut EvaluateFn<'_>,
     ) -> Result<Option<ExaminedFailure>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
-        let original_verdict = self.judge(&original, 1, ask)?;
+        let original_verdict = self.evaluate(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };
         // After a collision, robustness is the negative impact speed.
         let most = MIN_SEVERITY_SHARE * original_verdict.robustness;
         let survives = |scenario: &Scenario, ask: &mut EvaluateFn<'_>| -> Result<bool, CampaignError> {
-            let finer = self.kind(&self.judge(scenario, FINER_STEP_DIVISOR, ask)?);
-            Ok(finer.is_some_and(|finer| finer.is_same_pair(&kind)))
+            let finer = self.kind(&self.evaluate(scenario, FINER_STEP_DIVISOR, ask)?);
+            Ok(finer.is_some_and(|finer| finer.is_same_failure_mode(&kind)))
         };
         let dt_fragile = !survives(&original, ask)?;
         let mut values = candidate.values.clone();
@@ -74,7 +74,7 @@ impl<'a> Examiner<'a> {
             let mut holds = |values: &[f64]| {
                 let mut still = || -> Result<bool, CampaignError> {
                     let scenario = self.tidy(values)?;
-                    let verdict = self.judge(&scenario, 1, ask)?;
+                    let verdict = self.evaluate(&scenario, 1, ask)?;
                     let as_hard = verdict.robustness <= most;
                     Ok(self.kind(&verdict) == Some(kind) && as_hard && survives(&scenario, ask)?)
                 };
@@ -90,7 +90,7 @@ impl<'a> Examiner<'a> {
         }
         // Read the text back: the file alone must fail.
         let (scenario, original) = (write_and_read_back(&self.tidy(&values)?)?, write_and_read_back(&original)?);
-        let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
+        let (verdict, original_verdict) = (self.evaluate(&scenario, 1, ask)?, self.evaluate(&original, 1, ask)?);
         let options = self.campaign.evaluator().run_options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
         let failed = aftermath.outcome.failed_controller();
@@ -123,7 +123,7 @@ impl<'a> Examiner<'a> {
         FailureKind::from_verdict(verdict, &self.config.specification)
     }
 
-    fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut EvaluateFn<'_>) -> Result<RunVerdict, CampaignError> {
+    fn evaluate(&self, scenario: &Scenario, parts: u32, ask: &mut EvaluateFn<'_>) -> Result<RunVerdict, CampaignError> {
         Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.evaluator().evaluate(scenario, parts))?)
     }
 

@@ -149,11 +149,11 @@ impl ExpectedVerdict {
     pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
-        let contrast = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
+        let criterion = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
         if let (
             Some(FailureCriterion::Differential(other)),
             Some(FailureCriterionRecord::Differential { policy_sha256, controller_sha256, .. }),
-        ) = (&contrast, &self.failure_criterion)
+        ) = (&criterion, &self.failure_criterion)
         {
             self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
         }
@@ -162,7 +162,7 @@ impl ExpectedVerdict {
             specification: &specification,
             controller: &contender,
             estimator: self.estimator,
-            failure_criterion: contrast.as_ref(),
+            failure_criterion: criterion.as_ref(),
         };
         let (nominal, finer) = (judging.evaluate(&scenario, 1)?, judging.evaluate(&scenario, FINER_STEP_DIVISOR)?);
         let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
@@ -226,10 +226,10 @@ impl ExpectedVerdict {
         let policy_sha256 = found.policy().map(|policy| policy.digest());
         let controller_sha256 = found.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let contrast = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
-        let contrast = contrast.as_ref().map(FailureCriterion::to_record);
+        let criterion = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
+        let criterion = criterion.as_ref().map(FailureCriterion::to_record);
         let mut renewed =
-            Self { policy_sha256, controller_sha256, failure_criterion: contrast, dt_fragile: false, ..self.clone() };
+            Self { policy_sha256, controller_sha256, failure_criterion: criterion, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::classify(&specification, &verdict, &scenario);

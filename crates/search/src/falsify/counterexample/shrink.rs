@@ -134,7 +134,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn what_plays_no_part_becomes_nominal_and_the_rest_round() {
+    fn irrelevant_parameters_become_nominal_and_others_round() {
         let space = built_in_space("high-risk").unwrap();
         let values = space.values(&space.draw_point(1, 5));
         let names = space.coordinate_names();

@@ -29,7 +29,7 @@ fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
 
 /// Both are equally fast after half a second, when the gap has closed by 0.25 m, and it grows again after that.
 #[test]
-fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
+fn a_contact_within_a_step_is_prevented() {
     let (frame, wanted_mps2) = (slow_step_params(), -7.0);
     for (gap_m, is_admitted) in [(0.2, false), (0.25, false), (0.250_002, true)] {
         let now = state(gap_m, 11.0, 10.0);
@@ -241,7 +241,7 @@ fn overrides_in_successive_steps_are_one() {
 
 /// Full braking by the controller is no override, but is recorded outside the kernel. Commands are clipped.
 #[test]
-fn only_what_is_changed_is_an_override() {
+fn only_changed_commands_are_overrides() {
     let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
     let mut shield = full_throttle_shield(frame);
     assert_eq!(shield.decide(&leader_observation(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
@@ -251,12 +251,12 @@ fn only_what_is_changed_is_an_override() {
     assert_eq!(braking.decide(&leader_observation(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
     assert_eq!(braking.overrides(), []);
     assert_eq!(braking.decide(&leader_observation(20.0, near_m - 1.0, 20.0, 0.0)).unwrap(), -2.0);
-    let told = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
-    assert_eq!(braking.overrides(), [told]);
+    let expected = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
+    assert_eq!(braking.overrides(), [expected]);
 }
 
 #[test]
-fn settings_are_said_as_they_are_read() {
+fn settings_are_printed_as_they_are_read() {
     let errors = Some(ErrorBounds { gap_m: 0.5, speed_mps: 0.25, ahead_speed_mps: 1.0 });
     assert_eq!(ShieldSettings::default().to_arg(), "");
     let words = ShieldSettings { ahead_brake_mps2: Some(6.0), errors }.to_arg();

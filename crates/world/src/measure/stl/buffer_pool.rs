@@ -15,14 +15,14 @@ thread_local! {
 }
 
 /// Returns an empty buffer.
-pub(super) fn take() -> Vec<f64> {
+pub(super) fn acquire() -> Vec<f64> {
     let mut array = SPARE.with_borrow_mut(Vec::pop).unwrap_or_default();
     array.clear();
     array
 }
 
 /// Returns a buffer to the pool.
-pub(super) fn give(array: Vec<f64>) {
+pub(super) fn release(array: Vec<f64>) {
     SPARE.with_borrow_mut(|pool| {
         if pool.len() < MAX_ARRAYS && array.capacity() <= MAX_LENGTH {
             pool.push(array);

@@ -73,7 +73,7 @@ impl Formula {
     fn first_value(&self, signals: &SampledSignals<'_>, reading: MonitorSemantics) -> Result<f64, MonitorError> {
         let values = Monitor { signals, semantics: reading }.values(self, 0, 1)?;
         let first = values.first().copied().unwrap_or(f64::NAN);
-        buffer_pool::give(values);
+        buffer_pool::release(values);
         Ok(first)
     }
 }
@@ -131,7 +131,7 @@ impl Monitor<'_> {
             terms.push((sign * weight, samples));
         }
         let bound = sign * comparison.bound();
-        let mut values = buffer_pool::take();
+        let mut values = buffer_pool::acquire();
         let mut any_undefined = false;
         // In chunks that stay in the L1 cache for all terms.
         for start in (0..to - from).step_by(CHUNK) {
@@ -169,7 +169,7 @@ impl Monitor<'_> {
         let mut values = self.values(left, from, to)?;
         let others = self.values(right, from, to)?;
         values.iter_mut().zip(&others).for_each(|(value, &other)| *value = joined(*value, other));
-        buffer_pool::give(others);
+        buffer_pool::release(others);
         Ok(values)
     }
 
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_evaluated_is_refused() {
+    fn formulas_without_a_value_are_refused() {
         let x = [f64::INFINITY, 1.0];
         let signals = signals(&x, &x);
         let error = |text: &str| text.parse::<Formula>().unwrap().robustness(&signals).unwrap_err().to_string();

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_disturbance_of_a_line_is_none() {
+    fn without_a_disturbance_there_is_no_amplification() {
         assert_eq!(SpeedAmplification::from_trace(&line(&[0.0, 1.0]), 0.0), None, "the leader keeps its speed");
         assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 2.0), None, "speeds differ by then");
         assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 9.0), None, "after the end");

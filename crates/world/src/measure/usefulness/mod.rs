@@ -60,7 +60,8 @@ pub struct FollowingMeasures {
     /// Standard deviation of the time gap while moving, in seconds.
     pub time_gap_deviation_s: Option<f64>,
     /// True if the vehicle ended below half the speed of its moving leader.
-    pub left_behind: bool,
+    #[serde(rename = "left_behind")]
+    pub fell_behind: bool,
 }
 
 impl UsefulnessMeasures {
@@ -102,7 +103,7 @@ impl FollowingMeasures {
             progress: Some(own_m / ahead_m).filter(|_| ahead_m > 0.0),
             mean_time_gap_s,
             time_gap_deviation_s: variance_s2.map(f64::sqrt),
-            left_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS
+            fell_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS
                 && last.rear_speed_mps < 0.5 * last.front_speed_mps,
         })
     }
@@ -154,7 +155,7 @@ mod tests {
         assert!(near(following.progress, 0.9));
         assert!(near(following.mean_time_gap_s, 1.078_125));
         assert!(near(following.time_gap_deviation_s, (0.3125_f64.powi(2) * 3.0 / 16.0).sqrt()));
-        assert!(!following.left_behind);
+        assert!(!following.fell_behind);
         assert!(near(found.rms_acceleration_mps2, 32.0_f64.sqrt()));
         assert!(found.unnecessary.count == 1 && found.induced.is_none());
         // Steps of 0.5 s exceed the window, so that one of three contains the jump of 8 m/s².
@@ -167,12 +168,12 @@ mod tests {
         )
         .unwrap();
         let following = still.following.unwrap();
-        assert_eq!((following.progress, following.mean_time_gap_s, following.left_behind), (None, None, false));
+        assert_eq!((following.progress, following.mean_time_gap_s, following.fell_behind), (None, None, false));
         let left = trace(
             vec![driven_track(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven_track(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)],
             0.5,
         );
-        assert!(UsefulnessMeasures::from_trace(&left, &[], 1).unwrap().following.unwrap().left_behind);
+        assert!(UsefulnessMeasures::from_trace(&left, &[], 1).unwrap().following.unwrap().fell_behind);
     }
 
     #[test]

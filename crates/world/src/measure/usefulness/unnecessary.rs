@@ -98,8 +98,8 @@ impl UnnecessaryBraking {
     /// was justified exceeds a limit of 2 m/s².
     #[must_use]
     pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let is_beyond = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
-        drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, is_beyond))
+        let exceeds_limit = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
+        drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, exceeds_limit))
     }
 
     pub(super) fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
@@ -132,9 +132,12 @@ impl UnnecessaryBraking {
     }
 
     /// Measures all braking of sufficient duration for which the predicate holds.
-    fn from_steps_where(steps: impl Iterator<Item = DriveStep>, is_needless: impl Fn(&BrakeInstant) -> bool) -> Self {
+    fn from_steps_where(
+        steps: impl Iterator<Item = DriveStep>,
+        is_unnecessary: impl Fn(&BrakeInstant) -> bool,
+    ) -> Self {
         let (mut sum, mut open) = (Self::default(), None::<OpenBraking>);
-        for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_needless(brake)) {
+        for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_unnecessary(brake)) {
             let until_s = step.time_s + step.duration_s;
             match &mut open {
                 Some(braking) if step.time_s < braking.until_s + MIN_BRAKING_S => {
@@ -227,18 +230,18 @@ mod tests {
 
     #[test]
     fn braking_without_cause_by_hand() {
-        let needless =
+        let unnecessary =
             |pieces: &[(f64, f64)]| UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap();
-        let found = needless(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
+        let found = unnecessary(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
         let hardest = found.hardest.unwrap();
         assert!((found.time_s - 0.8).abs() < 1e-9 && found.count == 2, "{found:?}");
         assert!(
             (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0)
                 && (hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
         );
-        assert!(needless(&[(1.0, -2.0)]).is_empty(), "within the margin");
-        assert!(needless(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_empty(), "too short");
-        let bursts = needless(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
+        assert!(unnecessary(&[(1.0, -2.0)]).is_empty(), "within the margin");
+        assert!(unnecessary(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_empty(), "too short");
+        let bursts = unnecessary(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
         assert!((bursts.time_s - 0.2).abs() < 1e-9 && bursts.count == 1, "{bursts:?}");
         assert_eq!(UnnecessaryBraking::from_trace(&steady_leader_trace(&[(1.0, 0.0)]), &[], 2), None);
     }
@@ -256,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn an_emergency_is_a_cause_and_what_follows_an_impact_is_not_braking() {
+    fn an_emergency_justifies_braking_and_motion_after_an_impact_is_ignored() {
         // Half a second behind a leader that brakes at 8 m/s², less suffices: 20² / (2 * (10 + 25)) = 5.7 m/s².
         let front = driven_track(4.0, 14.0, 20.0, &[(3.0, -8.0)], 0.05);
         let rear = driven_track(4.0, 0.0, 20.0, &[(3.0, -7.6)], 0.05);
@@ -272,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn with_nobody_ahead_nothing_calls_for_braking() {
+    fn without_a_leader_no_braking_is_justified() {
         let leader = UnnecessaryBraking::from_trace(
             &trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05),
             &[],
@@ -297,10 +300,10 @@ mod tests {
                 let front = driven_track(4.0, gap_m + 4.0, 25.0, &pieces(&front), step_s);
                 trace(vec![front, driven_track(4.0, 0.0, 25.0, &pieces(own), step_s)], step_s)
             };
-            let needless = |own: &[f64], step_s| UnnecessaryBraking::from_trace(&line(own, step_s), &[], 1).unwrap();
+            let unnecessary = |own: &[f64], step_s| UnnecessaryBraking::from_trace(&line(own, step_s), &[], 1).unwrap();
             let coasting: Vec<f64> = own.iter().map(|a| a.max(0.0)).collect();
-            prop_assert!(needless(&coasting, 0.05).is_empty());
-            let (coarse, fine) = (needless(&own, 0.05), needless(&own, 0.01));
+            prop_assert!(unnecessary(&coasting, 0.05).is_empty());
+            let (coarse, fine) = (unnecessary(&own, 0.05), unnecessary(&own, 0.01));
             let beyond_s = 0.5 * own.iter().filter(|a| **a < -UNNECESSARY_MARGIN_MPS2).count() as f64;
             prop_assert!(coarse.time_s <= beyond_s + 1e-9);
             prop_assert!((coarse.time_s - fine.time_s).abs() <= 6.0 * 0.05 + 3.0 * MIN_BRAKING_S, "{coarse:?} {fine:?}");

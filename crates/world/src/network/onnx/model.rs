@@ -252,8 +252,8 @@ fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), Networ
             // The type of a tensor, which contains its shape.
             2 => {
                 let tensor = find_field(value.bytes()?, 1)?;
-                let said = tensor.map(|tensor| find_field(tensor, 2)).transpose()?.flatten();
-                shape = said.map(parse_dimensions).transpose()?;
+                let message = tensor.map(|tensor| find_field(tensor, 2)).transpose()?.flatten();
+                shape = message.map(parse_dimensions).transpose()?;
             }
             _ => {}
         }

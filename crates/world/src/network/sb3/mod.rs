@@ -126,12 +126,12 @@ impl ActorKind {
 
     /// Builds the steps from the observation to the answer, before it is mapped to the action space.
     fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<NetworkStep>, NetworkError> {
-        let told = &data.policy_kwargs;
-        let class = told.get("features_extractor_class").and_then(Value::as_str);
+        let kwargs = &data.policy_kwargs;
+        let class = kwargs.get("features_extractor_class").and_then(Value::as_str);
         if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
             return unsupported_with_hint("it has a custom features extractor, which is not supported");
         }
-        let activation = activation(told, self)?;
+        let activation = activation(kwargs, self)?;
         let mut steps = Vec::new();
         let mut hidden = |name: &str| -> Result<(), NetworkError> {
             for layer in weights.sequential_layers(name)? {
@@ -154,7 +154,7 @@ impl ActorKind {
                 let width = mean.biases.len();
                 steps.push(NetworkStep::Linear(mean));
                 if is_cut {
-                    let limit = told.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
+                    let limit = kwargs.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
                     steps.push(NetworkStep::Elementwise(Elementwise::Clip {
                         low: vec![-limit; width],
                         high: vec![limit; width],
@@ -195,16 +195,16 @@ impl ActorKind {
 }
 
 /// Returns the activation of hidden layers; `None` for the identity.
-fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, NetworkError> {
-    let Some(said) = told.get("activation_fn") else {
+fn activation(kwargs: &Value, actor: ActorKind) -> Result<Option<Elementwise>, NetworkError> {
+    let Some(text) = kwargs.get("activation_fn") else {
         return Ok(Some(if actor == ActorKind::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));
     };
-    let said = said.as_str().unwrap_or_default();
-    let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
-    if !said.contains("torch.nn.modules.") {
+    let text = text.as_str().unwrap_or_default();
+    let name = text.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
+    if !text.contains("torch.nn.modules.") {
         return unsupported_with_hint(format_args!(
             "its activation function `{}` is not one of PyTorch's",
-            sanitized(said)
+            sanitized(text)
         ));
     }
     Ok(Some(match name {

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_pickle_of_statistics_is_unreadable() {
+    fn other_pickles_are_unreadable() {
         assert_eq!(VecNormalizeStats::load(Path::new("there/is/none.pkl")), VecNormalizeStats::Unreadable);
         for bytes in [&b""[..], b"\x80\x04N.", b"\x80\x04)."] {
             assert_eq!(VecNormalizeStats::read(bytes), None);

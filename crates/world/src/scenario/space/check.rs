@@ -113,8 +113,8 @@ impl ScenarioSpace {
             return reject("parameters", format!("must have at most {MAX_COORDINATES} coordinates, found {found}"));
         }
         let names = space.coordinate_names();
-        if let Some(twice) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
-            return reject("parameters", format!("two coordinates are called `{}`", twice.1));
+        if let Some(doubled) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
+            return reject("parameters", format!("two coordinates are called `{}`", doubled.1));
         }
         space.order = (0..space.parameters.len()).collect();
         space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
@@ -254,9 +254,9 @@ impl ScenarioSpace {
     fn check_corners(&self) -> Result<(), InvalidSpace> {
         for vehicle in 0..self.template.vehicles.len() {
             let near = |parameter: &&SpaceParameter| {
-                let touched = parameter.target.affected_vehicle();
+                let collided = parameter.target.affected_vehicle();
                 let of_all = matches!(parameter.target, FieldTarget::Vehicle(None, _));
-                of_all || touched.is_some_and(|touched| touched == vehicle || touched + 1 == vehicle)
+                of_all || collided.is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
             };
             let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {

@@ -45,7 +45,7 @@ fn space(text: &str) -> Result<ScenarioSpace, String> {
 }
 
 #[test]
-fn what_is_wrong_with_dependence_exposure_and_data_is_said_with_its_field() {
+fn errors_of_dependence_exposure_and_data_name_their_field() {
     let damaged: [(&str, &str, &str); 25] = [
         ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0, 1.0], [1.0, 1.0]]", "correlation: must be positive definite"),
         (
@@ -110,10 +110,10 @@ fn what_is_wrong_with_dependence_exposure_and_data_is_said_with_its_field() {
         ),
     ];
     assert!(space(SPACE).is_ok());
-    for (was, is, said) in damaged {
+    for (was, is, message) in damaged {
         assert!(SPACE.contains(was), "{was}");
         let error = space(&SPACE.replacen(was, is, 1)).expect_err(is);
-        assert!(error.contains(said) && error.starts_with("pairs.toml:"), "{is}: {error}");
+        assert!(error.contains(message) && error.starts_with("pairs.toml:"), "{is}: {error}");
     }
 }
 

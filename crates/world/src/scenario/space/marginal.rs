@@ -335,7 +335,7 @@ mod tests {
 
     /// Extreme distributions of a file: no panic, no hang, no value outside the range.
     #[test]
-    fn extreme_laws_have_values_at_every_share() {
+    fn extreme_distributions_have_values_at_every_share() {
         let ranges = [[0.0, 1.0], [0.0, 1e300], [1e-320, 1e-300], [0.0, 1e-310], [1e-3, 12.0], [1e200, 1e308]];
         let shares = [0.0, f64::MIN_POSITIVE, 1e-100, 0.5, 1.0 - f64::EPSILON, 1.0];
         for [low, high] in ranges {

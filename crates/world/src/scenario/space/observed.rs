@@ -23,8 +23,8 @@ pub struct DrivingExposure {
     pub kilometres: f64,
     /// Number of brakings in this driving that the space does not describe. Failures per hour count them with the
     /// failure rate of the episodes. Default 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub left_out: u64,
+    #[serde(rename = "left_out", default, skip_serializing_if = "is_zero")]
+    pub undescribed_brakings: u64,
     /// Exposure of each source, up to 1000; empty if unknown. The sums equal the numbers above.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceExposure>,
@@ -44,8 +44,8 @@ pub struct SourceExposure {
     /// Kilometres of following.
     pub kilometres: f64,
     /// Number of brakings that the space does not describe.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub left_out: u64,
+    #[serde(rename = "left_out", default, skip_serializing_if = "is_zero")]
+    pub undescribed_brakings: u64,
 }
 
 fn is_zero(number: &u64) -> bool {
@@ -115,7 +115,7 @@ impl DrivingExposure {
             ("exposure.episodes", self.episodes as f64, sum(|source| source.episodes as f64)),
             ("exposure.hours", self.hours, sum(|source| source.hours)),
             ("exposure.kilometres", self.kilometres, sum(|source| source.kilometres)),
-            ("exposure.left_out", self.left_out as f64, sum(|source| source.left_out as f64)),
+            ("exposure.left_out", self.undescribed_brakings as f64, sum(|source| source.undescribed_brakings as f64)),
         ] {
             if (all - found).abs() > 1e-6 * all {
                 return reject(
@@ -134,8 +134,11 @@ impl ObservedData {
         if !(2..=MAX_EPISODES).contains(&episodes) {
             return reject("observed.waves", format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"));
         }
-        if let Some(wave) = self.braking_clusters.iter().find(|wave| **wave as usize >= episodes) {
-            return reject("observed.waves", format!("must be below the number of episodes, {episodes}, found {wave}"));
+        if let Some(cluster) = self.braking_clusters.iter().find(|cluster| **cluster as usize >= episodes) {
+            return reject(
+                "observed.waves",
+                format!("must be below the number of episodes, {episodes}, found {cluster}"),
+            );
         }
         if let Some(exposure) = &space.exposure
             && exposure.episodes != episodes as u64

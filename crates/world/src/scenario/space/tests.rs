@@ -77,7 +77,7 @@ fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
 }
 
 #[test]
-fn the_paper_space_has_the_papers_law() {
+fn the_paper_space_has_the_distribution_of_the_paper() {
     const DRAWS: u64 = 4000;
     let space = space("paper");
     let ours: Vec<_> = (0..DRAWS).map(|index| space.draw(7, index).unwrap()).collect();
@@ -112,7 +112,7 @@ fn the_paper_space_has_the_papers_law() {
 }
 
 #[test]
-fn speeds_and_gaps_that_depend_on_each_other_do_what_they_say() {
+fn dependent_speeds_and_gaps_match_their_definition() {
     let number = |field: &str, unit: &str, nominal: f64| {
         let plain = parameter(field, unit, "distribution.uniform = { low = 0.0, high = 100.0 }");
         format!("{plain}nominal = {nominal}\n")
@@ -149,7 +149,7 @@ fn speeds_and_gaps_that_depend_on_each_other_do_what_they_say() {
 }
 
 #[test]
-fn derived_fields_do_what_they_say() {
+fn derived_fields_match_their_definition() {
     let parameters = [
         parameter("vehicles[1].gap_m", "m", "distribution.uniform = { low = 1, high = 31 }"),
         parameter("vehicles[2].class", "", "distribution.choice = { values = [\"light\", \"heavy\"] }"),
@@ -183,7 +183,7 @@ proptest! {
     /// Leader speeds and accelerations stay within the limits of the file, followers start at their time gaps, and the
     /// drivers are the named ones.
     #[test]
-    fn everyday_traffic_is_what_it_says(
+    fn everyday_traffic_matches_its_description(
         point in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 17),
     ) {
         let space = space("traffic");
@@ -216,7 +216,7 @@ proptest! {
 /// The space separates controllers: reference drivers pass without hard braking, a policy rewarded only for avoiding
 /// collisions does not.
 #[test]
-fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
+fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
     let space = space("traffic");
     let scenarios: Vec<_> = (0..200).map(|index| space.draw(1, index).unwrap()).collect();
     let steady = |scenario: &&Scenario| match &scenario.vehicles()[0].driver {

@@ -68,7 +68,7 @@ fn the_moment_is_that_of_the_closed_form() {
 }
 
 #[test]
-fn who_leaves_counts_from_the_one_ahead() {
+fn a_leaving_vehicle_counts_from_its_leader() {
     // A vehicle at 20 m/s leaves 1.5 s before its collision with one that stands, and reveals it to the follower.
     let line = vec![
         steady_vehicle(140.0, 0.0),
@@ -88,7 +88,7 @@ fn who_leaves_counts_from_the_one_ahead() {
 }
 
 #[test]
-fn who_finds_no_room_stays_beside() {
+fn a_vehicle_without_room_stays_in_its_lane() {
     for beside_m in [1.0, 0.0, -1.5] {
         let line = vec![with_entry(steady_vehicle(beside_m, 20.0), LaneChange::At(1.0)), steady_vehicle(0.0, 20.0)];
         let simulated = run(&scenario(line, 3.0));
@@ -100,7 +100,7 @@ fn who_finds_no_room_stays_beside() {
 
 /// Trace and engine agree: the last vehicle leaves before any motion, and never had a leader.
 #[test]
-fn who_leaves_at_the_start_was_never_there() {
+fn leaving_at_the_start_equals_absence() {
     for leaves in [LaneChange::At(0.0), LaneChange::At(1e-10), LaneChange::TimeToCollision(1.4)] {
         let simulated =
             run(&scenario(vec![steady_vehicle(12.0, 20.0), with_exit(steady_vehicle(0.0, 28.0), leaves)], 3.0));
@@ -111,7 +111,7 @@ fn who_leaves_at_the_start_was_never_there() {
 }
 
 #[test]
-fn all_whose_moment_it_is_change_together() {
+fn simultaneous_lane_changes_happen_together() {
     // One vehicle stands 100 m ahead. The TTC of the second to it is 1.5 s, that of the faster third to the second is 1
     // s. Without the second the third would stay.
     let line = vec![
@@ -132,7 +132,7 @@ fn without_lanes(mut simulated: SimulationResult) -> SimulationResult {
 }
 
 #[test]
-fn who_enters_at_the_start_has_been_there() {
+fn entering_at_the_start_equals_presence() {
     for spec in ControllerSpec::all() {
         for estimator in EstimatorKind::ALL {
             let paper = built_in_scenario("paper-1").unwrap();
@@ -202,7 +202,7 @@ proptest! {
 
     /// A vehicle that leaves behind controllers that observe only their leader has no effect on them.
     #[test]
-    fn who_leaves_behind_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
+    fn a_vehicle_that_leaves_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
         let line = |last: VehicleSpec| {
             scenario(vec![scripted_vehicle(40.0, 20.0, brake_profile(1.0, brake_mps2)), controlled_vehicle(10.0, 20.0, "idm"), last], 6.0)
         };
@@ -251,7 +251,7 @@ proptest! {
             let measured_m = LeadMeasures::from_trace(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
             let gaps_m = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
             prop_assert!(close(gaps_m[0], gaps_m[1]), "vehicle {index}: {gaps_m:?}");
-            prop_assert!(InducedBraking::from_trace(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
+            prop_assert!(InducedBraking::from_trace(trace, &coarse.impacts, index).is_none_or(|induced| induced.peak_brake_mps2 < Some(31.0)));
         }
     }
 }

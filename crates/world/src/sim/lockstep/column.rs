@@ -39,7 +39,7 @@ pub(super) struct VehicleColumn<'a> {
     pub(super) locked_to_front: RunSet,
     pub(super) min_gap_m: PerRun,
     min_ttc_s: PerRun,
-    hardest_brake_mps2: PerRun,
+    max_brake_so_far_mps2: PerRun,
 }
 
 impl<'a> VehicleColumn<'a> {
@@ -67,7 +67,7 @@ impl<'a> VehicleColumn<'a> {
             next_speed_mps: nothing,
             locked_to_front: RunSet::default(),
             min_ttc_s: PerRun::constant(VehicleExtremes::INITIAL.min_ttc_s, lanes.len()),
-            hardest_brake_mps2: PerRun::constant(VehicleExtremes::INITIAL.max_brake_mps2, lanes.len()),
+            max_brake_so_far_mps2: PerRun::constant(VehicleExtremes::INITIAL.max_brake_mps2, lanes.len()),
         }
     }
 
@@ -79,14 +79,14 @@ impl<'a> VehicleColumn<'a> {
         }
     }
 
-    /// Computes the acceleration of the next step. `touched` are the runs with an earlier collision.
+    /// Computes the acceleration of the next step. `collided` are the runs with an earlier collision.
     pub(super) fn decide(
         &mut self,
         arch: Arch,
         lanes: &[RunLane<'a>],
         [front, behind]: [Option<&Self>; 2],
         span_s: [f64; 2],
-        touched: RunSet,
+        collided: RunSet,
     ) -> Vec<(usize, ControllerFailure)> {
         let failed = self.command(arch, lanes, [front, behind], span_s);
         if self.actuators.is_empty() {
@@ -101,7 +101,7 @@ impl<'a> VehicleColumn<'a> {
             }
         }
         let (decided, noise_mps2, speed) = (&mut self.next_acceleration_mps2, self.noise.next_mps2(), &self.speed_mps);
-        if touched.is_empty() {
+        if collided.is_empty() {
             arch.dispatch(SimdClosure(
                 #[inline(always)]
                 || loops::disturb(decided.padded_mut(), noise_mps2, speed.padded()),
@@ -158,12 +158,12 @@ impl<'a> VehicleColumn<'a> {
     pub(super) fn step(&mut self, arch: Arch, dt_s: f64) {
         let now = [&self.position_m, &self.speed_mps, &self.acceleration_mps2].map(PerRun::padded);
         let (next_position_m, next_speed_mps) = (&mut self.next_position_m, &mut self.next_speed_mps);
-        let hardest_brake_mps2 = &mut self.hardest_brake_mps2;
+        let max_brake_so_far_mps2 = &mut self.max_brake_so_far_mps2;
         arch.dispatch(SimdClosure(
             #[inline(always)]
             || {
                 loops::advance(dt_s, now, next_position_m.padded_mut(), next_speed_mps.padded_mut());
-                loops::update_max_brake(hardest_brake_mps2.padded_mut(), now[2]);
+                loops::update_max_brake(max_brake_so_far_mps2.padded_mut(), now[2]);
             },
         ));
     }
@@ -237,7 +237,7 @@ impl<'a> VehicleColumn<'a> {
         }
         let tally = VehicleExtremes {
             min_ttc_s: self.min_ttc_s.swap_remove(run),
-            max_brake_mps2: self.hardest_brake_mps2.swap_remove(run),
+            max_brake_mps2: self.max_brake_so_far_mps2.swap_remove(run),
         };
         summarize_vehicle(self.min_gap_m.swap_remove(run), tally, self.speed_mps.swap_remove(run))
     }

@@ -33,7 +33,7 @@ impl<'s> Script<'s> {
 
     #[inline(never)]
     fn look_up_mps2(&mut self, [from_s, to_s]: [f64; 2], speed_mps: f64) -> f64 {
-        if let Some(held) = self.profile.constant_acceleration_until(from_s) {
+        if let Some(held) = self.profile.constant_acceleration_span(from_s) {
             [self.cached_mps2, self.valid_until_s] = held;
         }
         if to_s <= self.valid_until_s {

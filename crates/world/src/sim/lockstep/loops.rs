@@ -9,7 +9,7 @@ use crate::control::{Idm, clamp_command};
 use crate::scenario::Brake;
 use crate::sim::actuator::add_noise_unless_at_rest;
 use crate::sim::motion;
-use crate::sim::recorder::{hardest_brake_mps2, ttc_s};
+use crate::sim::recorder::{raise_max_brake, ttc_s};
 
 #[inline(always)]
 pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_mps2: &[f64]) {
@@ -63,9 +63,9 @@ pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], nex
 }
 
 #[inline(always)]
-pub(super) fn update_max_brake(hardest_mps2: &mut [f64], a: &[f64]) {
-    for (hardest_mps2, &a) in hardest_mps2.iter_mut().zip(a) {
-        *hardest_mps2 = hardest_brake_mps2(*hardest_mps2, a);
+pub(super) fn update_max_brake(max_mps2: &mut [f64], a: &[f64]) {
+    for (max_mps2, &a) in max_mps2.iter_mut().zip(a) {
+        *max_mps2 = raise_max_brake(*max_mps2, a);
     }
 }
 

@@ -63,9 +63,9 @@ pub fn simulate_batch<R: Send>(
     };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
-        .flat_map(|alike| {
-            let most = if alike.iter().all(|&run| runs[run].supports_lockstep()) { most } else { 1 };
-            alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most))
+        .flat_map(|group| {
+            let most = if group.iter().all(|&run| runs[run].supports_lockstep()) { most } else { 1 };
+            group.chunks(group.len().div_ceil(rayon::current_num_threads()).min(most))
         })
         .collect();
     let mut results: Vec<(usize, R)> = blocks

@@ -121,7 +121,7 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
 }
 
 #[test]
-fn travel_bounds_what_happens() {
+fn motion_bounds_contain_the_motion() {
     let controller =
         |far: &FarAway| ShieldedSource { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
     for (onset_s, bound_by_kernel) in [(2.0, false), (40.0, true)] {
@@ -202,7 +202,7 @@ proptest! {
 
     /// No collision occurs at any position, step size, road or controller.
     #[test]
-    fn from_inside_the_kernel_nobody_touches_wherever_and_in_whatever_steps(far in far_away()) {
+    fn no_collision_from_inside_the_kernel_at_any_position_and_step(far in far_away()) {
         check_no_collision(&far)?;
     }
 }
@@ -226,7 +226,7 @@ fn delays_add_up() {
 
 /// Assumptions of a shield follow from the scenario; computed by hand.
 #[test]
-fn what_is_taken_for_granted_is_what_the_scenario_says() {
+fn assumptions_match_the_scenario() {
     let scenario = |changed: &dyn Fn(&mut ScenarioSpec)| {
         let edited = built_in_scenario("paper-1").unwrap().edited(|spec| {
             spec.environment.friction = 0.5;
@@ -241,8 +241,8 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
         });
         edited.unwrap()
     };
-    let asked = |scenario: &Scenario, eyes: EstimatorKind| {
-        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(eyes);
+    let asked = |scenario: &Scenario, estimator: EstimatorKind| {
+        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(estimator);
         let run = Run::new(scenario, options).unwrap();
         (
             run.shield_params(1, &ShieldSettings::default()),
@@ -272,7 +272,7 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
 
 /// A shield of a controller that never brakes intervenes from a step of the run on until its end.
 #[test]
-fn what_it_did_is_told_in_the_seconds_of_the_run() {
+fn interventions_are_reported_in_seconds_of_the_run() {
     let far = FarAway { onset_s: 1.0, step_s: 0.01, ..FarAway::from_report(1.0, 0.0, [VehicleClass::Light; 2]) };
     let done = far.simulate().interventions;
     let end_s = far.scenario().spec().duration_s;

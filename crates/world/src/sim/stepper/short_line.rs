@@ -179,8 +179,8 @@ mod tests {
         let mut moments = Vec::new();
         let mut note = |now: &StepView<'_>| {
             let StepView { motion, gap_m, has_collided: has_touched, has_ended } = *now;
-            let touched = if has_touched { "touched" } else { "apart" };
-            moments.push((motion.to_vec(), format!("{gap_m:?} {touched} {has_ended}")));
+            let collided = if has_touched { "touched" } else { "apart" };
+            moments.push((motion.to_vec(), format!("{gap_m:?} {collided} {has_ended}")));
             if moments.len() % 37 == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         while !stepper.has_ended() {
@@ -217,7 +217,7 @@ mod tests {
             let leaves = paper.edited(|spec| spec.vehicles[0].leaves = Some(LaneChange::At(2.0))).unwrap();
             [paper, leaves]
         });
-        let mut touched = 0;
+        let mut collided = 0;
         for (number, scenario) in draws.chain(others).enumerate() {
             for estimator in EstimatorKind::ALL {
                 let after = if number % 2 == 0 { AfterContact::Continue } else { AfterContact::Stop };
@@ -229,9 +229,9 @@ mod tests {
                     assert_eq!(drive_and_record(&run, together, None), alone, "{name} {together}");
                 }
                 assert_eq!(drive_and_record(&run, 10, Some(RecordingLevel::Trace)).0, alone.0, "{name}");
-                touched += usize::from(alone.0.iter().any(|(_, of)| of.contains("touched")));
+                collided += usize::from(alone.0.iter().any(|(_, of)| of.contains("touched")));
             }
         }
-        assert!(touched > 20, "{touched}");
+        assert!(collided > 20, "{collided}");
     }
 }

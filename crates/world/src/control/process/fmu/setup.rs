@@ -153,8 +153,8 @@ fn find_variable<'a>(
 #[must_use]
 pub fn find_fmu_host() -> Option<PathBuf> {
     let absolute = |path: PathBuf| std::path::absolute(path).ok().filter(|path| path.is_file());
-    if let Some(said) = std::env::var_os(HOST_ENV_VAR) {
-        return absolute(said.into());
+    if let Some(text) = std::env::var_os(HOST_ENV_VAR) {
+        return absolute(text.into());
     }
     let name = format!("{HOST_PROGRAM}{}", std::env::consts::EXE_SUFFIX);
     let own = std::env::current_exe().ok();
