@@ -321,7 +321,7 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
         "{message}"
     );
     let message = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
-    assert!(message.contains("trained behind VecNormalize") && message.contains("`normalised = true`"), "{message}");
+    assert!(message.contains("its data shows that it was trained with VecNormalize") && message.contains("`normalised = true`"), "{message}");
     let identity = find(&described).unwrap();
     // A statement about training does not change the controller.
     assert_eq!(find(&undescribed.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
@@ -407,7 +407,7 @@ fn mismatches_with_a_model_are_reported() {
                    [[inputs]]\nquantity = \"gap_ahead_m\"\nscale = 100.0\n[[inputs]]\nquantity = \"speed_mps\"\nscale = 40.0\n\
                    [[inputs]]\nquantity = \"acceleration_mps2\"\n[output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
     let message = find(several).expect_err("which?").to_string();
-    assert!(message.contains("output.answer: is missing: the network has 4 answers"), "{message}");
+    assert!(message.contains("output.answer: is missing: the network has 4 outputs"), "{message}");
     assert!(find(&several.replace("[output]", "[output]\nanswer = 3")).is_ok());
 }
 

@@ -302,7 +302,7 @@ fn bad_suites_are_refused_by_file_line_and_field() {
     let times: Vec<_> = (0..100).map(|index| format!("5.{index:03}")).collect();
     let many = replace_passages(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
     let error = TestSuite::from_toml(&many, Path::new("own.toml")).unwrap_err().to_string();
-    assert!(error.contains("makes 10000 points, and a suite may have 2000"), "{error}");
+    assert!(error.contains("makes 10000 points, and a suite may have at most 2000"), "{error}");
 }
 
 /// The baseline brakes at 7.5 m/s² below a TTC of 1.4 s: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.

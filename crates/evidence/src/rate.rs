@@ -161,11 +161,11 @@ impl RatePlan {
     ///     seed: 1,
     ///     estimator: EstimatorKind::Truth,
     ///     confidence: 0.9,
-    ///     ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 300)
+    ///     ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 300)
     /// })
     /// .unwrap();
     /// let folder = tempfile::tempdir().unwrap();
-    /// let certificate = plan.register_in(folder.path(), false).unwrap().certificate(&Quiet).unwrap();
+    /// let certificate = plan.register_in(folder.path(), false).unwrap().certify(&Quiet).unwrap();
     /// println!("{}", crumple_verify::check(&certificate).unwrap());
     /// ```
     pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {

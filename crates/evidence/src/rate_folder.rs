@@ -289,6 +289,6 @@ mod tests {
         let path = folder.path().join(PROGRESS_FILE);
         fs::write(&path, fs::read_to_string(&path).unwrap().replace("\"runs\": 1", "\"runs\": 2")).unwrap();
         let error = plan.register_in(folder.path(), true).err().unwrap().to_string();
-        assert!(error.ends_with("progress.json: not as it was written"), "{error}");
+        assert!(error.ends_with("progress.json: has changed since it was written"), "{error}");
     }
 }

@@ -286,7 +286,7 @@ fn a_damaged_campaign_is_an_error_in_every_answer() {
     {
         let (status, answer) = post_at(port, &token, what, body.as_bytes());
         let message = answer["error"]["message"].as_str().unwrap_or_default();
-        assert!(status == 500 && message.ends_with("not as it was written"), "{what}: {status}: {answer}");
+        assert!(status == 500 && message.ends_with("has changed since it was written"), "{what}: {status}: {answer}");
     }
 }
 

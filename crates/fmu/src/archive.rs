@@ -57,7 +57,7 @@ impl Fmu<BufReader<File>> {
     pub fn open(path: &Path) -> Result<Self, FmuError> {
         let file = File::open(path)?;
         if !file.metadata()?.is_file() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no ordinary file").into());
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file").into());
         }
         Self::read(BufReader::new(file))
     }

@@ -168,7 +168,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         "a complete one only repeats its summary"
     );
     let other = run_crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
-    assert_refused(&other, "another `seed`: 0 instead of 5");
+    assert_refused(&other, "found/campaign.toml: the campaign there has a different `seed`: 0 instead of 5");
 }
 
 /// Checks that a log has forty rows for each method, named columns, and a contact where robustness is negative.
@@ -326,7 +326,7 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
         Some(bytes)
     };
     let (begins_otherwise, shorter) =
-        (format!("its first {known} bytes are not"), format!("shorter than the {known} bytes"));
+        (format!("its first {known} bytes have changed since they were written"), format!("shorter than the {known} bytes"));
     let mut damages = vec![
         (changed(0), begins_otherwise.as_str()),
         (changed(known - 1), begins_otherwise.as_str()),
@@ -374,7 +374,7 @@ fn a_campaign_in_another_space_names_the_difference() {
     )
     .unwrap();
     let resumed = campaign(&["--resume"]);
-    let expected = "another `space.parameters[4].distribution.normal.deviation`: 0.2 instead of 0.3";
+    let expected = "the campaign there has a different `space.parameters[4].distribution.normal.deviation`: 0.2 instead of 0.3";
     assert_refused(&resumed, expected);
 }
 

@@ -52,7 +52,7 @@ fn merged_shards_equal_one_count_and_missing_shards_are_named() {
     assert_refused(&run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]), "is in the shard s/b;");
     // The error for another count in the folder names the field and both values.
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
-    assert_refused(&other, "another `count.registration.configuration.seed`: \"0\" instead of \"1\"");
+    assert_refused(&other, "s/a/shard.json: the shard of a count there has a different `count.registration.configuration.seed`: \"0\" instead of \"1\"");
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--out=rate", "--resume"]].concat());
     assert_refused(
         &other,
@@ -70,7 +70,7 @@ fn merged_shards_equal_one_count_and_missing_shards_are_named() {
     let progress = folder.join("s/a/progress.json");
     let text = fs::read_to_string(&progress).unwrap();
     fs::write(&progress, text.replacen("\"runs\": 300", "\"runs\": 400", 1)).unwrap();
-    assert_refused(&merge(&["s/a", "s/b"]), "s/a/progress.json: not as it was written");
+    assert_refused(&merge(&["s/a", "s/b"]), "s/a/progress.json: has changed since it was written");
     assert_refused(
         &run_crumple(folder, &[&COUNT_ARGS[..], &["--shard", "1/10"]].concat()),
         "there are 9 blocks of runs",
@@ -118,7 +118,7 @@ fn shards_of_a_search_are_one_campaign() {
     assert_eq!(exit_code(&output), 1);
     assert!(stdout(&output).contains("INCOMPLETE: missing of 3 shards: 2\n"), "{}", stdout(&output));
     assert!(
-        stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3, and nothing is written")
+        stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3; nothing is written")
     );
     assert!(!folder.join("campaign").exists());
     let output = run_crumple(folder, &["merge", "3", "1", "--partial", "--out=part"]);
@@ -148,7 +148,7 @@ fn shards_of_a_search_are_one_campaign() {
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&single)));
     let part = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=part", "--resume"]].concat());
     assert_refused(&part, "the campaign there has a different `divided`");
-    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "another `divided.missing_");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "the campaign there has a different `divided.missing_");
     assert_refused(
         &run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()),
         "a shard has no log",
@@ -194,7 +194,7 @@ fn shards_of_a_suite_give_the_result_of_one_machine() {
     let results = folder.join("2/results.json");
     let text = fs::read_to_string(&results).unwrap();
     fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
-    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: not as it was written");
+    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: has changed since it was written: it is longer");
     assert_refused(&run_crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
 }
 
@@ -297,8 +297,12 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     refused(&["1", "2", "--partial"], "--partial: only for searches");
     assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=2"]), "is in the shard 2;");
     run_shard(folder, "1/3", "count");
-    for order in [["count", "1"], ["1", "count"]] {
-        refused(&order, &format!("{}: this shard belongs to another run than", order[1]));
+    let (count, trainings) = ("shard of a count", "shard of trainings");
+    for (order, kind, earlier_kind) in [(["count", "1"], trainings, count), (["1", "count"], count, trainings)] {
+        refused(
+            &order,
+            &format!("{}: a {kind}, but the folders before it are of kind {earlier_kind}", order[1]),
+        );
     }
     // A copy of a shard with another result for the same seed.
     run_crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
@@ -313,7 +317,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     refused(&["1", "2"], "1/seed-0/training.toml: differs from the configuration or seed");
     let text = fs::read_to_string(folder.join("2/shard.json")).unwrap();
     fs::write(folder.join("2/shard.json"), text.replace("\"seeds\": 3", "\"seeds\": 4")).unwrap();
-    refused(&["2"], "2/shard.json: not as it was written");
+    refused(&["2"], "2/shard.json: has changed since it was written");
     refused(&["single"], "single/shard.json: the file is missing");
 }
 

@@ -197,7 +197,7 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_refused(&estimate(&[]), "rare already holds a rare-failure estimate: use --resume");
     assert_refused(
         &estimate(&["--resume", "--estimator", "truth"]),
-        "rare/rare-estimate.json: the rare-failure estimate there was",
+        "rare/rare-estimate.json: the rare-failure estimate there has a different configuration",
     );
     let text = estimate(&["--resume"]);
     assert!(stdout(&text).contains("neither a bound nor a certificate"), "{}", stdout(&text));
@@ -223,7 +223,7 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
         .unwrap();
-    assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: not as it was written");
+    assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: has changed since it was written");
     assert_eq!(exit_code(&fsck()), 1);
     assert_eq!(exit_code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
     assert_eq!(

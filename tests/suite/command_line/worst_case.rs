@@ -21,7 +21,7 @@ fn an_escape_is_written_replayed_and_checked() {
     assert_eq!(exit_code(&run(&["check", "proof.json", "--scenario", "paper-2"])), 1);
     let given_up = run(&["check", "proof.json", "--work-limit", "0"]);
     assert_eq!(exit_code(&given_up), 1);
-    assert!(stdout(&given_up).contains("takes more than 0 operations"), "{}", stdout(&given_up));
+    assert!(stdout(&given_up).contains("the check takes more than the allowed 0 operations"), "{}", stdout(&given_up));
     let proof = std::fs::read_to_string(folder.path().join("proof.json")).unwrap();
     std::fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
     let forged = run(&["check", "forged.json"]);

@@ -226,9 +226,9 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
         ("lanes", "roads", "the FMU has no `roads` among its parameters"),
         ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
         ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
-        ("fmu = ", "command = [\"a\"]\nfmu = ", "command: there is `fmu` already"),
+        ("fmu = ", "command = [\"a\"]\nfmu = ", "odd.toml:2: command: `fmu` is given already: keep one of them"),
         ("odd.fmu", "none.fmu", "none.fmu: cannot be read: No such file"),
-        ("odd.fmu", ".", "cannot be read: it is no ordinary file"),
+        ("odd.fmu", ".", "cannot be read: it is not a regular file"),
     ];
     for (was, is, message) in cases {
         fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
@@ -284,7 +284,7 @@ fn damaged_fmus_are_refused() {
     let big = EXAMPLE_XML.replace("</fmi", &(" ".repeat(17 << 20) + "</fmi"));
     let model = |was: &str, is: &str| EXAMPLE_XML.replacen(was, is, 1);
     let described = [
-        (model("<CoSimulation", "<ModelExchange"), "has no co-simulation"),
+        (model("<CoSimulation", "<ModelExchange"), "does not support co-simulation"),
         (
             model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""),
             "FMI version \"1.0\" is not supported; crumple reads FMI \

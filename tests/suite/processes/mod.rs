@@ -78,7 +78,7 @@ fn any_process_error_ends_the_run() {
     let cases = [
         ("end-early", 0.0, "`sh bad.sh end-early", "ended by itself with exit code 3"),
         ("sleep-early", 0.0, "`sh bad.sh sleep-early", "gave no answer within 3 s"),
-        ("babble", 0.0, "`sh bad.sh babble", "answered `hello`, which is no answer"),
+        ("babble", 0.0, "`sh bad.sh babble", "answered `hello`, which is not a valid answer: a line is a JSON object"),
         ("list", 0.0, "`sh bad.sh list", "which is not a valid answer: a line is a JSON object"),
         ("other-version", 0.0, "`sh bad.sh", "speaks version 2 of the protocol, and crumple speaks 1"),
         ("other-inputs", 0.0, "`sh bad.sh", "expects 7 inputs, and crumple sends 10"),
@@ -111,7 +111,7 @@ fn any_process_error_ends_the_run() {
                 let message = failed.to_string();
                 assert!(message.contains(who) && message.contains(why), "{what}: {message}");
                 assert!(failed.vehicle == 1 && (failed.time_s - time_s).abs() < 1e-9, "{what}: {message}");
-                let last = if time_s > 0.0 { format!("said last: will {what}") } else { String::new() };
+                let last = if time_s > 0.0 { format!("its last output: will {what}") } else { String::new() };
                 assert!(message.contains(&last), "{what}: {message}");
                 serde_json::to_string(&failed).unwrap();
             }
@@ -290,7 +290,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
     let cases = [
         ("command = [\"sh\", ", "command = [] # ", "bad.toml:2: command: must be a program"),
         ("[\"bad.sh\"]", "[\"none.sh\"]", "bad.toml:3: files[0]: none.sh: No such file"),
-        ("[\"bad.sh\"]", "[\".\"]", "bad.toml:3: files[0]: .: is no ordinary file"),
+        ("[\"bad.sh\"]", "[\".\"]", "bad.toml:3: files[0]: .: is not a regular file"),
         ("answer_within_s = 0.4", "answer_within_s = 0", "bad.toml:5: answer_within_s: must be above 0"),
         (
             "version = 1",

@@ -117,7 +117,7 @@ fn a_search_reports_the_reason_of_a_missing_answer() {
     let folder = controllers_folder();
     let search = ["falsify", "--controller", "near.toml", "--space", "short.toml", "--budget", "10", "--out", "out"];
     let (code, text, error) = run_and_capture(folder.path(), &search);
-    let why = "it said last: gap table: index ";
+    let why = "its last output: gap table: index ";
     assert!(code == 0 && text.contains("the controller of vehicle 1 fails") && text.contains(why), "{text}{error}");
     let summary = read_json(&folder.path().join("out/summary.json"));
     let because = |of: &Value| of["because"].as_str().unwrap_or_default().to_owned();
@@ -368,7 +368,7 @@ fn a_worst_case_without_an_answer_has_no_margin() {
 fn an_invalid_controller_file_gets_instructions() {
     let folder = temp_folder();
     for (name, expected) in [
-        ("aeb", "asked as `exec:./aeb`"),
+        ("aeb", "is a file without an extension, not a controller: run a program with `exec:./aeb`"),
         ("aeb.c", "is source code, not a controller: run a program with `exec:./aeb`"),
         ("libaeb.so", "a shared library"),
         ("aeb.py", "`exec:python3 aeb.py`"),

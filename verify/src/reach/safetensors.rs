@@ -276,7 +276,7 @@ mod tests {
         }
         for number in [f32::NAN, f32::INFINITY] {
             let endless = of("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
-            assert_eq!(endless, Err("tensor w is not finite".to_owned()));
+            assert_eq!(endless, Err("tensor w contains a number that is not finite".to_owned()));
         }
     }
 

@@ -38,7 +38,7 @@ fn meaningless_values_are_refused() {
     assert!(NeuralController::from_bytes(&with_text(&file, |_| ())).is_ok());
     type NetworkTextMutation = fn(&mut Value);
     let changes: [(&str, NetworkTextMutation); 14] = [
-        ("version 2 is not known", |text| text["version"] = json!(2)),
+        ("version 2 is not supported: this release reads 1", |text| text["version"] = json!(2)),
         ("unknown field `note`", |text| text["note"] = json!("")),
         ("missing field `empty_gap_m`", |text| drop(text.as_object_mut().unwrap().remove("empty_gap_m"))),
         ("unknown variant `matlab`", |text| text["source"]["format"] = json!("matlab")),

@@ -188,7 +188,7 @@ fn controllers_that_the_simulator_rejects_are_refused() {
     assert!(NeuralController::from_bytes(&with_header(|_, _| ())).is_ok());
     type PolicyTextMutation = fn(&mut String, &mut String);
     let changes: [(&str, PolicyTextMutation); 18] = [
-        ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
+        ("version 2 is not supported: this release reads 1", |text, _| replace(text, "\"version\":1", "\"version\":2")),
         ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
         ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),
         ("duplicate field `limit`", |text, _| replace(text, "\"limit\":", "\"limit\":1,\"limit\":")),

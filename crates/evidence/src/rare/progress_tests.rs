@@ -123,7 +123,7 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
     drop(kept);
     let path = root.path().join(PROGRESS_FILE);
     fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
-    assert!(error(&plan, true).unwrap().contains("progress.json: not as it was written"));
+    assert!(error(&plan, true).unwrap().contains("progress.json: has changed since it was written"));
     fs::write(&path, text).unwrap();
     assert_eq!(error(&plan, true), None);
 }

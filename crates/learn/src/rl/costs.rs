@@ -1,7 +1,7 @@
 //! Driving costs in the reward.
 
 #[cfg(doc)]
-use crumple_world::measure::caused_brake_mps2;
+use crumple_world::measure::justified_brake_mps2;
 use serde::{Deserialize, Serialize};
 
 const MAX_WEIGHT: f64 = 100.0;
@@ -16,8 +16,8 @@ const MAX_WEIGHT: f64 = 100.0;
 /// | `relative_speed` | speed difference to the leader / 10 m/s, at most 1 |
 /// | `acceleration` | (acceleration / 7.5 m/s²)² |
 /// | `jerk` | jerk / 75 m/s³ |
-/// | `induced` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
-/// | `unnecessary` | unnecessary braking: more than 1 m/s² beyond [`caused_brake_mps2`] / 7.5 m/s² |
+/// | `imposed` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
+/// | `needless` | unnecessary braking: more than 1 m/s² beyond [`justified_brake_mps2`] / 7.5 m/s² |
 /// | `departure` | size of the residual action, in `[0, 1]` |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about an absent vehicle are 0.

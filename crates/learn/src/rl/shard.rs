@@ -92,7 +92,7 @@ impl TrainingShard {
         })?;
         let whole = Self { sha256: String::new(), ..read.clone() }.to_json()?;
         if read.version != VERSION || read.sha256 != sha256(whole) || read.to_json()?.into_bytes() != bytes {
-            return Err(damaged_error(&path, "not as it was written").into());
+            return Err(damaged_error(&path, "has changed since it was written").into());
         }
         if read.seeds > MAX_SEEDS {
             return Err(damaged_error(&path, "seeds: exceed the allowed number").into());

@@ -86,7 +86,7 @@ pub enum Method {
 /// let campaign = Campaign {
 ///     method: Method::Custom(CustomMethod::new("diagonal", start).unwrap()),
 ///     budget: 20,
-///     ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+///     ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
 /// };
 /// let folder = tempfile::tempdir().unwrap();
 /// let summary = campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
@@ -309,7 +309,7 @@ mod tests {
         assert!(matches!(stopped, Err(CampaignError::Stopped(_))), "{stopped:?}");
         let resume = CampaignOptions { resume: true, ..CampaignOptions::default() };
         let refused = campaign("other", 0.5).run(part.path(), resume, &Quiet).unwrap_err().to_string();
-        assert!(refused.contains("another `method`"), "{refused}");
+        assert!(refused.contains("the campaign there has a different `method`: \"mine\" instead of \"other\""), "{refused}");
         assert_eq!(campaign("mine", 0.5).run(part.path(), resume, &Quiet).unwrap(), expected);
     }
 

@@ -104,9 +104,9 @@ const MAX_OPEN_FIRINGS: usize = 8;
 ///
 /// ```
 /// use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
-/// use crumple_world::scenario::built_in;
+/// use crumple_world::scenario::built_in_scenario;
 ///
-/// let found = avoid(&built_in("paper-1").unwrap(), AvoidOptions::default()).unwrap();
+/// let found = avoid(&built_in_scenario("paper-1").unwrap(), AvoidOptions::default()).unwrap();
 /// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));
 /// ```
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {

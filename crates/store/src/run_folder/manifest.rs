@@ -86,7 +86,7 @@ impl Manifest {
         }
         match found.to_json() {
             Ok(text) if text.as_bytes() == bytes && found.is_inside_folder() => Ok(Some(found)),
-            _ => Err(damaged("sha256: not as it was written".to_owned())),
+            _ => Err(damaged("sha256: the file has changed since it was written".to_owned())),
         }
     }
 
@@ -284,7 +284,7 @@ impl Manifest {
             PendingChange::Remove { old_state: was, .. } => match path.symlink_metadata() {
                 Err(_) => Ok(false),
                 Ok(_) if matches!(was, FileState::AppendOnly(_)) || was.matches_file(&path) => Ok(true),
-                Ok(_) => Err(RunFolderError::damaged(&path, "not as it was written")),
+                Ok(_) => Err(RunFolderError::damaged(&path, "has changed since it was written")),
             },
         }
     }
@@ -303,7 +303,7 @@ impl Manifest {
         match (self.files.get(name), found) {
             (None, None) | (Some(FileState::AppendOnly(_)), _) => Ok(()),
             (Some(state), Some(found)) if state.matches_contents(found) => Ok(()),
-            (Some(_), Some(_)) => Err("not as it was written".to_owned()),
+            (Some(_), Some(_)) => Err("has changed since it was written".to_owned()),
             (Some(_), None) => Err(MISSING_FILE_MESSAGE.to_owned()),
             (None, Some(_)) => Err(UNLISTED_FILE_MESSAGE.to_owned()),
         }

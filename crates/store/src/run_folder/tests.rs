@@ -42,7 +42,7 @@ fn another_folders_work_is_refused() {
     assert!(
         open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the folder holds a count, not a training")
     );
-    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
+    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("the count there has a different configuration"));
 }
 
 /// Tests changes of a bit in every byte, every shorter length, removal, and swapped files: all are detected.
@@ -139,7 +139,7 @@ fn the_next_writer_completes_an_announced_change() {
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join(name), contents).unwrap();
         let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-        assert!(text.contains(&format!("{name}: not as it was written")), "{text}");
+        assert!(text.contains(&format!("{name}: has changed since it was written")), "{text}");
     }
     let (folder, _) = announced();
     fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
@@ -148,7 +148,7 @@ fn the_next_writer_completes_an_announced_change() {
     let (folder, before) = announced();
     fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
     let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-    assert!(text.contains("deep/b.json: not as it was written"), "{text}");
+    assert!(text.contains("deep/b.json: has changed since it was written"), "{text}");
 }
 
 /// An append-only file may be longer than its recorded prefix. Announcing it again keeps the prefix.
@@ -166,7 +166,7 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
         fs::write(&path, whole).unwrap();
         open().unwrap().transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
     }
-    for (damaged, text) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
+    for (damaged, text) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes have changed since they were written")] {
         fs::write(&path, damaged).unwrap();
         let error = open().err().unwrap().to_string();
         assert!(error.contains(&format!("journal: {text}")), "{error}");
@@ -244,7 +244,7 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
         manifest.add_pending_move(name, unfinished.to_owned(), FileState::from_contents(b"mine"));
         manifest.write(&inner).unwrap();
         let text = RunFolder::open(&inner, OPTIONS).err().unwrap().to_string();
-        assert!(text.contains("work.json: sha256: not as it was written"), "{text}");
+        assert!(text.contains("work.json: sha256: the file has changed since it was written"), "{text}");
         assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
         fs::remove_dir_all(&inner).unwrap();
     }

@@ -255,7 +255,7 @@ fn absent_braking_is_reported_only_where_observed() {
         let rows: String = (0..count).map(|k| format!("{}\t{ego}\t0\t100\n", step_ms * k)).collect();
         hardest_braking(&read_with(&format!("ms\tego\tclosing\trange\n{rows}"), PAIRS)).to_string()
     };
-    assert_eq!(pair(100, 50, "20"), "nobody brakes");
+    assert_eq!(pair(100, 50, "20"), "no vehicle brakes");
     assert_eq!(
         pair(1000, 50, "20"),
         "the speeds of a vehicle are 1.000 s apart, more than the limit of 0.5 s: crumple cannot find braking"

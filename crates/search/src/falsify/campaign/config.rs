@@ -27,7 +27,7 @@ pub const CAMPAIGN_VERSION: u32 = 2;
 ///
 /// let campaign = Campaign {
 ///     budget: 50,
-///     ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+///     ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
 /// };
 /// let folder = tempfile::tempdir().unwrap();
 /// let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet).unwrap();

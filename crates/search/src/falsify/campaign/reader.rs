@@ -390,7 +390,7 @@ mod tests {
         let mut look = CampaignReader::open(folder.path()).unwrap();
         for _ in 0..3 {
             let error = look.poll(1000).unwrap_err().to_string();
-            assert!(error.ends_with("not as it was written"), "{error}");
+            assert!(error.ends_with("has changed since it was written"), "{error}");
         }
         fs::write(&table, whole).unwrap();
         read_all(&mut look);
