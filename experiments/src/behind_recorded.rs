@@ -83,7 +83,8 @@ impl ReplayArgs {
 fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), ExperimentError> {
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
-        "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
+        "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | \
+         mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     for controller in controllers {

@@ -129,7 +129,8 @@ fn print_measurements(
     SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs,
 ) -> Result<(), ExperimentError> {
     println!(
-        "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
+        "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms \
+         a | rms jerk | progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
@@ -147,7 +148,8 @@ fn print_measurements(
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
             println!(
-                "| {space} | {name} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | {:.2} |",
+                "| {space} | {name} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | \
+                 {:.2} |",
                 sums.contacts,
                 sums.leader_contacts,
                 sums.hard,

@@ -177,7 +177,8 @@ impl Avoid {
             escape_is_best_for: escape.map(|escape| match escape.found_by {
                 FoundBy::Programs => self.escape.optimality_description().to_owned(),
                 FoundBy::ClosedLoop { simulations } => format!(
-                    "the largest smallest gap with the drivers of all other vehicles in the loop, best of {simulations} \
+                    "the largest smallest gap with the drivers of all other vehicles in the loop, best of \
+                     {simulations} \
                      simulated profiles"
                 ),
             }),

@@ -202,7 +202,8 @@ fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
     writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}")?;
     writeln!(
         out,
-        "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} {unit} ({} in the \
+        "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} \
+         {unit} ({} in the \
          highest)",
         digits::format_rounded(tails.below_smallest, 3),
         sorted.len() as u64 - point_mass.map_or(0, |point| point.count),

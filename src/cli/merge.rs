@@ -32,7 +32,8 @@ If no shard is missing:
   verify rate   the folder and the printed text are those of the same work on one machine, to the byte, \
 with certificate and failures per hour
   falsify       the folder is that of one campaign: distinct failures of all shards, one Pareto front, \
-coverage of the union. With --method uniform or halton it is that of `falsify --log summary` on one machine, to the byte; \
+coverage of the union. With --method uniform or halton it is that of `falsify --log summary` on one machine, to the \
+byte; \
 with other methods there are as many searches as shards
   suite run     the printed text, and the scenarios in --out, are those of one machine, to the byte
   assess        the evidence is written to --out: `crumple assess` with the same file and --out \

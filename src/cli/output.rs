@@ -149,7 +149,10 @@ mod tests {
             ("  COLLISION at 1.23 s: vehicle 2 hits vehicle 1", Some("COLLISION")),
             ("  no collision", Some("no collision")),
             ("proof.json: accepted: no gap", Some("accepted")),
-            ("proof.json: is NOT about paper-2: its scenario is paper-1; the certificate itself is accepted: no gap", Some("NOT about")),
+            (
+                "proof.json: is NOT about paper-2: its scenario is paper-1; the certificate itself is accepted: no gap",
+                Some("NOT about"),
+            ),
             ("      unavoidable: proved for every controller", Some("unavoidable")),
             ("  FALSIFIED: 3 distinct failures, one failed", Some("FALSIFIED")),
             ("counterexamples/01-failed_runs.toml", None),

@@ -206,6 +206,7 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
     let outside = if own().any(|one| one.outside_kernel) { "; the state was outside the safety kernel" } else { "" };
     let rear = if own().any(|one| one.rear_conflict) { "; the follower could not avoid a collision" } else { "" };
     Some(format!(
-        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} s{outside}{rear}"
+        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} \
+         s{outside}{rear}"
     ))
 }

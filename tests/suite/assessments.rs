@@ -300,8 +300,10 @@ fn gates_on_spaces_look_at_random_scenarios() {
     ];
     let folder = tempfile::tempdir().expect("a folder");
     // No vehicle ahead is within reach, so full throttle avoids a collision.
-    let far = "version = 1\nname = \"far\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 900.0\nspeed_mps = 20.0\n\
-               [vehicles.driver]\nconstant-speed = {}\n[[vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\n\
+    let far = "version = 1\nname = \"far\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = \
+        900.0\nspeed_mps = 20.0\n\
+               [vehicles.driver]\nconstant-speed = {}\n[[vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = \
+               20.0\n\
                driver = \"under-test\"\n";
     fs::write(folder.path().join("recorded.toml"), far).expect("writes");
     let found = run(asked.clone(), folder.path());
@@ -347,8 +349,10 @@ fn third_party_crash_space(drivers: [&str; 4]) -> String {
         .map(|(&(place_m, speed_mps), driver)| vehicle((place_m, speed_mps, driver)))
         .collect();
     format!(
-        "version = 1\nname = \"others\"\nabout = \"Others crash at once.\"\n[base]\nversion = 1\nname = \"others\"\nabout = \"x\"\n\
-         duration_s = 20.0\n{vehicles}[[parameters]]\nname = \"friction\"\nfield = \"environment.friction\"\nunit = \"1\"\n\
+        "version = 1\nname = \"others\"\nabout = \"Others crash at once.\"\n[base]\nversion = 1\nname \
+         = \"others\"\nabout = \"x\"\n\
+         duration_s = 20.0\n{vehicles}[[parameters]]\nname = \"friction\"\nfield = \"environment.friction\"\nunit \
+         = \"1\"\n\
          distribution.uniform = {{ low = 0.9, high = 1.0 }}\n"
     )
 }

@@ -19,7 +19,8 @@ fn every_kept_scenario_still_ends_as_recorded() {
         for expected in &mut index.expected {
             *expected = expected.renew(&scenario_corpus()).unwrap();
         }
-        let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; with \
+        let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; \
+            with \
                      UPDATE_CORPORA=1 it\n# renews them.\n";
         fs::write(&path, format!("{about}{}", toml::to_string(&index).unwrap())).unwrap();
     }

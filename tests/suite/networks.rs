@@ -321,7 +321,14 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
         "{message}"
     );
     let message = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
-    assert!(message.contains("its data shows that it was trained with VecNormalize") && message.contains("`normalised = true`"), "{message}");
+    assert!(
+        message.contains("its data shows that it was trained with VecNormalize")
+            && message.contains(
+                "`normalised \
+        = true`"
+            ),
+        "{message}"
+    );
     let identity = find(&described).unwrap();
     // A statement about training does not change the controller.
     assert_eq!(find(&undescribed.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
@@ -404,7 +411,8 @@ fn mismatches_with_a_model_are_reported() {
     assert!(quiet.stderr.is_empty() && quiet.stdout == noted.stdout);
 
     let several = "version = 1\nnetwork = \"elu-7-5.onnx\"\ndecision_interval_s = 0.1\n\
-                   [[inputs]]\nquantity = \"gap_ahead_m\"\nscale = 100.0\n[[inputs]]\nquantity = \"speed_mps\"\nscale = 40.0\n\
+                   [[inputs]]\nquantity = \"gap_ahead_m\"\nscale = 100.0\n[[inputs]]\nquantity = \"speed_mps\"\nscale \
+                   = 40.0\n\
                    [[inputs]]\nquantity = \"acceleration_mps2\"\n[output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
     let message = find(several).expect_err("which?").to_string();
     assert!(message.contains("output.answer: is missing: the network has 4 outputs"), "{message}");
@@ -576,7 +584,8 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
     for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
         fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
     }
-    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = 20\n\
+    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = \
+        20\n\
                   everyday_draws = 1\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
                   search = { spaces = [\"high-risk\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();

@@ -334,7 +334,8 @@ fn networks_are_proved_and_checked_on_the_command_line() {
         (stacked.as_str(), "history: is 3, and only a network that sees nothing but the present"),
         (
             "hard.toml",
-            "hard.toml:30: cannot be followed: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle are -7.5 to 3",
+            "hard.toml:30: cannot be followed: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle \
+             are -7.5 to 3",
         ),
         ("idm", "must be a policy of crumple or a network"),
         ("shield:policy", "must be a policy of crumple or a network"),

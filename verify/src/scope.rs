@@ -136,7 +136,8 @@ fn scene_scope(scene: &Scene) -> Scope {
     vehicles.extend(scene.egos.iter().map(|ego| {
         let SceneEgo { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
         format!(
-            "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to {max_accel_mps2} m/s²",
+            "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to \
+             {max_accel_mps2} m/s²",
             start(*position_m, *speed_mps)
         )
     }));
@@ -164,7 +165,8 @@ fn kernel_scope(kernel: &KernelClaim) -> Scope {
         format!("own: can brake at {b} m/s² from every decision on"),
     ];
     let limits = vec![format!(
-        "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag nor delay"
+        "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag \
+         nor delay"
     )];
     let behind = Some("behind: not considered".to_owned());
     Scope { behind, ..partial_scope(Some(f64::INFINITY), vehicles, limits) }

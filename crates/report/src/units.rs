@@ -42,7 +42,8 @@ mod tests {
 
     #[test]
     fn a_unit_stays_with_its_number() {
-        let page = "<p title=\"3 m\">hit at 5.50 s, 10.1 m/s (of 3 m); 3 may</p><th>peak brake (m/s²)</th><code>--for 3 s</code> 4 s";
+        let page = "<p title=\"3 m\">hit at 5.50 s, 10.1 m/s (of 3 m); 3 may</p><th>peak brake (m/s²)</th><code>--for \
+            3 s</code> 4 s";
         let joined = page
             .replace("5.50 s", "5.50\u{a0}s")
             .replace("10.1 m", "10.1\u{a0}m")

@@ -101,7 +101,8 @@ pub const SHIPPED_SUITES: [(&str, &str); 6] = [
 /// Documents without a shipped suite, each with the reason.
 pub const UNSHIPPED_DOCUMENTS: [(&str, &str); 1] = [(
     "ISO 15622:2018",
-    "its text could not be read: public copies end with the table of contents, and those who quote its figures contradict each other",
+    "its text could not be read: public copies end with the table of contents, and those who quote its figures \
+     contradict each other",
 )];
 
 /// Returns the JSON Schema of suite files.

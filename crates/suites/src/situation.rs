@@ -92,10 +92,12 @@ impl CrashMapSituation {
     pub fn description(self) -> String {
         match self {
             Self::CarFollowing { time_gap_s } => format!(
-                "The vehicle ahead brakes at once and to standstill; both drive at the same speed, {time_gap_s} s apart."
+                "The vehicle ahead brakes at once and to standstill; both drive at the same speed, {time_gap_s} s \
+                 apart."
             ),
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => format!(
-                "A slower vehicle enters the lane and holds its speed; the vehicle under test drives at {own_speed_kmph} km/h."
+                "A slower vehicle enters the lane and holds its speed; the vehicle under test drives at \
+                 {own_speed_kmph} km/h."
             ),
         }
     }

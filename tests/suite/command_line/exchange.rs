@@ -39,7 +39,8 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     fs::write(folder.path().join("hard.csv"), logged_pair_csv(3.0)).unwrap();
     fs::write(folder.path().join("soft.csv"), logged_pair_csv(1.0)).unwrap();
     let shown = run_crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
-    let message = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each 0.100 s\n  \
+    let message = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each \
+        0.100 s\n  \
                 speed 11.00 to 20.00 m/s, median 12.80\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
                 the hardest braking is 3.00 m/s within a second, of vehicle 1 from 5.";
     assert!(stdout(&shown).starts_with(message), "{shown:?}");

@@ -82,7 +82,8 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
     assert_eq!(exit_code(&alone), 1);
     assert!(stderr(&alone).contains("none of 15 evaluations has a second scenario"), "{}", stderr(&alone));
-    let expected = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the start (halton)";
+    let expected = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the \
+        start (halton)";
     assert!(stdout(&alone).contains(expected), "{}", stdout(&alone));
     let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
     assert_eq!(exit_code(&run_crumple(folder.path(), &shard)), 2);
@@ -325,8 +326,13 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
         bytes[place] ^= 1;
         Some(bytes)
     };
-    let (begins_otherwise, shorter) =
-        (format!("its first {known} bytes have changed since they were written"), format!("shorter than the {known} bytes"));
+    let (begins_otherwise, shorter) = (
+        format!("its first {known} bytes have changed since they were written"),
+        format!(
+            "shorter than the {known} \
+            bytes"
+        ),
+    );
     let mut damages = vec![
         (changed(0), begins_otherwise.as_str()),
         (changed(known - 1), begins_otherwise.as_str()),
@@ -374,7 +380,8 @@ fn a_campaign_in_another_space_names_the_difference() {
     )
     .unwrap();
     let resumed = campaign(&["--resume"]);
-    let expected = "the campaign there has a different `space.parameters[4].distribution.normal.deviation`: 0.2 instead of 0.3";
+    let expected = "the campaign there has a different `space.parameters[4].distribution.normal.deviation`: 0.2 \
+        instead of 0.3";
     assert_refused(&resumed, expected);
 }
 

@@ -8,7 +8,8 @@ use crumple_store::disk::StagedFiles;
 
 const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
 const RECORDING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
-const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = 0\nrates.runs = 0\n\
+const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = \
+    0\nrates.runs = 0\n\
                           distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
 
 /// No file is written while an edited file, a file of another program or a link is in the way.

@@ -71,7 +71,8 @@ fn excessive_work_is_refused_at_the_start() {
             1,
             600.0,
             &["worst-case", "--controller", "idm", "--budget", "1000000"],
-            "1000000 simulations of 2 vehicles over 60000 steps are too many: the limit is 20000000000 vehicles times steps in all, which allows 166666",
+            "1000000 simulations of 2 vehicles over 60000 steps are too many: the limit is 20000000000 vehicles times \
+             steps in all, which allows 166666",
         ),
         ("huge", 100, 600.0, &["simulate"], "duration_s: asks for"),
         ("crowd", 1000, 1.0, &["simulate"], "vehicles: must have 2 to 1000 vehicles, found 1001"),

@@ -27,7 +27,8 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let episode = &file_names_in(&folder.path().join("episodes"))[0];
     let simulated = run_crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
     assert_eq!(exit_code(&simulated), 0, "{simulated:?}");
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = \
+        4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let written = [
@@ -144,7 +145,8 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
             "error: a.toml:2: gates[0]: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
         ),
         (
-            "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = 3\n",
+            "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = \
+             3\n",
             "error: a.toml:4: gates[1]: unknown field `speed`",
         ),
         ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:3: gates[0].require: unknown variant `luck`"),

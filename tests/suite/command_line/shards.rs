@@ -52,7 +52,11 @@ fn merged_shards_equal_one_count_and_missing_shards_are_named() {
     assert_refused(&run_crumple(folder, &["merge", "s/a", "s/b", "s/c", "--out=s/b/rate"]), "is in the shard s/b;");
     // The error for another count in the folder names the field and both values.
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--shard=1/3", "--out=s/a", "--resume"]].concat());
-    assert_refused(&other, "s/a/shard.json: the shard of a count there has a different `count.registration.configuration.seed`: \"0\" instead of \"1\"");
+    assert_refused(
+        &other,
+        "s/a/shard.json: the shard of a count there has a different \
+        `count.registration.configuration.seed`: \"0\" instead of \"1\"",
+    );
     let other = run_crumple(folder, &[&COUNT_ARGS[..], &["--seed=1", "--out=rate", "--resume"]].concat());
     assert_refused(
         &other,
@@ -117,9 +121,7 @@ fn shards_of_a_search_are_one_campaign() {
     let output = run_crumple(folder, &["merge", "3", "1", "--out=campaign"]);
     assert_eq!(exit_code(&output), 1);
     assert!(stdout(&output).contains("INCOMPLETE: missing of 3 shards: 2\n"), "{}", stdout(&output));
-    assert!(
-        stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3; nothing is written")
-    );
+    assert!(stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3; nothing is written"));
     assert!(!folder.join("campaign").exists());
     let output = run_crumple(folder, &["merge", "3", "1", "--partial", "--out=part"]);
     assert_eq!(exit_code(&output), 1);
@@ -148,7 +150,11 @@ fn shards_of_a_search_are_one_campaign() {
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&single)));
     let part = run_crumple(folder, &[&SEARCH_ARGS[..], &["--log=summary", "--out=part", "--resume"]].concat());
     assert_refused(&part, "the campaign there has a different `divided`");
-    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]), "the campaign there has a different `divided.missing_");
+    assert_refused(
+        &run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]),
+        "the campaign there has a \
+        different `divided.missing_",
+    );
     assert_refused(
         &run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()),
         "a shard has no log",
@@ -194,7 +200,11 @@ fn shards_of_a_suite_give_the_result_of_one_machine() {
     let results = folder.join("2/results.json");
     let text = fs::read_to_string(&results).unwrap();
     fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
-    assert_refused(&run_crumple(folder, &["merge", "1", "2", "--out=x"]), "2/results.json: has changed since it was written: it is longer");
+    assert_refused(
+        &run_crumple(folder, &["merge", "1", "2", "--out=x"]),
+        "2/results.json: has changed since it was \
+        written: it is longer",
+    );
     assert_refused(&run_crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
 }
 
@@ -203,8 +213,10 @@ fn shards_of_a_suite_give_the_result_of_one_machine() {
 fn shards_of_an_assessment_are_its_evidence() {
     let folder = temp_folder();
     let folder = folder.path();
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\nsubject = \"idm\"\npaper = false\ndistributions = [\"paper\"]\n\
-                  draws = 20\neveryday_draws = 2\nsearch = { spaces = [\"paper\"], budget = 20 }\nrates = { runs = 100, confidence = 0.9 }\n";
+    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\nsubject = \"idm\"\npaper = false\ndistributions \
+        = [\"paper\"]\n\
+                  draws = 20\neveryday_draws = 2\nsearch = { spaces = [\"paper\"], budget = 20 }\nrates = \
+                  { runs = 100, confidence = 0.9 }\n";
     fs::write(folder.join("a.toml"), config).unwrap();
     assert_eq!(exit_code(&run_crumple(folder, &["assess", "a.toml", "--out=single"])), 0);
     for index in ["1", "2"] {
@@ -299,10 +311,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     run_shard(folder, "1/3", "count");
     let (count, trainings) = ("shard of a count", "shard of trainings");
     for (order, kind, earlier_kind) in [(["count", "1"], trainings, count), (["1", "count"], count, trainings)] {
-        refused(
-            &order,
-            &format!("{}: a {kind}, but the folders before it are of kind {earlier_kind}", order[1]),
-        );
+        refused(&order, &format!("{}: a {kind}, but the folders before it are of kind {earlier_kind}", order[1]));
     }
     // A copy of a shard with another result for the same seed.
     run_crumple(folder, &[&train[..], &["--shard=1/2", "--out=copy"]].concat());
@@ -425,7 +434,8 @@ fn write_engine_stubs(folder: &Path) {
     };
     write(
         "ray.py",
-        "import os\ndef init(**asked):\n    print(asked, os.environ.get('RAY_AUTH_MODE'))\n    raise ConnectionError('nobody\\nis there')\n",
+        "import os\ndef init(**asked):\n    print(asked, os.environ.get('RAY_AUTH_MODE'))\n    raise \
+         ConnectionError('nobody\\nis there')\n",
     );
     write("hyperqueue/__init__.py", "Job = None\n");
     write("hyperqueue/cluster.py", "LocalCluster = WorkerConfig = None\n");

@@ -91,7 +91,8 @@ fn built_in_items_are_shown_as_files() {
     let reached = run_crumple(folder.path(), &["verify", "reach", "--box", "mine.toml", "--depth", "0"]);
     assert_ne!(exit_code(&reached), 2, "{}", stderr(&reached));
     let vehicle = show(&["heavy"]);
-    let head = "version = 1\nname = \"two\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 50.0\nspeed_mps = 0.0\n\
+    let head = "version = 1\nname = \"two\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = \
+        50.0\nspeed_mps = 0.0\n\
                 driver.constant-speed = {}\n";
     fs::write(folder.path().join("two.toml"), format!("{head}{vehicle}")).unwrap();
     runs(&["simulate", "two.toml", "--expect", "safe"]);

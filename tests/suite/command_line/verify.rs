@@ -111,7 +111,8 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
         ("onset_s = -1", "box.toml:4: ranges.onset_s: contains a negative number"),
         (
             "leader_speed_mps = 400",
-            "box.toml:4: ranges.leader_speed_mps: contains an initial state that is not a valid scenario: must be from 0 to 100",
+            "box.toml:4: ranges.leader_speed_mps: contains an initial state that is not a valid scenario: must be \
+             from 0 to 100",
         ),
         ("leader_brake_mps2 = 29", "box.toml:4: ranges.leader_brake_mps2: exceeds the braking limit of the leader"),
         ("gap_ahead_m = nan", "box.toml:4: ranges.gap_ahead_m: "),

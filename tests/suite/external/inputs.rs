@@ -61,14 +61,16 @@ figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 
 pub(super) fn space_toml(name: &str, base: &str) -> String {
     format!(
-        "version = 1\nname = \"{name}\"\nbase = \"{base}\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
+        "version = 1\nname = \"{name}\"\nbase = \"{base}\"\n\n[[parameters]]\nname = \"gap_m\"\nfield \
+         = \"vehicles[1].gap_m\"\n\
          unit = \"m\"\ndistribution.uniform = {{ low = 15.0, high = 40.0 }}\n"
     )
 }
 
 pub(super) fn assessment_toml(controllers: &str, more: &str) -> String {
     format!(
-        "version = 1\npaper = false\n{controllers}\n{more}\ndistributions = [\"plain.toml\"]\ndraws = 4\neveryday_draws = 1\n\
+        "version = 1\npaper = false\n{controllers}\n{more}\ndistributions = [\"plain.toml\"]\ndraws = \
+         4\neveryday_draws = 1\n\
          certificates = []\nsearch = {{ spaces = [\"plain.toml\"], budget = 4 }}\nrates = {{ runs = 0 }}\n"
     )
 }

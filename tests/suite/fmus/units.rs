@@ -13,7 +13,8 @@ const OTHER_UNITS: &str = r#"<UnitDefinitions>
   </UnitDefinitions>"#;
 
 /// Factors and offsets of gap, relative speed, speed, answer, time gap and set speed in [`OTHER_UNITS`].
-const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3.6, 9.80665, 60, 1 / 3.6}, OFFSET[] = {0, 0, 0, 0, 0.25, 0};\n";
+const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3.6, 9.80665, 60, 1 / 3.6}, OFFSET[] = \
+    {0, 0, 0, 0, 0.25, 0};\n";
 
 /// Returns the C source of an FMU that computes in SI units with other units outside. Its table begins at reference
 /// `first`.
@@ -191,7 +192,8 @@ fn numbers_of_a_controller_file_are_in_si_units() {
     let library = library_member(2, "follower");
     let bytes = zip_archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
     fs::write(place.path().join("follower.fmu"), bytes).unwrap();
-    let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = 0.0\nhigh = 60.96\n";
+    let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = \
+        0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();
     let ControllerKind::Process(process) = find_controller("f.toml", place.path()).kind else { panic!("a process") };
     let input = &process.setup().mapping.inputs[0];

@@ -28,7 +28,8 @@ fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
     fs::write(folder.path().join("bad.sh"), BAD_SCRIPT).unwrap();
     let mark = folder.path().display();
     let text = format!(
-        "version = 1\ncommand = [\"sh\", \"bad.sh\", \"{what}\", \"{mark}\"]\n{files}\nstart_within_s = 3.0\nanswer_within_s = 0.4\n"
+        "version = 1\ncommand = [\"sh\", \"bad.sh\", \"{what}\", \"{mark}\"]\n{files}\nstart_within_s = \
+         3.0\nanswer_within_s = 0.4\n"
     );
     fs::write(folder.path().join("bad.toml"), text).unwrap();
     folder
@@ -67,7 +68,8 @@ fn short_scenario() -> Scenario {
 
 fn write_short_space(folder: &Path) {
     fs::write(folder.join("base.toml"), file::to_toml(&short_scenario()).unwrap()).unwrap();
-    let space = "version = 1\nname = \"short\"\nbase = \"base.toml\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
+    let space = "version = 1\nname = \"short\"\nbase = \"base.toml\"\n\n[[parameters]]\nname = \"gap_m\"\nfield \
+        = \"vehicles[1].gap_m\"\n\
                  unit = \"m\"\ndistribution.uniform = { low = 15.0, high = 40.0 }\n";
     fs::write(folder.join("short.toml"), space).unwrap();
 }

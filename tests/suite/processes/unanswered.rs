@@ -60,7 +60,8 @@ fn read_json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = 2\ncertificates = []\n\
+const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = \
+    2\ncertificates = []\n\
                         search = { spaces = [\"short.toml\"], budget = 8 }\nrates = { runs = 0 }\n";
 
 #[test]

@@ -57,7 +57,8 @@ impl fmt::Display for ResidualPolicy {
         let most_mps2 = idm.max_accel_mps2;
         write!(
             out,
-            "it {idm}, at every step and at up to {most_mps2} m/s², and departs from that where the network's action is beyond {dead_zone}; \
+            "it {idm}, at every step and at up to {most_mps2} m/s², and departs from that where the network's action \
+             is beyond {dead_zone}; \
              departures come and go at {rate_per_s} 1/s"
         )
     }

@@ -341,16 +341,19 @@ fn results_are_printed_in_words() {
         }
         .to_string()
     };
-    let nothing = "reach: nothing is proved about any part of the box; 0.19 % of its volume is in cells with an initial state that ends in a collision";
+    let nothing = "reach: nothing is proved about any part of the box; 0.19 % of its volume is in cells with an \
+        initial state that ends in a collision";
     assert_eq!(reach(0.0, true, None), nothing);
     assert_eq!(
         reach(0.999_99, true, None),
-        "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 % of it is in \
+        "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 \
+         % of it is in \
          cells with an initial state that ends in a collision"
     );
     assert_eq!(
         reach(1e-9, false, Some(7.5)),
-        "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at up to 7.5 m/s², \
+        "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at \
+         up to 7.5 m/s², \
          with no vehicle behind; 0.19 % of it is in cells with an initial state that ends in a collision"
     );
     let avoidable =
@@ -377,6 +380,7 @@ fn results_are_printed_in_words() {
     let cruise = ProvedClaim::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
     assert_eq!(
         cruise,
-        "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than 0.75 m for 5 s; all x_ego at the end lie within 3.5 m"
+        "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than 0.75 m for 5 s; all x_ego at the end lie \
+         within 3.5 m"
     );
 }

@@ -67,7 +67,8 @@ proptest! {
         for k in 0..=scene.steps {
             let held = scene.follower_position_m(follower, fires, k);
             prop_assert!(held.low() - 1e-9 <= state[0] && state[0] <= held.high() + 1e-9);
-            prop_assert!(scene.follower_position_m(follower, fires + 1, k).high() >= held.high() - 1e-9, "grows with firing later");
+            prop_assert!(scene.follower_position_m(follower, fires + 1, k).high() >= held.high() - 1e-9, "grows with \
+                firing later");
             state = advance(state, if k >= fires + follower.reaction_steps { -b } else { 0.0 }, scene.step_s);
         }
     }

@@ -94,7 +94,8 @@ fn evaluate_method(
     let most = found.iter().map(|one| one.evaluations).max().unwrap();
     let spread = found.iter().filter_map(|one| one.coefficient_of_variation).fold(0.0, f64::max);
     println!(
-        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, spread {spread:.3}, ratios {ratios:.2?}"
+        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, spread \
+         {spread:.3}, ratios {ratios:.2?}"
     );
     (ratios, held, most)
 }

@@ -237,7 +237,8 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
         return html! { p.hint { (TerminalText(shown.name)) ": the distinct failures follow after the search." } };
     };
     html! {
-        @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That does not prove that none exists." } }
+        @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That does \
+            not prove that none exists." } }
         @else { div.scroll tabindex="0" { table {
             caption { (TerminalText(shown.name)) ": distinct failures, shrunk, most severe first" }
             thead { tr {

@@ -6,7 +6,8 @@ use crate::{Conversion, UnitDimension};
 fn fmi2_description(definitions: &str, variables: &str) -> String {
     format!(
         "<?xml version=\"1.0\"?>\n<fmiModelDescription fmiVersion=\"2.0\" modelName=\"a\" guid=\"g\">\n\
-         <CoSimulation modelIdentifier=\"a\"/>\n{definitions}<ModelVariables>{variables}</ModelVariables></fmiModelDescription>"
+         <CoSimulation \
+         modelIdentifier=\"a\"/>\n{definitions}<ModelVariables>{variables}</ModelVariables></fmiModelDescription>"
     )
 }
 

@@ -164,7 +164,10 @@ mod tests {
         let refused = |field: &str, result: Result<(), TrainingConfigError>| {
             let error = result.unwrap_err().to_string();
             let begins = format!("{field}: training takes about ");
-            assert!(error.starts_with(&begins) && error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"), "{error}");
+            assert!(
+                error.starts_with(&begins) && error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"),
+                "{error}"
+            );
         };
         refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
         refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));

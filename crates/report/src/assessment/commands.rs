@@ -160,10 +160,12 @@ impl AssessmentPlan {
 pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleCommand>) -> String {
     let mut script = String::from(
         "#!/bin/sh\n\
-         # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.\n\
+         # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names \
+         the program.\n\
          cd \"$(dirname \"$0\")\" || exit 2\n\
          crumple=${CRUMPLE:-crumple}\n\
-         \"$crumple\" --version > /dev/null || { echo \"crumple not found; use CRUMPLE=/path/to/crumple sh replay.sh\" >&2; exit 2; }\n\
+         \"$crumple\" --version > /dev/null || \
+         { echo \"crumple not found; use CRUMPLE=/path/to/crumple sh replay.sh\" >&2; exit 2; }\n\
          failed=0\n\
          run() { \"$crumple\" \"$@\" || { echo \"result differs from the report: crumple $*\" >&2; failed=1; }; }\n",
     );

@@ -101,7 +101,8 @@ pub fn render_map_html(map: &CrashMap) -> String {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     h1 { (title) }
                     p.answer { (map.statement) }
-                    p { (map.situation.description()) " Reference drivers observe the true state. Sensors of the controllers: " (describe_estimator(map.estimator)) "." }
+                    p { (map.situation.description()) " Reference drivers observe the true state. Sensors of the \
+                        controllers: " (describe_estimator(map.estimator)) "." }
                 }
                 main {
                     figure { (map_figure::draw_responsive(map)) }

@@ -57,7 +57,8 @@ fn draw(map: &CrashMap, prefix: &str, width: f64, columns: usize) -> Svg {
     };
     let content = html! { (key) @for one in map.panels.iter().enumerate() { (placed(one)) } };
     let height = key_height + map.panels.len().div_ceil(columns) as f64 * row_height;
-    let description = "One panel per driver, one cell per scenario. Blank: no contact; cross: contact; hatched: contact of a driver that never braked. Lines are closed forms.";
+    let description = "One panel per driver, one cell per scenario. Blank: no contact; cross: contact; hatched: \
+        contact of a driver that never braked. Lines are closed forms.";
     let title = format!("{} {}", map.situation.description(), map.statement);
     Svg::new(prefix, (width, height), &title, description, content)
 }

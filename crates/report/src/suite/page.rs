@@ -85,7 +85,8 @@ impl Page<'_> {
                     @for tested in &test.controllers { td.judged.(css_class(tested)) { (matrix_cell(tested)) } }
                 } } }
             } }
-            p.kicker { "✓ every point of the grid passes, and no failure was found within the tolerances; ✗ some point fails; – cannot be run." }
+            p.kicker { "✓ every point of the grid passes, and no failure was found within the tolerances; ✗ some \
+                point fails; – cannot be run." }
         }
     }
 
@@ -178,8 +179,10 @@ impl Page<'_> {
             @for (title, list) in [("Not modelled", &self.result.not_modelled), ("Omitted", &self.result.omitted_parameters)] {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
             }
-            p { "Reference drivers, who observe the true state, and a search for an escape with knowledge of the future show if a failure is \
-                 preventable, for the first three points of a test and controller. The points that passed prove nothing about others." }
+            p { "Reference drivers, who observe the true state, and a search for an escape with knowledge of the \
+                future show if a failure is \
+                 preventable, for the first three points of a test and controller. The points that passed prove \
+                 nothing about others." }
         }
     }
 }

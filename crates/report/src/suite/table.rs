@@ -13,7 +13,8 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     text.heading(1, "Suites modelled on regulations");
     text.paragraph(DISCLAIMER);
     text.paragraph(
-        "✓: every point of the grid passes, and no failure was found within the tolerances; ✗: some point fails; –: cannot be run. Then \
+        "✓: every point of the grid passes, and no failure was found within the tolerances; ✗: some point fails; –: \
+         cannot be run. Then \
          the number of passed points, and the fastest impact or the smallest margin in the first direction.",
     );
     let Some((_, first)) = tests().next() else { return text.into_string() };

@@ -62,7 +62,8 @@ impl Jobs {
              shard=${{1:-${{HQ_TASK_ID:-${{SLURM_ARRAY_TASK_ID:?give the number of a shard, 1 to {of}}}}}}}\n\
              RAYON_NUM_THREADS={cores}\n\
              export RAYON_NUM_THREADS\n\
-             exec \"${{CRUMPLE:-crumple}}\" --quiet {words} \\\n  --shard \"$shard/{of}\" --out={shards}\"$shard\" --resume\n",
+             exec \"${{CRUMPLE:-crumple}}\" --quiet {words} \\\n  --shard \"$shard/{of}\" --out={shards}\"$shard\" \
+             --resume\n",
             of = self.shards,
             cores = self.cores,
             words = words.join(" "),
@@ -83,7 +84,8 @@ impl Jobs {
                 let Self { shards, cores, max_minutes: most_minutes, folder, .. } = self;
                 let task = format!("{folder}/{TASK_SCRIPT}");
                 let text = format!(
-                    "#!/bin/sh\n#SBATCH --job-name=crumple\n#SBATCH --array=1-{shards}\n#SBATCH --cpus-per-task={cores}\n\
+                    "#!/bin/sh\n#SBATCH --job-name=crumple\n#SBATCH --array=1-{shards}\n#SBATCH \
+                     --cpus-per-task={cores}\n\
                      #SBATCH --time={most_minutes}\n#SBATCH --requeue\n\
                      # sbatch runs a copy of this file, in the folder in which it was called.\n\
                      exec sh -- {}\n",

@@ -42,7 +42,10 @@ fn another_folders_work_is_refused() {
     assert!(
         open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the folder holds a count, not a training")
     );
-    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains("the count there has a different configuration"));
+    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains(
+        "the count there has a different \
+        configuration"
+    ));
 }
 
 /// Tests changes of a bit in every byte, every shorter length, removal, and swapped files: all are detected.
@@ -166,7 +169,14 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
         fs::write(&path, whole).unwrap();
         open().unwrap().transaction().write("plan.json", "plan").append_only("journal").commit().unwrap();
     }
-    for (damaged, text) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes have changed since they were written")] {
+    for (damaged, text) in [
+        ("firs", "shorter than the 5 bytes"),
+        (
+            "First, second",
+            "its first 5 bytes have changed \
+        since they were written",
+        ),
+    ] {
         fs::write(&path, damaged).unwrap();
         let error = open().err().unwrap().to_string();
         assert!(error.contains(&format!("journal: {text}")), "{error}");

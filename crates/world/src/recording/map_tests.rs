@@ -351,7 +351,8 @@ fn errors_of_a_map_name_their_place() {
 #[test]
 fn platoons_from_front_to_front_need_their_cars_length() {
     let text = "t,v1,v2,d1\n0,10,11,20\n0.1,10,11,4\n";
-    let by = "version = 1\nname = \"own\"\ntime.clock = { column = \"t\" }\n[layout.platoon]\nspeed = { column = \"v{}\" }\n\
+    let by = "version = 1\nname = \"own\"\ntime.clock = { column = \"t\" }\n[layout.platoon]\nspeed = \
+        { column = \"v{}\" }\n\
               spacing = { column = \"d{}\", from = \"front-to-front\" }\nlength_m = 5.0\n";
     assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
     for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {

@@ -52,7 +52,8 @@ impl fmt::Display for HardestBrakingResult {
                 let event = event.as_ref().map(|event| format!(" of event {event}")).unwrap_or_default();
                 write!(
                     out,
-                    "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
+                    "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from \
+                     {from_s:.2} s on"
                 )
             }
             Self::NoBraking => out.write_str("no vehicle brakes"),

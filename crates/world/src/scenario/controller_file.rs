@@ -125,7 +125,8 @@ pub enum ControllerFileError {
     },
     /// A model with normalised observations whose normalisation is not stated.
     #[error(
-        "{path}: {reason}: write a controller file whose inputs have the means as offsets and the deviations as scales, and that says \
+        "{path}: {reason}: write a controller file whose inputs have the means as offsets and the deviations as \
+         scales, and that says \
          `normalised = true`, or `false` if observations were left alone (docs/controllers.md)"
     )]
     Normalised {
@@ -271,7 +272,8 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
                 && let Some(reason) = normalisation_evidence(&network, &place)
             {
                 let problem = format!(
-                    "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the deviations as scales, or \
+                    "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the \
+                     deviations as scales, or \
                      `false` if observations were left alone (docs/controllers.md)",
                     place.display()
                 );

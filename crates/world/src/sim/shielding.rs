@@ -37,7 +37,8 @@ pub enum ShieldRefusal {
     Dropout,
     /// Rounding may decrease the gap by more than the margin covers.
     #[error(
-        "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin of at most {max_margin_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
+        "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin \
+         of at most {max_margin_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
         crumple_core::digits::format_rounded(*position_m, 3)
     )]
     Rounding {

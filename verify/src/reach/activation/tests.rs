@@ -94,7 +94,8 @@ proptest! {
         let off: Vec<f64> = inside.chain([low, high]).map(|x| evaluate(&each, x) - line.slope * x).collect();
         let (least, most) = off.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &off| (a.min(off), b.max(off)));
         let near = 1e-11 * (1.0 + line.slope.abs()) * (1.0 + low.abs().max(high.abs()));
-        prop_assert!((line.low - least).abs() <= near && (line.high - most).abs() <= near, "{each:?} {line:?} {least} {most}");
+        prop_assert!((line.low - least).abs() <= near && (line.high - most).abs() <= near, "{each:?} {line:?} {least} \
+            {most}");
         let expected = expected_rounding(&each, low, high);
         prop_assert!(line.rounding >= expected && line.rounding <= expected * (1.0 + 1e-5) + 2e-44, "{each:?} {line:?} {expected}");
         let chord = (evaluate(&each, high) - evaluate(&each, low)) / (high - low);

@@ -37,7 +37,8 @@ proptest! {
             let (x, v) = simulate_rates(start, &rates[..j]);
             for (form, truth) in [(ego.distance, x), (ego.speed, v)] {
                 let range = form.range();
-                prop_assert!(range.low() <= truth + 1e-12 && truth - 1e-12 <= range.high(), "{truth} {range:?} at step {j}");
+                prop_assert!(range.low() <= truth + 1e-12 && truth - 1e-12 <= range.high(), "{truth} {range:?} at \
+                    step {j}");
             }
         }
         let (x, end) = simulate_rates(start, &rates);

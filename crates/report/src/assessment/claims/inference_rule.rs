@@ -37,7 +37,8 @@ impl InferenceRule {
                 "Evidence supports the claim with the same controller hash, estimator, property and domain."
             }
             Self::RefutedInPart => {
-                "A run that refutes a claim about every run of a part (random scenarios, points of a search, some of the \
+                "A run that refutes a claim about every run of a part (random scenarios, points of a search, some of \
+                 the \
                  scenarios) refutes the claim about the whole."
             }
             Self::RefutedByWeaker => "A collision with the leader also refutes \"no collision\".",
@@ -46,8 +47,10 @@ impl InferenceRule {
             }
             Self::ProofsOfParts => "Proofs for each of several scenarios prove the claim about all of them.",
             Self::BoundsDecide => {
-                "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of several counts, the one \
-                 with the highest confidence level decides, then the one with the most runs, because both were fixed before \
+                "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of \
+                 several counts, the one \
+                 with the highest confidence level decides, then the one with the most runs, because both were fixed \
+                 before \
                  counting. A count that refutes the claim is always shown."
             }
         }

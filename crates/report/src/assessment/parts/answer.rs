@@ -216,7 +216,8 @@ impl SafetyAnswer {
                 let assured: Vec<_> =
                     assured.map(|(words, _, status)| format!("{words} ({})", status.strength.describe())).collect();
                 format!(
-                    "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is known \
+                    "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
+                     known \
                      about other situations.{}",
                     assured.join("; "),
                     besides()
@@ -280,7 +281,8 @@ impl FirstPage {
     }
 }
 
-const COMPARISON_NOTE: &str = "A cell counts the runs that fail, or gives a bound of the rate with its confidence level. All \
+const COMPARISON_NOTE: &str = "A cell counts the runs that fail, or gives a bound of the rate with its confidence \
+    level. All \
     controllers run the same scenarios.";
 
 const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
@@ -311,7 +313,8 @@ impl ReportPart for FirstPage {
             } }
             @if let Some(sides) = &self.both_sides_figure {
                 h3 { "Safety and usefulness of each controller" }
-                p { "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further left is better." }
+                p { "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further left is \
+                    better." }
                 figure { (sides) }
             }
             @if !self.worst_failures.is_empty() {

@@ -316,8 +316,10 @@ impl GsnElement {
     }
 }
 
-const INTRODUCTION: &str = "The goals of the safety case in Goal Structuring Notation, each with its evidence: ✗ a goal that a \
-    counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. assessment.gsn.yaml has the complete \
+const INTRODUCTION: &str = "The goals of the safety case in Goal Structuring Notation, each with its evidence: ✗ a \
+    goal that a \
+    counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. assessment.gsn.yaml has the \
+    complete \
     argument, with strategies, contexts and assumptions.";
 
 impl ReportPart for Argument {

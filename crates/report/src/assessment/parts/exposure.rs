@@ -26,7 +26,8 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
         .collect();
     let (_, first) = rates.first()?;
     let mut words = format!(
-        "Exposure: the recordings have {} episodes in {} waves in {:.3} h and {:.1} km of following{}. Intervals are joint ones \
+        "Exposure: the recordings have {} episodes in {} waves in {:.3} h and {:.1} km of following{}. Intervals are \
+         joint ones \
          at {} %, for the number of episodes and the probability of a failure (Bonferroni).",
         first.episodes,
         first.clusters,
@@ -35,7 +36,8 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
         match first.undescribed_brakings {
             0 => String::new(),
             left_out => format!(
-                ", and {left_out} further episodes that the space does not describe; rates assume the same failure probability for them"
+                ", and {left_out} further episodes that the space does not describe; rates assume the same failure \
+                 probability for them"
             ),
         },
         100.0 * first.confidence

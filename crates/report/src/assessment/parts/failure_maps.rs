@@ -152,8 +152,10 @@ impl FailureMaps {
         let held: Vec<_> =
             self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
         format!(
-            "Scenarios of the space {} over {} and {}; other parameters are nominal ({}). Each of the {} cells is one scenario, run \
-             for every controller. If every controller of this report collides ({} cells), a convex program searches for an escape \
+            "Scenarios of the space {} over {} and {}; other parameters are nominal ({}). Each of the {} cells is one \
+             scenario, run \
+             for every controller. If every controller of this report collides ({} cells), a convex program searches \
+             for an escape \
              or a proof that there is none. Percentages are shares of cells, not of traffic.",
             self.space,
             self.across.parameter,

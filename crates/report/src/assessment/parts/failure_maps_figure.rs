@@ -49,7 +49,8 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
     };
     let content = html! { (key) @for placed in maps.maps.iter().enumerate() { (panel(placed)) } };
     let height = key_height + maps.maps.len().div_ceil(columns) as f64 * row_height;
-    let description = "One panel per controller, one cell per scenario. Blank: no collision; cross: avoidable collision; \
+    let description = "One panel per controller, one cell per scenario. Blank: no collision; cross: avoidable \
+        collision; \
         hatched: unavoidable collision; question mark: undecided. A thick line surrounds the unavoidable cells.";
     Svg::new(prefix, (width, height), "Failure maps", description, content)
 }

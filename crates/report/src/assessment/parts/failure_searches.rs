@@ -383,7 +383,8 @@ impl FailureSearch {
         let runs = self.evaluations() - self.conclusive_evaluations();
         (self.collisions_of_others > 0).then(|| {
             format!(
-                "{runs} runs ended with {} distinct collisions of other vehicles, which are no evidence about the controller.",
+                "{runs} runs ended with {} distinct collisions of other vehicles, which are no evidence about the \
+                 controller.",
                 self.collisions_of_others
             )
         })
@@ -462,13 +463,18 @@ fn read_file(path: &Path) -> Result<String, AssessError> {
     Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(CacheError::from)?)
 }
 
-const INTRODUCTION: &str = "A search looks for collisions; uniform points and a Halton sequence get the same budget. Each failure is \
-    simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: avoidable with the smallest gap \
-    of the best escape found, unavoidable if the checker accepted a proof, or undecided. A counterexample shows that a failure is \
-    possible, not how often it occurs; its values may be unlikely. If no uniform point fails, the share has an upper bound at \
+const INTRODUCTION: &str = "A search looks for collisions; uniform points and a Halton sequence get the same budget. \
+    Each failure is \
+    simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: avoidable with the \
+    smallest gap \
+    of the best escape found, unavoidable if the checker accepted a proof, or undecided. A counterexample shows that \
+    a failure is \
+    possible, not how often it occurs; its values may be unlikely. If no uniform point fails, the share has an upper \
+    bound at \
     95 % confidence.";
 
-const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all commands that show \
+const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
+    commands that show \
     failures or escapes; the escape of `NAME.toml` is `NAME-escape.toml`. Processes and FMUs have no commands here.";
 
 impl FailureSearch {

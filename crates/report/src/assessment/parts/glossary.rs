@@ -46,7 +46,8 @@ const TERMS: [(&str, &str); 24] = [
     ("undecided", "neither an escape nor a proof that there is none was found"),
     (
         "unnecessary braking",
-        "for 0.2 s, braking 2 m/s² harder than the Intelligent Driver Model at the true state, than the collision avoidance \
+        "for 0.2 s, braking 2 m/s² harder than the Intelligent Driver Model at the true state, than the collision \
+         avoidance \
          required, and than the leader braked",
     ),
 ];

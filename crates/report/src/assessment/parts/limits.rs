@@ -34,15 +34,19 @@ impl AssessmentLimits {
         let mut assumptions = vec![
             limit(
                 "Vehicles are point masses in one lane",
-                "Acceleration is constant over each step (0.01 s unless a scenario states another). There is no steering, lane \
+                "Acceleration is constant over each step (0.01 s unless a scenario states another). There is no \
+                 steering, lane \
                  change, road grade or load transfer.",
             ),
             match plan.config.estimator {
                 EstimatorKind::Kalman => limit(
                     "Sensor noise is white and normal, and a Kalman filter estimates the state",
-                    "Range noise is 0.03 m and position noise 0.02 m unless a scenario states others. Real sensors also have \
-                     biases, false targets and correlated errors. The filter knows the acceleration of its own vehicle exactly. \
-                     For neighbours it assumes white jerk: when one brakes suddenly, the filter lags for about a second and \
+                    "Range noise is 0.03 m and position noise 0.02 m unless a scenario states others. Real sensors \
+                     also have \
+                     biases, false targets and correlated errors. The filter knows the acceleration of its own \
+                     vehicle exactly. \
+                     For neighbours it assumes white jerk: when one brakes suddenly, the filter lags for about a \
+                     second and \
                      underestimates its own error.",
                 ),
                 EstimatorKind::Truth => limit(
@@ -52,15 +56,18 @@ impl AssessmentLimits {
             },
             limit(
                 "Other vehicles observe the true state",
-                "They react without delay unless a scenario or space states one; the follower's emergency brake never fails.",
+                "They react without delay unless a scenario or space states one; the follower's emergency brake never \
+                 fails.",
             ),
             limit(
                 "Random scenarios follow the distribution of their space",
-                "Failure rates hold for this distribution only. Dangerous spaces give no rates per kilometre of real driving.",
+                "Failure rates hold for this distribution only. Dangerous spaces give no rates per kilometre of real \
+                 driving.",
             ),
             limit(
                 "A tested claim may fail in other runs",
-                "A run ends with its scenario: \"no collision\" holds until then, and the report marks runs that end while \
+                "A run ends with its scenario: \"no collision\" holds until then, and the report marks runs that end \
+                 while \
                  vehicles approach each other.",
             ),
             limit(
@@ -77,15 +84,18 @@ impl AssessmentLimits {
         if plan.certificates.iter().any(is_counted) {
             assumptions.push(limit(
                 "Counts in given certificates are correct",
-                "The checker only verifies what follows from the counts. `crumple check --rerun` repeats the runs. Counts of \
+                "The checker only verifies what follows from the counts. `crumple check --rerun` repeats the runs. \
+                 Counts of \
                  this report are its own.",
             ));
         }
         if plan.config.paper {
             assumptions.push(limit(
                 "The paper leaves some values open",
-                "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three middle \
-                 vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking is normal about \
+                "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three \
+                 middle \
+                 vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking is \
+                 normal about \
                  the class value with 0.2 m/s²; heavy and light followers are equally likely.",
             ));
         }

@@ -45,7 +45,8 @@ pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
 
 const CONDITIONS: [&str; 4] = [
     "the vehicle starts inside the kernel; outside it, a shield brakes fully and reports that a collision is possible",
-    "the estimation error stays within the bounds of the shield: zero with the true state, six standard deviations of the \
+    "the estimation error stays within the bounds of the shield: zero with the true state, six standard deviations of \
+     the \
      noise with the Kalman filter, or the values that the user states",
     "the leader has the assumed class, and the shield knows the friction of the road",
     "the code of the shield implements the kernel; this is tested, not proved",
@@ -167,11 +168,16 @@ impl KernelGap {
     }
 }
 
-const INTRODUCTION: &str = "The checker accepted each certificate in this run; it shares no code with simulation, search, training and \
-    solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure rate by counts of runs that \
-    were registered before the first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the \
-    counts. Reach is about all initial states of a box. A gap bound is about every driver of a scenario. No proof covers the \
-    vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel scale by its inverse.";
+const INTRODUCTION: &str = "The checker accepted each certificate in this run; it shares no code with simulation, \
+    search, training and \
+    solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure rate by counts of \
+    runs that \
+    were registered before the first one, and a comparison shows which of two controllers fails less often; `--rerun` \
+    repeats the \
+    counts. Reach is about all initial states of a box. A gap bound is about every driver of a scenario. No proof \
+    covers the \
+    vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel scale by its \
+    inverse.";
 
 const RECHECK: &str = "Repeat the check in the folder of this report: `crumple check --rerun certificates/*.json`";
 

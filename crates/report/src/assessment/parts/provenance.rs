@@ -112,8 +112,10 @@ impl RunInfo {
     }
 }
 
-const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which the same program wrote for the same inputs. Its hashes detect \
-    damaged and edited files, but not a forger who also writes new hashes. Certificates were checked in this run. `--fresh` \
+const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which the same program wrote for the same \
+    inputs. Its hashes detect \
+    damaged and edited files, but not a forger who also writes new hashes. Certificates were checked in this run. \
+    `--fresh` \
     gathers all evidence again.";
 
 impl ReportPart for AssessmentProvenance {

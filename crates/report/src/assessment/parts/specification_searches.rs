@@ -298,8 +298,10 @@ impl SpaceSpecificationSearches {
     }
 }
 
-const INTRODUCTION: &str = "A controller without collisions may still drive badly. A search and two reference searches look for \
-    violations of each specification; the worst one is shrunk and stored. Robustness is the signed distance from a violation, \
+const INTRODUCTION: &str = "A controller without collisions may still drive badly. A search and two reference \
+    searches look for \
+    violations of each specification; the worst one is shrunk and stored. Robustness is the signed distance from a \
+    violation, \
     negative if the specification is violated.";
 
 impl ReportPart for SpecificationSearches {

@@ -303,7 +303,9 @@ impl ReportPart for ClaimSummary {
     }
 }
 
-const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the failures of both \
-    controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level (`≤ 0.24 % (99.9 %)`), the \
+const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
+    failures of both \
+    controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level (`≤ 0.24 % (99.9 \
+    %)`), the \
     distinct failures of a search, or the hardest braking of a leader that causes a collision (m/s²). \
     A proof holds under the assumptions in the section \"Proofs\".";

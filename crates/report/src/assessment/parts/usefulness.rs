@@ -242,12 +242,18 @@ impl UsefulnessReport {
 
     fn introduction(&self) -> String {
         format!(
-            "A controller that stands still never collides, so the report also measures usefulness. Every controller drives the \
-             same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as many of `high-risk`. \
-             Columns without a space are about `traffic`. Braking is unnecessary if it is more than {UNNECESSARY_MARGIN_MPS2} \
-             m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than the collision \
-             avoidance required, and than the leader braked. Gain: {FOLLOWERS} vehicles with the controller follow a leader that \
-             slows down by 4 m/s and recovers; the change of speed of the last one, relative to the leader's. Bounds are exact \
+            "A controller that stands still never collides, so the report also measures usefulness. Every controller \
+             drives the \
+             same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as many of \
+             `high-risk`. \
+             Columns without a space are about `traffic`. Braking is unnecessary if it is more than \
+             {UNNECESSARY_MARGIN_MPS2} \
+             m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than the \
+             collision \
+             avoidance required, and than the leader braked. Gain: {FOLLOWERS} vehicles with the controller follow a \
+             leader that \
+             slows down by 4 m/s and recovers; the change of speed of the last one, relative to the leader's. Bounds \
+             are exact \
              (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,

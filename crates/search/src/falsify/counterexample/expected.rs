@@ -97,7 +97,8 @@ pub enum ReplayError {
     Controller(#[from] UnknownController),
     /// The controller differs from the recorded one.
     #[error(
-        "{scenario}: the recorded controller is not available: its SHA-256 is {expected}, and `{controller}` has {found}"
+        "{scenario}: the recorded controller is not available: its SHA-256 is {expected}, and `{controller}` has \
+         {found}"
     )]
     OtherController {
         /// Name of the scenario file.

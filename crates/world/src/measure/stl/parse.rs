@@ -73,7 +73,8 @@ pub enum SyntaxProblem {
 }
 
 /// All operators, for errors.
-const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, `until[a,b]`, `<`, `<=`, `>` and `>=`; there is no equality, use `<=` and `>=`";
+const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, \
+    `until[a,b]`, `<`, `<=`, `>` and `>=`; there is no equality, use `<=` and `>=`";
 
 /// Maximum depth of nesting, which bounds the recursion.
 const MAX_DEPTH: usize = 64;

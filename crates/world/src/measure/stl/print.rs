@@ -106,7 +106,8 @@ mod tests {
         }
 
         #[test]
-        fn no_text_makes_the_parser_panic(text in "[a-c0-9.e()\\[\\],<>=&|!*/+ -]{0,40}|(always|not|until|and|\\(|\\)|a|<|2|\\[0,1\\]| ){0,30}|.{0,30}") {
+        fn no_text_makes_the_parser_panic(text in "[a-c0-9.e()\\[\\],<>=&|!*/+ \
+            -]{0,40}|(always|not|until|and|\\(|\\)|a|<|2|\\[0,1\\]| ){0,30}|.{0,30}") {
             if let Ok(formula) = text.parse::<Formula>() {
                 prop_assert_eq!(formula.to_string().parse::<Formula>(), Ok(formula));
             }

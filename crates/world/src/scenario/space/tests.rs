@@ -256,7 +256,8 @@ fn mistakes_name_line_and_field() {
     for (parameters, expected) in [
         (
             gap.replace("low = 1", "low = -1"),
-            "s.toml:8: parameters[0].distribution: with vehicles1gapm = -1 the scenario is invalid: vehicles[1].position_m",
+            "s.toml:8: parameters[0].distribution: with vehicles1gapm = -1 the scenario is invalid: \
+             vehicles[1].position_m",
         ),
         (
             gap.replace("\"m\"", "\"ft\""),
@@ -281,7 +282,8 @@ fn mistakes_name_line_and_field() {
         ),
         (
             parameter("vehicles[0].driver.brake.rate_mps2", "m/s²", &uniform(1.0, 9.0)),
-            "s.toml:4: parameters: `vehicles0driverbrakeratemps2` do not fit together: vehicles[0].driver.brake: asks for 9",
+            "s.toml:4: parameters: `vehicles0driverbrakeratemps2` do not fit together: vehicles[0].driver.brake: asks \
+             for 9",
         ),
         (
             parameter("vehicles[1].driver", "", "distribution.choice = { values = [\"idm\"] }"),
@@ -295,7 +297,8 @@ fn mistakes_name_line_and_field() {
         (
             parameter("vehicles[2].driver", "", "distribution.choice = { values = [\"idm\", \"baseline\"] }")
                 + &parameter("vehicles[2].driver.baseline.ttc_s", "s", &uniform(1.0, 2.0)),
-            "s.toml:11: parameters[1].field: `vehicles[2].driver.baseline.ttc_s` is set by the parameter `vehicles2driver`",
+            "s.toml:11: parameters[1].field: `vehicles[2].driver.baseline.ttc_s` is set by the parameter \
+             `vehicles2driver`",
         ),
         (
             parameter("vehicles[1].time_gap_s", "s", &uniform(-1.0, 3.0)),

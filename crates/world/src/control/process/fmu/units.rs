@@ -66,7 +66,8 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
         None => Ok(None),
         Some(unit) => unit.conversion.map(Some).ok_or_else(|| {
             format!(
-                "{}, which the FMU does not define (no `BaseUnit` in its modelDescription.xml), so that values cannot be converted to it",
+                "{}, which the FMU does not define (no `BaseUnit` in its modelDescription.xml), so that values cannot \
+                 be converted to it",
                 variable_with_unit(variable)
             )
         }),
