@@ -1,4 +1,4 @@
-"""What crumple-fmu and fmpy answer to the same inputs: `fmu.py CRUMPLE_FMU FMU...`."""
+"""Compares the outputs of crumple-fmu and fmpy for the same inputs: `fmu.py CRUMPLE_FMU FMU...`."""
 
 import json
 import random
@@ -16,7 +16,7 @@ DECISIONS = 1000
 
 
 def by_fmpy(path, inputs, output, rows):
-    """The outputs after each step of an FMU that fmpy runs."""
+    """Runs an FMU in fmpy; returns its output after each step."""
     description = read_model_description(path)
     folder = extract(path)
     references = {variable.name: variable.valueReference for variable in description.modelVariables}
@@ -46,7 +46,7 @@ def by_fmpy(path, inputs, output, rows):
 
 
 def by_crumple(host, path, inputs, output, rows):
-    """The answers of crumple's host."""
+    """Runs an FMU in crumple's host; returns its output after each step."""
     wiring = [f"--input={name}" for name in inputs] + [f"--output={output}", f"--interval-s={STEP_S}"]
     hello = {"vehicle": {"index": 1}, "step_s": 0.01, "inputs": inputs, "history": 1}
     lines = [{"crumple": 1, "hello": hello}, {"id": 1, "reset": {"seed": 7}}]
@@ -57,8 +57,8 @@ def by_crumple(host, path, inputs, output, rows):
 
 
 def main(host, *paths):
-    """Compares them all."""
-    draw = random.Random(20)
+    """Compares the outputs of all FMUs."""
+    chance = random.Random(20)
     for path in paths:
         problems = validate_fmu(path)
         assert not problems, problems
@@ -67,13 +67,13 @@ def main(host, *paths):
         variables = [variable for variable in description.modelVariables if variable.type in real]
         inputs = [variable.name for variable in variables if variable.causality == "input"]
         output = next(variable.name for variable in variables if variable.causality == "output")
-        rows = [[draw.uniform(0.0, 30.0) for _ in inputs] for _ in range(DECISIONS)]
+        rows = [[chance.uniform(0.0, 30.0) for _ in inputs] for _ in range(DECISIONS)]
         expected, found = by_fmpy(path, inputs, output, rows), by_crumple(host, path, inputs, output, rows)
         different = sum(one != other for one, other in zip(expected, found, strict=True))
-        assert len(set(expected)) > 10, "the answers say nothing"
+        assert len(set(expected)) > 10, "the answers are constant"
         assert not different, f"{path}: {different} of {DECISIONS} answers differ"
         name = f"{description.modelName}, FMI {description.fmiVersion}"
-        print(f"{name}: valid to fmpy, {DECISIONS} answers the same to the bit")
+        print(f"{name}: valid to fmpy, {DECISIONS} bit-identical answers")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""What `.ci/openscenario` runs in its environment: exports scenarios, checks the files, reads them back, compares."""
+"""Exports scenarios, checks the files, reads them back and compares: `openscenario.py BIN COUNT`.
+
+`.ci/openscenario` runs this program in an environment with the needed packages.
+"""
 
 import contextlib
 import csv
@@ -33,13 +36,14 @@ AHEAD = 0.8
 
 
 def crumple(*arguments):
+    """Runs crumple and returns its output."""
     done = subprocess.run([BIN / "crumple", "--quiet", *map(str, arguments)], capture_output=True, text=True)
     assert done.returncode == 0, f"crumple {arguments}: {done.stderr}"
     return done.stdout
 
 
 def objections(path):
-    """What ASAM's checker has against a scenario. A check that it skips for want of what came before is one, too."""
+    """Returns the objections of ASAM's checker, including errors of checks and too few completed checks."""
     config, result = Configuration(), Result()
     config.set_config_param("InputFile", str(path))
     result.register_checker_bundle(
@@ -50,27 +54,31 @@ def objections(path):
         run_checks(config, result)
     bundle = result.get_checker_bundle_result(constants.BUNDLE_NAME)
     found = [issue.description for checker in bundle.checkers for issue in checker.issues]
-    found += [f"{checker.checker_id}: {checker.status}" for checker in bundle.checkers if checker.status == StatusType.ERROR]
+    found += [
+        f"{checker.checker_id}: {checker.status}" for checker in bundle.checkers if checker.status == StatusType.ERROR
+    ]
     done = sum(checker.status == StatusType.COMPLETED for checker in bundle.checkers)
-    return found + ([] if done >= 10 else [f"only {done} checks were made"])
+    return found + ([] if done >= 10 else [f"only {done} checks were completed"])
 
 
 @functools.cache
 def road_schema():
+    """Returns the schema of OpenDRIVE."""
     return etree.XMLSchema(etree.parse(str(Path(next(iter(schemas.__path__))) / "opendrive_17_core.xsd")))
 
 
-def valid_road(path):
+def assert_valid_road(path):
+    """Validates an OpenDRIVE file."""
     road_schema().assertValid(etree.parse(str(path)))
 
 
 def polylines(path):
-    """Time and front bumper of each vehicle, in the order of the entities."""
+    """Returns times and front bumper positions of each vehicle, in the order of the entities."""
     # Skip its schema check, which takes seconds and repeats that of ASAM's checker.
     scenario = xosc.Scenario.parse(ElementTree.parse(path))
     lengths = {}
-    for thing in scenario.entities.scenario_objects:
-        lengths[thing.name] = thing.entityobject.boundingbox.boundingbox.length
+    for entity in scenario.entities.scenario_objects:
+        lengths[entity.name] = entity.entityobject.boundingbox.boundingbox.length
     found = {}
     for story in scenario.storyboard.stories:
         for act in story.acts:
@@ -83,8 +91,8 @@ def polylines(path):
     return [found[name] for name in lengths]
 
 
-def at(points, times_s):
-    """What a polyline says at times that increase."""
+def interpolate(points, times_s):
+    """Yields the positions of a polyline at increasing times."""
     k = 0
     for time_s in times_s:
         while k + 2 < len(points) and points[k + 1][0] <= time_s:
@@ -94,7 +102,7 @@ def at(points, times_s):
 
 
 def compare(name, exported, trace):
-    """The largest error of a place, and of a speed over a step."""
+    """Returns the largest errors of a position, and of a speed over a step."""
     tracks = defaultdict(lambda: ([], []))
     with open(trace, newline="") as table:
         for row in csv.DictReader(table):
@@ -105,7 +113,7 @@ def compare(name, exported, trace):
     lines = polylines(exported)
     assert len(lines) == len(tracks), f"{name}: {len(lines)} polylines of {len(tracks)} vehicles"
     for points, (times_s, places_m) in zip(lines, (tracks[k] for k in sorted(tracks))):
-        read_m = list(at(points, times_s))
+        read_m = list(interpolate(points, times_s))
         for k, (read, true) in enumerate(zip(read_m, places_m)):
             worst_m = max(worst_m, abs(read - true))
             if k and times_s[k] - times_s[k - 1] > 1e-5:
@@ -116,7 +124,7 @@ def compare(name, exported, trace):
 
 
 def check(task):
-    """Exports one scenario in both ways, and compares."""
+    """Exports a scenario in both ways and returns its errors."""
     scenario, folder = task
     folder.mkdir()
     controller = ["--controller", "baseline"]
@@ -126,44 +134,52 @@ def check(task):
         (exported,) = (folder / way).glob("*.xosc")
         found = objections(exported)
         assert not found, f"{scenario}, {way}: {found}"
-        valid_road(exported.with_suffix(".xodr"))
+        assert_valid_road(exported.with_suffix(".xodr"))
         if way == "trajectories":
             errors = compare(scenario, exported, folder / "trace.csv")
     return errors
 
 
-def script(chance, speed):
-    """A lead profile of any kind."""
+def random_script(chance, speed):
+    """Returns a random driver that follows a script."""
     onset, rate = chance.uniform(0, 5), chance.uniform(0.1, 5)
     times = sorted({round(chance.uniform(0, 12), 2) for _ in range(chance.randint(2, 6))})
-    return chance.choice([
+    final_speed = {"final_speed_mps": chance.uniform(0, speed)}
+    ramp = {"ramp_s": chance.uniform(0, 2), "release_s": chance.uniform(0, 1)}
+    scripts = [
         "constant-speed",
         {"brake": {"onset_s": onset, "rate_mps2": rate}},
-        {"brake-to-speed": {"onset_s": onset, "rate_mps2": rate, "final_speed_mps": chance.uniform(0, speed)}},
-        {"ramp-brake": {"onset_s": onset, "rate_mps2": rate, "ramp_s": chance.uniform(0, 2), "release_s": chance.uniform(0, 1)}},
+        {"brake-to-speed": {"onset_s": onset, "rate_mps2": rate, **final_speed}},
+        {"ramp-brake": {"onset_s": onset, "rate_mps2": rate, **ramp}},
         {"pieces": {"from_s": times, "accel_mps2": [chance.uniform(-5, 1.5) for _ in times]}},
         {"recorded": {"time_s": times, "speed_mps": [chance.uniform(0, 30) for _ in times]}},
-    ])
+    ]
+    return chance.choice(scripts)
 
 
-def scenario(chance, number):
-    """A line of vehicles that do anything."""
+def random_scenario(chance, number):
+    """Returns a random scenario with two to six vehicles."""
     vehicles, position = [], chance.uniform(-500, 500)
     for index in range(chance.randint(2, 6)):
         speed, length = chance.uniform(0, 35), chance.uniform(2, 20)
-        follow = chance.choice(["under-test", "under-test", "baseline", "idm", script(chance, speed)])
-        vehicle = {"class": chance.choice(["light", "heavy"]), "position_m": position, "speed_mps": speed, "length_m": length}
-        vehicle["driver"] = script(chance, speed) if index == 0 else follow
+        follow = chance.choice(["under-test", "under-test", "baseline", "idm", random_script(chance, speed)])
+        vehicle = {
+            "class": chance.choice(["light", "heavy"]),
+            "position_m": position,
+            "speed_mps": speed,
+            "length_m": length,
+        }
+        vehicle["driver"] = random_script(chance, speed) if index == 0 else follow
         vehicle["acceleration_noise_mps2"] = chance.choice([0.0, 0.3])
         vehicles.append(vehicle)
         position -= length + chance.uniform(1, 60)
-    made = {"version": 1, "name": f"random {number}", "duration_s": chance.choice([5.0, 15.0]), "seed": number}
-    made["step_s"] = chance.choice([0.01, 0.05])
-    return made | {"environment": {"friction": chance.uniform(0.2, 1)}, "vehicles": vehicles}
+    header = {"version": 1, "name": f"random {number}", "duration_s": chance.choice([5.0, 15.0]), "seed": number}
+    header["step_s"] = chance.choice([0.01, 0.05])
+    return header | {"environment": {"friction": chance.uniform(0.2, 1)}, "vehicles": vehicles}
 
 
-def undeclared_entity_is_found(folder):
-    """The checker sees what it is there to see."""
+def assert_faults_are_found(folder):
+    """Checks that ASAM's checker finds two injected faults."""
     crumple("export", "paper-1", "--to", "openscenario", "--out", folder)
     exported = folder / "paper-1.xosc"
     text = exported.read_text()
@@ -174,21 +190,23 @@ def undeclared_entity_is_found(folder):
 
 
 def main():
+    """Checks built-in and random scenarios."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        undeclared_entity_is_found(folder / "faults")
+        assert_faults_are_found(folder / "faults")
         known = re.findall(r"^  (\S+)", crumple("list", "scenarios"), re.MULTILINE)
         assert "paper-1" in known, "no built-in scenarios"
         chance = random.Random(24)
         tasks = [(name, folder / name) for name in known]
         for k in range(COUNT):
             written = folder / f"random-{k}.json"
-            written.write_text(json.dumps(scenario(chance, k)))
+            written.write_text(json.dumps(random_scenario(chance, k)))
             tasks.append((written, folder / f"random-{k}"))
         with ProcessPoolExecutor(os.cpu_count()) as pool:
             errors = list(pool.map(check, tasks, chunksize=8))
         worst_m, worst_mps = (max(error[k] for error in errors) for k in (0, 1))
-        print(f"{len(known)} built-in scenarios and {COUNT} random ones: valid, read back to {worst_m:.4f} m and {worst_mps:.4f} m/s")
+        errors = f"largest errors {worst_m:.4f} m and {worst_mps:.4f} m/s"
+        print(f"{len(known)} built-in and {COUNT} random scenarios: valid, {errors}")
 
 
 if __name__ == "__main__":

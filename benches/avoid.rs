@@ -15,7 +15,17 @@ fn main() {
 }
 
 /// Targets on a current core: 50 ms for `paper-1` at 0.1 s, 1 s at 0.01 s.
-#[divan::bench(args = [("paper-1", 0.1), ("paper-1", 0.01), ("paper-2", 0.1), ("paper-2", 0.01), ("paper-3", 0.1), ("paper-3", 0.01)], sample_count = 10)]
+#[divan::bench(
+    args = [
+        ("paper-1", 0.1),
+        ("paper-1", 0.01),
+        ("paper-2", 0.1),
+        ("paper-2", 0.01),
+        ("paper-3", 0.1),
+        ("paper-3", 0.01),
+    ],
+    sample_count = 10
+)]
 fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
     let scenario = built_in_scenario(name).expect("built in");
     bencher.bench_local(|| {

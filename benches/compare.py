@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The same work in SUMO, in Stable-Baselines3 and in crumple, one thread each, in one run; prints the ratios.
+"""Compares the speed of crumple with SUMO and Stable-Baselines3 on the same tasks, with one thread each.
 
-Not part of the build. Needs Python 3.10 or later and, from PyPI:
+This program is not part of the build. It needs Python 3.10 or later and, from PyPI:
 
     pip install libsumo==1.28.0 stable-baselines3==2.9.2
 
@@ -9,16 +9,16 @@ Not part of the build. Needs Python 3.10 or later and, from PyPI:
 
     python benches/compare.py
 
-Rollouts: the paper's first scenario, three vehicles for 1500 steps of 0.01 s; the leader holds 25 m/s for 1 s and then brakes at
-3 m/s² to standstill; the two behind it follow by the Intelligent Driver Model with the same parameters. SUMO is timed twice: with a simulation
-loaded for each scenario, as a tool that varies scenarios does it, and at its best, with one simulation into which vehicles
-are set and from which they are taken. Starting it is not counted.
+Rollouts: the paper's first scenario, three vehicles for 1500 steps of 0.01 s. The leader holds 25 m/s for 1 s and
+then brakes at 3 m/s² to standstill; the other two follow with the Intelligent Driver Model and the same parameters.
+SUMO is timed twice: with a simulation loaded for each scenario, as in a tool that varies scenarios, and in its fastest
+way, with one simulation into which vehicles are inserted and from which they are removed. Its start is not counted.
 
-Training: DDPG with eight numbers seen, one acceleration chosen and an update after each decision, on an environment of those
-three vehicles, written in plain Python for Stable-Baselines3. Its time includes that environment, about 10 µs a step.
+Training: DDPG with an observation of eight numbers, one acceleration as action and an update after each decision. Its
+environment has the same three vehicles, in plain Python for Stable-Baselines3. Its time (about 10 µs a step) counts.
 
-Each figure is a mean over many scenarios or decisions. A scenario is counted from its making to its end: with SUMO vehicles are
-set and taken away (and a network loaded, in the first line), here a scenario is edited, checked and made ready to run.
+Each figure is a mean over many scenarios or decisions. The time of a scenario includes its preparation: SUMO inserts
+and removes vehicles (and loads a network, in the first line); crumple edits, checks and prepares a scenario.
 
 All times are processor times of one thread, so that a busy machine changes them little.
 """
@@ -50,8 +50,8 @@ NETWORK = """<net version="1.16">
 </net>
 """
 ROUTES = f"""<routes>
-  <vType id="car" carFollowModel="IDM" length="{LENGTH_M}" minGap="{IDM['standstill']}" tau="{IDM['headway']}"
-         accel="{IDM['accel']}" decel="{IDM['brake']}" emergencyDecel="9" maxSpeed="{IDM['desired']}" sigma="0"
+  <vType id="car" carFollowModel="IDM" length="{LENGTH_M}" minGap="{IDM["standstill"]}" tau="{IDM["headway"]}"
+         accel="{IDM["accel"]}" decel="{IDM["brake"]}" emergencyDecel="9" maxSpeed="{IDM["desired"]}" sigma="0"
          speedFactor="1" actionStepLength="{STEP_S}"/>
   <route id="along" edges="road"/>
 </routes>
@@ -59,15 +59,29 @@ ROUTES = f"""<routes>
 
 
 def sumo_scenarios_per_s(count, load_each):
-    """Scenarios that SUMO simulates in a second of one processor: all in one simulation, or each in one of its own."""
+    """Measures scenarios per second of processor time in SUMO, with one simulation for each or for all of them."""
     import libsumo
 
     with tempfile.TemporaryDirectory() as folder:
         net, routes = Path(folder, "road.net.xml"), Path(folder, "cars.rou.xml")
         net.write_text(NETWORK)
         routes.write_text(ROUTES)
-        options = ["-n", str(net), "-r", str(routes), "--step-length", str(STEP_S), "--no-step-log", "true",
-                   "--collision.action", "none", "--no-warnings", "true", "--xml-validation", "never"]
+        options = [
+            "-n",
+            str(net),
+            "-r",
+            str(routes),
+            "--step-length",
+            str(STEP_S),
+            "--no-step-log",
+            "true",
+            "--collision.action",
+            "none",
+            "--no-warnings",
+            "true",
+            "--xml-validation",
+            "never",
+        ]
         libsumo.start(["sumo", *options])
         sumo_scenario(libsumo, 0)
         start_s = time.thread_time()
@@ -75,12 +89,13 @@ def sumo_scenarios_per_s(count, load_each):
             if load_each:
                 libsumo.load(options)
             sumo_scenario(libsumo, index)
-        spent_s = time.thread_time() - start_s
+        elapsed_s = time.thread_time() - start_s
         libsumo.close()
-    return count / spent_s
+    return count / elapsed_s
 
 
 def sumo_scenario(sumo, index):
+    """Simulates one scenario in the loaded simulation."""
     names = [f"{index}-{vehicle}" for vehicle in range(3)]
     # Insert far apart, then move together: SUMO refuses to insert vehicles at the paper's spacing.
     for vehicle, name in enumerate(names):
@@ -105,11 +120,12 @@ def sumo_scenario(sumo, index):
 
 
 def braking_environment():
+    """Returns the environment for Stable-Baselines3."""
     import gymnasium
     import numpy as np
 
     class Braking(gymnasium.Env):
-        """Three vehicles; the middle one chooses its acceleration; the last one keeps its speed, then brakes at 6 m/s²."""
+        """Environment of three vehicles. The agent is the middle one; the last one keeps its speed, then brakes."""
 
         observation_space = gymnasium.spaces.Box(-10.0, 10.0, (8,), np.float32)
         action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -118,16 +134,24 @@ def braking_environment():
             super().reset(seed=seed)
             self.x, self.v, self.a = [36.0, 18.0, 0.0], [SPEED_MPS] * 3, [0.0] * 3
             self.step_count, self.braking = 0, False
-            return self.seen(), {}
+            return self.observe(), {}
 
         def gaps(self):
             return self.x[0] - LENGTH_M - self.x[1], self.x[1] - LENGTH_M - self.x[2]
 
-        def seen(self):
+        def observe(self):
             ahead, behind = self.gaps()
             v, a = self.v, self.a
-            numbers = [ahead / 16 - 1, behind / 16 - 1, v[0] / 12.5 - 1, v[1] / 12.5 - 1, v[2] / 12.5 - 1,
-                       a[0] / 5, a[1] / 5, a[2] / 5]
+            numbers = [
+                ahead / 16 - 1,
+                behind / 16 - 1,
+                v[0] / 12.5 - 1,
+                v[1] / 12.5 - 1,
+                v[2] / 12.5 - 1,
+                a[0] / 5,
+                a[1] / 5,
+                a[2] / 5,
+            ]
             return np.array(numbers, dtype=np.float32)
 
         def step(self, action):
@@ -140,13 +164,13 @@ def braking_environment():
                 self.v[vehicle] = speed
             self.step_count += 1
             contact = min(self.gaps()) <= 0.0
-            return self.seen(), -20.0 if contact else 0.1, contact, self.step_count >= STEPS, {}
+            return self.observe(), -20.0 if contact else 0.1, contact, self.step_count >= STEPS, {}
 
     return Braking()
 
 
 def sb3_decisions_per_s(width, batch, decisions):
-    """Training decisions of Stable-Baselines3 in a second of one processor."""
+    """Measures training decisions per second of processor time in Stable-Baselines3."""
     import numpy as np
     import torch
     from stable_baselines3 import DDPG
@@ -154,8 +178,18 @@ def sb3_decisions_per_s(width, batch, decisions):
 
     torch.set_num_threads(1)
     model = DDPG(
-        "MlpPolicy", braking_environment(), policy_kwargs={"net_arch": [width] * 3}, batch_size=batch, buffer_size=10_000,
-        learning_starts=batch, train_freq=(1, "step"), gradient_steps=1, gamma=0.99999, tau=0.005, device="cpu", seed=1,
+        "MlpPolicy",
+        braking_environment(),
+        policy_kwargs={"net_arch": [width] * 3},
+        batch_size=batch,
+        buffer_size=10_000,
+        learning_starts=batch,
+        train_freq=(1, "step"),
+        gradient_steps=1,
+        gamma=0.99999,
+        tau=0.005,
+        device="cpu",
+        seed=1,
         action_noise=NormalActionNoise(np.zeros(1), 0.1 * np.ones(1)),
     )
     # Updates begin when the replay memory contains a batch.
@@ -166,30 +200,44 @@ def sb3_decisions_per_s(width, batch, decisions):
 
 
 def crumple_figures():
+    """Returns crumple's figures by name."""
     command = ["cargo", "bench", "--quiet", "--bench", "targets", "--", "compare"]
     printed = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     return {name: float(value) for name, value in (line.split() for line in printed.splitlines())}
 
 
 def main():
+    """Prints a table of the figures and their ratios."""
     rows = [
         ("scenarios_per_s", "scenarios a second, SUMO, a simulation each", 400, lambda: sumo_scenarios_per_s(50, True)),
-        ("scenarios_per_s", "scenarios a second, SUMO, one after the other in one simulation", 400,
-         lambda: sumo_scenarios_per_s(50, False)),
-        ("decisions_per_s_64", "training decisions a second, Stable-Baselines3, 3 x 64, batch 128", 10,
-         lambda: sb3_decisions_per_s(64, 128, 1000)),
-        ("decisions_per_s_256", "training decisions a second, Stable-Baselines3, 3 x 256, batch 512", 2.5,
-         lambda: sb3_decisions_per_s(256, 512, 300)),
+        (
+            "scenarios_per_s",
+            "scenarios a second, SUMO, one after the other in one simulation",
+            400,
+            lambda: sumo_scenarios_per_s(50, False),
+        ),
+        (
+            "decisions_per_s_64",
+            "training decisions a second, Stable-Baselines3, 3 x 64, batch 128",
+            10,
+            lambda: sb3_decisions_per_s(64, 128, 1000),
+        ),
+        (
+            "decisions_per_s_256",
+            "training decisions a second, Stable-Baselines3, 3 x 256, batch 512",
+            2.5,
+            lambda: sb3_decisions_per_s(256, 512, 300),
+        ),
     ]
     ours = crumple_figures()
-    print("| figure | theirs | crumple | ratio | aim |\n|---|---|---|---|---|")
-    for name, title, aim, theirs in rows:
+    print("| figure | other tool | crumple | ratio | target |\n|---|---|---|---|---|")
+    for name, title, target, measure in rows:
         try:
-            measured = theirs()
+            measured = measure()
         except ImportError as error:
             print(f"{title}: not measured, {error}", file=sys.stderr)
             continue
-        print(f"| {title} | {measured:.4g} | {ours[name]:.4g} | {ours[name] / measured:.1f} | {aim} |")
+        print(f"| {title} | {measured:.4g} | {ours[name]:.4g} | {ours[name] / measured:.1f} | {target} |")
 
 
 if __name__ == "__main__":

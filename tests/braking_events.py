@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Car-following events as crumple reads them, so many of ten seconds each, in each of which the leader brakes once."""
+"""Prints random car-following events of ten seconds in crumple's format: `braking_events.py COUNT [SEED]`.
+
+In each event the leader brakes once.
+"""
 
 import random
 import sys

@@ -1,10 +1,10 @@
-"""Counts braking episodes in OpenACC files from their raw columns, with nothing of crumple: what `crumple import` is compared with.
+"""Counts braking episodes in OpenACC files independently of crumple, as a reference for `crumple import`.
 
-python3 tests/brakings.py FILE.csv...
+    python3 tests/brakings.py FILE.csv...
 
-A braking is a loss of more than 1.3 m/s within a second, merged with those that follow within 5 s. It makes an episode if within the
-two seconds before there is a row in which speed and spacing of the car behind are known. It is one of the first cars if in none of
-those rows speed and spacing of the car ahead are known as well.
+A braking is a loss of more than 1.3 m/s within a second, merged with those that follow within 5 s. It is an episode if
+some row of the two seconds before has the speed and spacing of the car behind. It is an episode of a first car if none
+of those rows has the speed and spacing of the car ahead.
 """
 
 import csv
@@ -14,7 +14,7 @@ LIMIT, HOLE_S, MERGE_S, BEFORE_S = 1.3, 0.5, 5.0, 2.0
 
 
 def number(text, lowest, highest):
-    """None of what is missing or cannot be."""
+    """Parses a number; returns None if it is missing or out of range."""
     try:
         value = float(text)
     except ValueError:
@@ -23,7 +23,7 @@ def number(text, lowest, highest):
 
 
 def brakings(track):
-    """Onset and rows before it, of one car's times and speeds."""
+    """Returns the onset of each braking of one car, with the rows before it."""
     runs, found = [[track[0]]] if track else [], []
     for before, sample in zip(track, track[1:]):
         if round(sample[0] - before[0], 3) > HOLE_S:
@@ -47,22 +47,25 @@ def brakings(track):
 
 
 def main():
+    """Prints the counts of each file."""
     for path in sys.argv[1:]:
         with open(path, newline="") as file:
             rows = list(csv.reader(file))[5:]
         names, rows = rows[0], rows[1:]
         speed = {int(name[5:]): k for k, name in enumerate(names) if name.startswith("Speed")}
         gap = {int(name[3:]): k for k, name in enumerate(names) if name.startswith("IVS")}
-        kept, last = [], None
+        samples, last = [], None
         for row in rows:
             t = round(float(row[0]), 3)
             if last is None or t > last:
-                kept, last = kept + [(t, row)], t
+                samples, last = [*samples, (t, row)], t
 
         def follows(car, row):
-            """Whether the spacing from a car to the one behind it is known, and both drive."""
+            """Returns true if the spacing from a car to the one behind it is known, and both drive."""
             return (
-                car in speed and car + 1 in speed and car in gap
+                car in speed
+                and car + 1 in speed
+                and car in gap
                 and number(row[speed[car + 1]], 0, 100) is not None
                 and number(row[gap[car]], 0.001, 1000) is not None
             )
@@ -72,10 +75,11 @@ def main():
         for car in sorted(speed):
             if car not in gap or car + 1 not in speed:
                 continue
-            track = [(t, round(v, 3), row) for t, row in kept if (v := number(row[speed[car]], 0, 100)) is not None]
+            track = [(t, round(v, 3), row) for t, row in samples if (v := number(row[speed[car]], 0, 100)) is not None]
             found = [(t, before) for t, before in brakings(track) if any(follows(car, row) for row in before)]
             alone = [
-                t for t, before in found
+                t
+                for t, before in found
                 if not any(follows(car - 1, row) and number(row[speed[car - 1]], 0, 100) is not None for row in before)
             ]
             print(f"  car {car}: {len(found)} episodes, {len(alone)} without a known car ahead")

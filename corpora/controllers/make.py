@@ -47,7 +47,9 @@ class Graph:
 
         after = f"h{len(self.nodes)}"
         inputs = [self.now if name is None else name for name in inputs or (None,)]
-        self.nodes.append(helper.make_node(operator, inputs, [after], name=f"{operator}_{len(self.nodes)}", **attributes))
+        self.nodes.append(
+            helper.make_node(operator, inputs, [after], name=f"{operator}_{len(self.nodes)}", **attributes)
+        )
         self.now = after
         return self
 
@@ -266,7 +268,13 @@ def normalised():
             acceleration = 3 * float(action[0]) - 1
             self.state += [0.1 * self.state[2], 0.1 * acceleration, -0.1 * acceleration]
             gap, speed, _ = self.state
-            return self.state.astype(np.float32), -abs(gap - 4 - 1.4 * speed) / 20, False, bool(self.np_random.random() < 0.05), {}
+            return (
+                self.state.astype(np.float32),
+                -abs(gap - 4 - 1.4 * speed) / 20,
+                False,
+                bool(self.np_random.random() < 0.05),
+                {},
+            )
 
     folder = HERE / "normalised"
     folder.mkdir(exist_ok=True)
@@ -286,7 +294,9 @@ def normalised():
     env.training = False
     seen = (observations(FEW, 3) * [20, 5, 2] + [25, 15, 0]).astype(np.float32)
     answers = model.predict(env.normalize_obs(seen), deterministic=True)[0]
-    (folder / "answers.json").write_text(json.dumps({"seen": seen.tolist(), "answers": answers.astype(np.float64).tolist()}) + "\n")
+    (folder / "answers.json").write_text(
+        json.dumps({"seen": seen.tolist(), "answers": answers.astype(np.float64).tolist()}) + "\n"
+    )
     quantities = ["gap_ahead_m", "speed_mps", "relative_speed_ahead_mps"]
     text = 'version = 1\nnetwork = "ppo.zip"\ndecision_interval_s = 0.1\nnormalised = true\n'
     for quantity, mean, variance in zip(quantities, env.obs_rms.mean, env.obs_rms.var):

@@ -1,4 +1,4 @@
-/* A controller as a process: keeps 4 m and 1.4 s to the vehicle ahead, and otherwise 30 m/s. Standard library only.
+/* Controller as a process: keeps 4 m and 1.4 s to the leader, and otherwise 30 m/s. Needs the standard library only.
  *
  *     cc -O2 -o follower follower.c -lm && crumple simulate paper-1 --controller 'exec:./follower'
  *
@@ -8,9 +8,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { GAP_M, RELATIVE_MPS, SPEED_MPS, SEEN };
-static const char *const names[SEEN] = {"\"gap_ahead_m\"", "\"relative_speed_ahead_mps\"", "\"speed_mps\""};
-static int places[SEEN];
+enum { GAP_M, RELATIVE_MPS, SPEED_MPS, INPUTS };
+static const char *const names[INPUTS] = {"\"gap_ahead_m\"", "\"relative_speed_ahead_mps\"", "\"speed_mps\""};
+static int places[INPUTS];
 
 /* Index of an input in the hello; -1 if it is missing. */
 static int place_of(const char *inputs, const char *name) {
@@ -22,16 +22,16 @@ static int place_of(const char *inputs, const char *name) {
 }
 
 static double decide(const char *see) {
-    double seen[SEEN] = {0.0}, wanted_mps2;
+    double inputs[INPUTS] = {0.0}, command_mps2;
     for (int place = 0; *see && *see != ']'; place++) {
         char *end;
         double value = strtod(see + 1, &end);
-        for (int one = 0; one < SEEN; one++)
-            if (places[one] == place) seen[one] = value;
+        for (int one = 0; one < INPUTS; one++)
+            if (places[one] == place) inputs[one] = value;
         see = end;
     }
-    wanted_mps2 = 0.3 * (seen[GAP_M] - 4.0 - 1.4 * seen[SPEED_MPS]) + 0.9 * seen[RELATIVE_MPS];
-    return fmax(-7.5, fmin(wanted_mps2, fmin(2.0, 30.0 - seen[SPEED_MPS])));
+    command_mps2 = 0.3 * (inputs[GAP_M] - 4.0 - 1.4 * inputs[SPEED_MPS]) + 0.9 * inputs[RELATIVE_MPS];
+    return fmax(-7.5, fmin(command_mps2, fmin(2.0, 30.0 - inputs[SPEED_MPS])));
 }
 
 int main(void) {
@@ -45,14 +45,14 @@ int main(void) {
         } else if (strstr(line, "\"reset\":")) { /* A new run: a controller with memory would reset here. */
             printf("{\"id\":%llu,\"ready\":true}\n", id);
         } else if ((found = strstr(line, "\"inputs\":["))) {
-            for (int one = 0; one < SEEN; one++)
+            for (int one = 0; one < INPUTS; one++)
                 if ((places[one] = place_of(found, names[one])) < 0) {
-                    fprintf(stderr, "it does not see %s\n", names[one]);
+                    fprintf(stderr, "the observation has no %s\n", names[one]);
                     return 1;
                 }
             printf("{\"crumple\":1,\"name\":\"follower.c\",\"deterministic\":true}\n");
         } else {
-            fprintf(stderr, "it does not know %s", line);
+            fprintf(stderr, "unknown message: %s", line);
             return 1;
         }
         fflush(stdout);

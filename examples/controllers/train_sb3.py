@@ -3,8 +3,8 @@
     python train_sb3.py follower.zip 20000
     crumple simulate paper-1 --controller follower.zip
 
-Needs stable-baselines3. The model sees crumple's eight numbers and answers from -1 to 1, so it needs no controller file;
-what the numbers are, and how to see others: docs/controllers.md.
+Needs stable-baselines3. The model has crumple's eight inputs and an output from -1 to 1, so it needs no controller
+file. docs/controllers.md describes the inputs, and how to choose other ones.
 """
 
 import sys
@@ -19,7 +19,7 @@ STEP_S = 0.1
 
 
 class Follow(gymnasium.Env):
-    """A vehicle behind one that speeds up and brakes as it likes; nobody behind."""
+    """Environment of a vehicle whose leader speeds up and brakes at random, without a follower."""
 
     observation_space = gymnasium.spaces.Box(-4, 4, (8,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
@@ -28,9 +28,9 @@ class Follow(gymnasium.Env):
         super().reset(seed=seed)
         self.gap, self.speed, self.ahead = self.np_random.uniform([10, 10, 10], [60, 30, 30])
         self.acceleration = self.ahead_acceleration = self.time = 0.0
-        return self.seen(), {}
+        return self.observe(), {}
 
-    def seen(self):
+    def observe(self):
         x = [self.gap, 80, self.ahead, self.speed, self.speed, self.ahead_acceleration, self.acceleration, 0]
         return ((np.array(x, np.float32) - OFFSET) / SCALE).clip(-4, 4)
 
@@ -43,9 +43,9 @@ class Follow(gymnasium.Env):
         self.speed = max(0.0, self.speed + STEP_S * self.acceleration)
         self.gap += STEP_S * 0.5 * (before + self.ahead - self.speed)
         self.time += STEP_S
-        wanted = 5 + 1.5 * self.speed
-        reward = -abs(self.gap - wanted) / 20 - 0.02 * self.acceleration**2 - (50 if self.gap <= 0 else 0)
-        return self.seen(), reward, self.gap <= 0, self.time > 30, {}
+        target_gap = 5 + 1.5 * self.speed
+        reward = -abs(self.gap - target_gap) / 20 - 0.02 * self.acceleration**2 - (50 if self.gap <= 0 else 0)
+        return self.observe(), reward, self.gap <= 0, self.time > 30, {}
 
 
 model = SAC("MlpPolicy", Follow(), policy_kwargs={"net_arch": [64, 64]}, seed=0, learning_starts=100)

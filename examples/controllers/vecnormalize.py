@@ -2,7 +2,8 @@
 
     python vecnormalize.py vecnormalize.pkl
 
-Needs stable-baselines3. Fill in the quantities, in the order of the observation, and say `normalised = true`: docs/controllers.md.
+Needs stable-baselines3. Fill in the quantities in the order of the observation, and set `normalised = true`;
+docs/controllers.md describes both.
 """
 
 import pickle
@@ -11,5 +12,5 @@ import sys
 statistics = pickle.load(open(sys.argv[1], "rb"))
 for mean, variance in zip(statistics.obs_rms.mean, statistics.obs_rms.var):
     scale = (variance + statistics.epsilon) ** 0.5
-    print(f"[[inputs]]\nquantity = \"?\"\noffset = {mean}\nscale = {scale}")
+    print(f'[[inputs]]\nquantity = "?"\noffset = {mean}\nscale = {scale}')
     print(f"low = {-statistics.clip_obs}\nhigh = {statistics.clip_obs}\n")

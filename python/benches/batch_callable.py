@@ -32,7 +32,9 @@ class Policy:
             begin, end = header[name]["data_offsets"]
             return np.frombuffer(body[begin:end], np.float32).reshape(header[name]["shape"])
 
-        self.layers = [(tensor(f"actor.{i}.weight"), tensor(f"actor.{i}.bias")) for i in range(len(facts["hidden"]) + 1)]
+        self.layers = [
+            (tensor(f"actor.{i}.weight"), tensor(f"actor.{i}.bias")) for i in range(len(facts["hidden"]) + 1)
+        ]
 
     def __call__(self, rows):
         """Returns accelerations for rows of observations."""
@@ -58,7 +60,9 @@ def main():
     """Prints both times and their ratio."""
     policy = Policy(POLICY)
     inside, of_inside = time_campaign(str(POLICY))
-    python, of_python = time_campaign(crumple.Controller(policy, batch=True, interval_s=policy.interval_s, name="numpy"))
+    python, of_python = time_campaign(
+        crumple.Controller(policy, batch=True, interval_s=policy.interval_s, name="numpy")
+    )
     for name, taken, found in (("inside crumple", inside, of_inside), ("batch callable", python, of_python)):
         failures = found.summary["methods"][0]["failures"]
         print(f"{name}: {taken:.2f} s of the processor, {failures} failures of {found.summary['evaluations']}")

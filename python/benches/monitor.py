@@ -47,7 +47,9 @@ def main(samples):
             spec.spec = text
             spec.parse()
             theirs = best_time_s(lambda spec=spec: spec.evaluate(data))
-        alone = best_time_s(lambda text=text: [crumple.monitor(text, signals, over_time=True) for _ in range(100)]) / 100
+        alone = (
+            best_time_s(lambda text=text: [crumple.monitor(text, signals, over_time=True) for _ in range(100)]) / 100
+        )
         batch = best_time_s(lambda text=text: crumple.monitor(text, many, over_time=True)) / 1000
         print(
             f"  {text:<58} {1e3 * theirs:8.3f}  {1e3 * alone:7.4f} ({theirs / alone:5.0f})"

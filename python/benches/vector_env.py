@@ -61,14 +61,22 @@ def make_highway_env():
 
     gymnasium.register_envs(highway_env)
     action = {"type": "ContinuousAction", "longitudinal": True, "lateral": False}
-    config = {"vehicles_count": 2, "lanes_count": 1, "simulation_frequency": 10, "policy_frequency": 10, "action": action}
+    config = {
+        "vehicles_count": 2,
+        "lanes_count": 1,
+        "simulation_frequency": 10,
+        "policy_frequency": 10,
+        "action": action,
+    }
     return FlattenAction(gymnasium.make("highway-fast-v0", config=config))
 
 
 def main():
     """Prints a line for each environment."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1024
-    print(f"{count} environments, {len(crumple.space('paper').nominal())} vehicles, space `paper`, agent steps a second")
+    print(
+        f"{count} environments, {len(crumple.space('paper').nominal())} vehicles, space `paper`, agent steps a second"
+    )
     for estimator in ("truth", "kalman"):
         native = steps_per_second(PlatoonVectorEnv(count, estimator=estimator, copy=False), 150)
         python = steps_per_second(SyncVectorEnv([lambda e=estimator: PlatoonEnv(estimator=e)] * count), 15)

@@ -25,7 +25,9 @@ def cruise(rows):
 
 def main(budget):
     """Searches, replays and draws failures; returns them."""
-    acc = crumple.Controller(cruise, batch=True, interval_s=0.1, name="acc", identity=f"acc {TIME_GAP_S} {STANDSTILL_M}")
+    acc = crumple.Controller(
+        cruise, batch=True, interval_s=0.1, name="acc", identity=f"acc {TIME_GAP_S} {STANDSTILL_M}"
+    )
     found = crumple.falsify(acc, "high-risk", budget=budget)
     print(found)
     for failure in found.failures[:3]:
@@ -35,7 +37,11 @@ def main(budget):
         found.failures[0].plot().save("acc-fails.svg")
         print("wrote acc-fails.svg")
     mildest = crumple.worst_case("paper-1", acc, budget=budget)
-    print(f"a leader that brakes at {mildest.peak_brake_mps2:.2f} m/s² suffices" if mildest.found else "no braking suffices")
+    print(
+        f"a leader that brakes at {mildest.peak_brake_mps2:.2f} m/s² suffices"
+        if mildest.found
+        else "no braking suffices"
+    )
     return found.failures
 
 

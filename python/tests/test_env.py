@@ -33,7 +33,9 @@ def test_gymnasium_knows_the_environment_and_finds_nothing_wrong_with_it():
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_the_vector_steps_to_the_bit_as_its_environments_alone(mode, estimator):
     count, steps = 37, 400
-    several = SyncVectorEnv([lambda: PlatoonEnv("high-risk", estimator=estimator)] * count, autoreset_mode=mode, copy=True)
+    several = SyncVectorEnv(
+        [lambda: PlatoonEnv("high-risk", estimator=estimator)] * count, autoreset_mode=mode, copy=True
+    )
     together = PlatoonVectorEnv(count, "high-risk", estimator=estimator, autoreset_mode=mode)
     assert np.array_equal(several.reset(seed=5)[0], together.reset(seed=5)[0])
     endings = set()
@@ -65,7 +67,9 @@ def test_what_cannot_be_done_is_refused_before_anybody_moves():
     assert np.array_equal(fresh.step(np.zeros((40, 1)))[0], moved)
     wrong_actions = [np.zeros((1, 40)), np.zeros((20, 2)), np.zeros((40, 1), complex), ["0"] * 40, np.zeros(39)]
     for wrong in wrong_actions:
-        with pytest.raises(crumple.TrainingError, match=r"actions are 40 numbers, in an array of shape \(40, 1\), found"):
+        with pytest.raises(
+            crumple.TrainingError, match=r"actions are 40 numbers, in an array of shape \(40, 1\), found"
+        ):
             env.step(wrong)
     for seed in (-1, 1.5, 2**64 - 20, [1, 2], [None] * 40, np.array([-1] * 40)):
         with pytest.raises(crumple.TrainingError, match="seed"):
@@ -79,7 +83,9 @@ def test_what_cannot_be_done_is_refused_before_anybody_moves():
         never.step(np.zeros((2, 1)))
     with pytest.raises(crumple.TrainingError):
         never.reset(seed=[1, 2, 3])
-    assert not np.array_equal(never.reset()[0], PlatoonVectorEnv(2).reset(seed=0)[0]), "a seed that was refused is no seed"
+    assert not np.array_equal(never.reset()[0], PlatoonVectorEnv(2).reset(seed=0)[0]), (
+        "a seed that was refused is no seed"
+    )
 
 
 def test_what_was_given_may_be_given_back():

@@ -82,7 +82,9 @@ def test_what_was_broken_off_halfway_leaves_no_false_failures(tmp_path):
         assert crumple.falsify(follower(), budget=100, folder=folder, resume=True).summary == whole.summary
 
 
-@pytest.mark.parametrize(("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")])
+@pytest.mark.parametrize(
+    ("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")]
+)
 def test_a_worst_case_is_that_of_the_command_line(tmp_path, command_line_json, controller, aim):
     found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
     arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
@@ -142,7 +144,9 @@ def test_an_assessment_is_that_of_the_command_line(tmp_path, crumple_binary):
     path = write_small_config(tmp_path)
     assessment = crumple.assess(path)
     folder = tmp_path / "report"
-    done = subprocess.run([crumple_binary, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False)
+    done = subprocess.run(
+        [crumple_binary, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False
+    )
     told = json.loads((folder / "assessment.json").read_text())
     assert told["provenance"].pop("made") is not None
     said = assessment.evidence
@@ -175,7 +179,9 @@ def test_a_callable_is_assessed_and_shows_itself(tmp_path):
         calls.append(len(rows))
         return follow_all(rows)
 
-    again = crumple.Controller(counting_controller, batch=True, interval_s=0.1, name="mine", identity="follow, version 1")
+    again = crumple.Controller(
+        counting_controller, batch=True, interval_s=0.1, name="mine", identity="follow, version 1"
+    )
     assert crumple.assess(SMALL, [again], evidence=kept).evidence == one.evidence
     assert crumple.assess(SMALL, [follower(None)]).evidence["summary"]["gates"] == []
     with pytest.raises(StopEarlyError):

@@ -19,7 +19,11 @@ pub(super) struct ArtifactArgs {
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
     /// Plot the scenario found; replaces an existing file
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]))]
+    #[arg(
+        long,
+        value_name = "F.svg|F.png",
+        value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"])
+    )]
     plot: Option<PathBuf>,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]

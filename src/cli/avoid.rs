@@ -61,7 +61,12 @@ pub(super) struct Avoid {
     grid: Option<f64>,
     /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all trigger times
     /// of the follower's emergency brake and simulates other controllers in the loop
-    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = value_enums::one_of(value_enums::ESCAPES))]
+    #[arg(
+        long,
+        value_name = "ESCAPE",
+        default_value = "largest-gap",
+        value_parser = value_enums::one_of(value_enums::ESCAPES)
+    )]
     escape: EscapeKind,
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]

@@ -172,10 +172,12 @@ impl Check {
                 return Ok(Some(acc_benchmark::load_network(source)?.network_bytes().to_vec()));
             }
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
-                ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => CliError::Input(format!(
-                    "{place}: is a network that needs a controller file; give the controller file of the certificate \
-                     with --policy"
-                )),
+                ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
+                    CliError::Input(format!(
+                        "{place}: is a network that needs a controller file; give the controller file of the \
+                         certificate with --policy"
+                    ))
+                }
                 other => CliError::input(other),
             })?;
             let file = checker_file(&read).map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;

@@ -72,10 +72,20 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 2000,
+        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
+    )]
     budget: u64,
     /// Seed of the search and of all noise
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64)
+    )]
     seed: u64,
     /// Specification: `no contact`, a formula of signal temporal logic, or one of the named specifications below
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
@@ -88,7 +98,12 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Detail of the log of evaluations [default: full; for a shard, summary]
     #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]

@@ -57,7 +57,12 @@ pub(super) struct Fit {
     min_brake: Option<f64>,
     /// Vehicles of a scenario, including the leader: 2 to 5. Episodes with fewer are ignored; of more, the first ones
     /// count
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=MAX_VEHICLES as i64))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 2,
+        value_parser = clap::value_parser!(u8).range(2..=MAX_VEHICLES as i64)
+    )]
     vehicles: u8,
     /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]

@@ -47,8 +47,12 @@ pub(super) struct Import {
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
     /// Print and plot the interpretation of one recording; writes no scenario and ignores thresholds
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]),
-          conflicts_with_all = ["out", "leaders", "min_brake"])]
+    #[arg(
+        long,
+        value_name = "F.svg|F.png",
+        value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]),
+        conflicts_with_all = ["out", "leaders", "min_brake"]
+    )]
     preview: Option<PathBuf>,
     /// Vehicles whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]

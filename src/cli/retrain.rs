@@ -51,35 +51,75 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
     /// Maximum number of rounds: 1 to 99
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().rounds,
+        value_parser = value_parser!(u64).range(1..=99)
+    )]
     rounds: u64,
     /// Training episodes per round: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().episodes,
+        value_parser = value_parser!(u64).range(1..=1_000_000)
+    )]
     episodes: u64,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
     /// Evaluations of the search method per round, and of each reference search: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().budget,
+        value_parser = value_parser!(u64).range(1..=1_000_000)
+    )]
     budget: u64,
     /// Random scenarios of the space that each search simulates in addition: up to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().draws,
+        value_parser = value_parser!(u64).range(0..=1_000_000)
+    )]
     draws: u64,
     /// Avoidable random scenarios of the validation set, which accepts or rejects a round: 1 to 1 000 000
-    #[arg(long = "kept-aside", value_name = "N", default_value_t = RetrainingSettings::default().validation_draws, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(
+        long = "kept-aside",
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().validation_draws,
+        value_parser = value_parser!(u64).range(1..=1_000_000)
+    )]
     validation_draws: u64,
     /// Random scenarios of the paper's distribution in the validation set: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().nominal,
+        value_parser = value_parser!(u64).range(1..=1_000_000)
+    )]
     nominal: u64,
     /// Scenario space in which no round may make the policy worse, built-in or a file; may be repeated, `none` for none
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
     /// Random scenarios of each of these spaces: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().regression,
+        value_parser = value_parser!(u64).range(1..=10_000)
+    )]
     regression_draws: u64,
     /// Avoidable random scenarios of the test set, which evaluates the result: 1 to 10 000 000
-    #[arg(long = "judge", value_name = "N", default_value_t = RetrainingSettings::default().test_draws, value_parser = value_parser!(u64).range(1..=10_000_000))]
+    #[arg(
+        long = "judge",
+        value_name = "N",
+        default_value_t = RetrainingSettings::default().test_draws,
+        value_parser = value_parser!(u64).range(1..=10_000_000)
+    )]
     test_draws: u64,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]

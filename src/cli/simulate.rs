@@ -40,7 +40,8 @@ Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
-  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect satisfied")]
+  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect \
+satisfied")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
@@ -51,7 +52,12 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -61,13 +67,22 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
     /// Behaviour after a collision
-    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
+    #[arg(
+        long,
+        value_name = "AFTER_CONTACT",
+        default_value = "stop",
+        value_parser = value_enums::one_of(value_enums::AFTER_CONTACT)
+    )]
     after_contact: AfterContact,
     /// Plot position, speed and spacing over time; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
-    #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"]))]
+    #[arg(
+        long,
+        value_name = "F.csv|F.parquet",
+        value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"])
+    )]
     trace: Option<PathBuf>,
     /// Evaluate a specification and its robustness: `no contact`, or a formula of signal temporal logic; may be
     /// repeated

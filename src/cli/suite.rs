@@ -74,7 +74,12 @@ struct RunSuite {
     #[arg(long = "controller", value_name = "C", required = true, value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the vehicle under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Write the scenario of every failed point into this folder, and replace those of the previous run; for a shard,
     /// its folder [default for a shard: crumple-suite-shard-I-of-N]
@@ -107,7 +112,12 @@ struct SuiteTable {
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the vehicle under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Output format: a Markdown table, or one JSON object per suite, as in `crumple suite run`
     #[arg(long, value_enum, default_value = "text")]

@@ -94,8 +94,15 @@ struct RateCommand {
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting; writes no certificate
-    #[arg(long, value_name = "METHOD", value_parser = value_enums::one_of(value_enums::RARE_METHODS), num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
-        conflicts_with_all = ["runs", "against", "confidence"])]
+    #[arg(
+        long,
+        value_name = "METHOD",
+        value_parser = value_enums::one_of(value_enums::RARE_METHODS),
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "splitting",
+        conflicts_with_all = ["runs", "against", "confidence"]
+    )]
     rare: Option<RareMethod>,
     /// With --rare: specification, as in `crumple falsify` [default: no contact]
     #[arg(long, value_name = "STL", requires = "rare")]
@@ -120,7 +127,12 @@ struct RateCommand {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Estimator of the vehicles under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000),
     /// or with --rare of the repetitions; `crumple merge` combines shards and certifies

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Prints pages as PDF and compares: `printed.py PAGE.html...`. Each text of the page is in the PDF, and no line begins with the unit of the number above it.
+"""Checks pages printed as PDF: `printed.py PAGE.html...`.
 
-Needs chromium and pdftotext on the path; without them it says so and ends with 77.
+Each text of a page must be in the PDF, and no line may begin with the unit of the number above it. Needs chromium and
+pdftotext on the path; without them prints a message and ends with 77.
 """
 
 import re
@@ -19,7 +20,7 @@ VOID = {"br", "input", "meta"}
 
 
 class Texts(HTMLParser):
-    """The texts of a page that belong on paper."""
+    """Parser that collects the texts of a page that must be printed."""
 
     def __init__(self):
         super().__init__()
@@ -32,7 +33,7 @@ class Texts(HTMLParser):
 
     def handle_endtag(self, tag):
         if tag not in VOID:
-            assert self.open.pop()[0] == tag, f"</{tag}> closes something else"
+            assert self.open.pop()[0] == tag, f"</{tag}> closes another element"
 
     def handle_data(self, data):
         if not any(left_out for _, left_out in self.open):
@@ -40,21 +41,35 @@ class Texts(HTMLParser):
 
 
 def without_spaces(text):
+    """Returns the text without white space."""
     return re.sub(r"\s+", "", text)
 
 
 def check(chromium, page, folder):
-    """Prints a page, and ends the program with what is missing in the PDF."""
+    """Prints a page as PDF; ends the program with an error if texts are missing in the PDF."""
     pdf = folder / "printed.pdf"
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-pdf-header-footer", f"--user-data-dir={folder}/profile"]
-    subprocess.run([chromium, *options, f"--print-to-pdf={pdf}", page.resolve().as_uri()], check=True, capture_output=True, timeout=900)
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--no-pdf-header-footer",
+        f"--user-data-dir={folder}/profile",
+    ]
+    subprocess.run(
+        [chromium, *options, f"--print-to-pdf={pdf}", page.resolve().as_uri()],
+        check=True,
+        capture_output=True,
+        timeout=900,
+    )
     printed = subprocess.run(["pdftotext", "-raw", pdf, "-"], check=True, capture_output=True, text=True).stdout
     parser = Texts()
     parser.feed(page.read_text())
     whole = without_spaces(printed)
     missing = [text for text in parser.texts if without_spaces(text) not in whole]
     dangling = re.findall(r"^.*\d\n\(?(?:m/s|m²/s³|m|s|%|km/h)\b.*", printed, re.MULTILINE)
-    print(f"{page.name}: {len(parser.texts)} texts, {len(missing)} missing in the PDF, {len(dangling)} lines that begin with a unit")
+    counts = f"{len(missing)} missing in the PDF, {len(dangling)} lines that begin with a unit"
+    print(f"{page.name}: {len(parser.texts)} texts, {counts}")
     if not parser.texts or missing or dangling:
         sys.exit("\n".join(["missing:", *missing[:20], "dangling:", *dangling[:20]]))
 

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Tries the job files of `crumple plan` on this machine: shards on an engine, two workers killed at random moments, the job begun again
-until it is done, merged, and compared byte by byte: a count with that by one process, a search with the merging of eight shards that nobody
-disturbed.
+"""Tests the job files of `crumple plan` on this machine, with workers that are killed.
 
-    python3 tests/engines/try.py hyperqueue|ray [--work rate|falsify] [--rounds 10] [--runs 40000] [--crumple target/release/crumple]
+    python3 tests/engines/try.py hyperqueue|ray [--work rate|falsify] [--rounds 10] [--runs 40000]
+                                 [--crumple target/release/crumple]
     python3 tests/engines/try.py hyperqueue --efficiency [--work rate|falsify]
 
-Needs `pip install hyperqueue` or `pip install ray`. The package of HyperQueue holds server and workers in one process; so a worker to be
-killed is a process with a cluster of one core and two of the eight shards. Ray's workers are processes of their own.
+Runs shards on an engine, kills two workers at random times, restarts the job until it is complete, and merges the
+shards. The result must equal, byte by byte, that of one process (`rate`) or of eight undisturbed shards (`falsify`).
+
+Needs `pip install hyperqueue` or `pip install ray`. The package of HyperQueue has server and workers in one process, so
+a worker to be killed is a process with a cluster of one core and two of the eight shards. Ray's workers are processes.
 """
 
 import argparse
@@ -25,16 +27,16 @@ from pathlib import Path
 SHARDS = 8
 # Target duration of a task for the measurement of efficiency, and the minimum efficiency.
 TASK_SECONDS = 10
-LEAST_PERCENT = 90
+MIN_PERCENT = 90
 
 
 class Rate:
-    """A count: `runs` of it."""
+    """Count of failures in `runs` runs."""
 
     common = ["--controller=idm", "--space=high-risk", "--seed=7", "--confidence=0.99"]
     merged = "rate"
-    # Share of one process's time in which the engine's workers are certain to work.
-    at_work = 1.0
+    # Part of one process's time during which the engine's workers certainly still run.
+    busy_share = 1.0
 
     def planned(self, runs):
         return [*self.common, f"--runs={runs}"]
@@ -43,16 +45,18 @@ class Rate:
         return ["verify", "rate", *self.common, f"--runs={runs}"]
 
     def expected(self, crumple, runs, root):
-        subprocess.run([crumple, "--quiet", *self.whole(runs), f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(
+            [crumple, "--quiet", *self.whole(runs), f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL
+        )
 
 
 class Falsify(Rate):
-    """A search: a budget of `runs` evaluations for each of three methods."""
+    """Search with a budget of `runs` evaluations for each of three methods."""
 
     common = ["--controller=match-leader", "--space=high-risk", "--seed=7"]
     merged = "campaign-merged"
     # Eight sequential processes take longer.
-    at_work = 0.3
+    busy_share = 0.3
 
     def planned(self, runs):
         return [*self.common, f"--budget={runs}"]
@@ -66,29 +70,31 @@ class Falsify(Rate):
         for shard, folder in enumerate(shards, 1):
             words = ["falsify", *self.common, f"--budget={runs}", f"--shard={shard}/{SHARDS}", f"--out={folder}"]
             subprocess.run([crumple, "--quiet", *words], check=True, stdout=subprocess.DEVNULL)
-        subprocess.run([crumple, "--quiet", "merge", *shards, f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(
+            [crumple, "--quiet", "merge", *shards, f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL
+        )
 
 
 def same_files(one, other):
-    """Whether two folders hold the same files, byte by byte; `work.lock` is empty everywhere."""
+    """Returns true if two folders have the same files, byte by byte; `work.lock` is always empty."""
     names = [{str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} for folder in (one, other)]
     return names[0] == names[1] and all(filecmp.cmp(one / name, other / name, shallow=False) for name in names[0])
 
 
-def begun(words, environment):
-    # A separate session, so that all of its processes can be ended.
+def start(words, environment):
+    """Starts a process in a new session, so that all of its processes can be ended."""
     return subprocess.Popen(
         words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
 
 
-def below(process):
-    """Workers of Ray that are at work on a shard, among all processes of a session."""
+def busy_ray_workers(process):
+    """Returns the process ids of the session's Ray workers that run a shard."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
             of_session = os.getsid(int(place.name)) == process.pid
-            if of_session and (place / "cmdline").read_bytes().startswith(b"ray::make"):
+            if of_session and (place / "cmdline").read_bytes().startswith(b"ray::run_shard"):
                 found.append(int(place.name))
         except (OSError, ProcessLookupError):
             continue
@@ -96,6 +102,7 @@ def below(process):
 
 
 def kill(pid):
+    """Kills a process; returns the number of killed processes."""
     try:
         os.kill(pid, signal.SIGKILL)
         return 1
@@ -103,13 +110,13 @@ def kill(pid):
         return 0
 
 
-def killed_hyperqueue(job, environment, seconds):
-    """Four workers with two shards each, two of which are killed."""
-    share = [[str(shard) for shard in range(1 + node, SHARDS + 1, 4)] for node in range(4)]
-    workers = [begun([sys.executable, job, "--local", "1", *shards], environment) for shards in share]
-    killed, start = 0, time.monotonic()
+def kill_hyperqueue_workers(job, environment, seconds):
+    """Runs four workers with two shards each, and kills two of them; returns the number of killed ones."""
+    shares = [[str(shard) for shard in range(1 + node, SHARDS + 1, 4)] for node in range(4)]
+    workers = [start([sys.executable, job, "--local", "1", *shards], environment) for shards in shares]
+    killed, start_s = 0, time.monotonic()
     for moment in sorted(random.uniform(0.3, 0.35 * seconds) for _ in range(2)):
-        time.sleep(max(0.0, start + moment - time.monotonic()))
+        time.sleep(max(0.0, start_s + moment - time.monotonic()))
         alive = [worker for worker in workers if worker.poll() is None]
         victim = random.choice(alive) if alive else None
         if victim is not None and kill(victim.pid):
@@ -120,19 +127,20 @@ def killed_hyperqueue(job, environment, seconds):
     return killed
 
 
-def killed_ray(job, environment, seconds):
-    """One cluster, two of whose workers are killed while they make a shard."""
-    cluster = begun([sys.executable, job, "--local", "2"], environment)
+def kill_ray_workers(job, environment, seconds):
+    """Runs a cluster, and kills two workers that run a shard; returns the number of killed ones."""
+    cluster = start([sys.executable, job, "--local", "2"], environment)
     killed = 0
     while killed < 2 and cluster.poll() is None:
         time.sleep(random.uniform(0.2, seconds / 4))
-        workers = below(cluster)
+        workers = busy_ray_workers(cluster)
         killed += kill(random.choice(workers)) if workers else 0
     cluster.wait()
     return killed
 
 
-def one_round(number, engine, work, crumple, runs, single, seconds, root):
+def run_round(number, engine, work, crumple, runs, single, seconds, root):
+    """Runs the shards with killed workers; returns true if the result equals that in `single`."""
     folder = root / f"round-{number}"
     folder.mkdir()
     os.chdir(folder)
@@ -140,27 +148,31 @@ def one_round(number, engine, work, crumple, runs, single, seconds, root):
     subprocess.run([crumple, "--quiet", *plan], check=True, stdout=subprocess.DEVNULL)
     environment = {**os.environ, "CRUMPLE": crumple}
     job = f"campaign/{engine}_job.py"
-    killed = {"hyperqueue": killed_hyperqueue, "ray": killed_ray}[engine](job, environment, seconds)
+    killed = {"hyperqueue": kill_hyperqueue_workers, "ray": kill_ray_workers}[engine](job, environment, seconds)
     shards = Path("campaign/shards")
-    missing = sum(not finished(shards / str(shard)) for shard in range(1, SHARDS + 1))
-    again = 0
+    missing = sum(not is_finished(shards / str(shard)) for shard in range(1, SHARDS + 1))
+    restarts = 0
     while True:
         folders = [str(folder) for folder in shards.glob("*")]
         random.shuffle(folders)
         merged = subprocess.run([crumple, "--quiet", "merge", *folders, f"--out={work.merged}"], capture_output=True)
-        if (folders and merged.returncode != 1) or again == 10:
+        if (folders and merged.returncode != 1) or restarts == 10:
             break
-        again += 1
+        restarts += 1
         subprocess.run([sys.executable, job, "--local", "2"], env=environment, capture_output=True)
     same = merged.returncode == 0 and same_files(Path(work.merged), single)
-    print(f"round {number}: {killed} workers killed, {missing} shards unfinished, begun again {again} times: "
-          f"{'the same bytes' if same else 'NOT THE SAME'}", flush=True)
+    print(
+        f"round {number}: {killed} workers killed, {missing} shards unfinished, {restarts} restarts: "
+        f"{'identical result' if same else 'DIFFERENT RESULT'}",
+        flush=True,
+    )
     os.chdir(root)
     shutil.rmtree(folder)
     return same and killed == 2
 
 
-def finished(folder):
+def is_finished(folder):
+    """Returns true if a shard is complete."""
     try:
         return '"program": null' in (folder / "work.json").read_text()
     except OSError:
@@ -168,11 +180,14 @@ def finished(folder):
 
 
 def efficiency(work, crumple, root):
-    """The same work by two threads of one process, and by eight shards on a HyperQueue of two cores, in turns; each shard takes about ten
-    seconds of a core. Of a search other points are evaluated, but as many."""
+    """Compares two threads of one process with eight shards on HyperQueue with two cores, in alternation.
+
+    Each shard takes about ten seconds. The shards of a search evaluate other points than one process, but as many.
+    Returns true if the efficiency reaches its minimum.
+    """
     os.chdir(root)
     threads_environment = {**os.environ, "RAYON_NUM_THREADS": "2"}
-    busy = os.getloadavg()[0]
+    load = os.getloadavg()[0]
     runs = 20_000
     for _ in range(3):
         begin = time.monotonic()
@@ -180,11 +195,13 @@ def efficiency(work, crumple, root):
         subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=threads_environment)
         seconds = time.monotonic() - begin
         # Eight tasks on two cores take four rounds.
-        wanted = SHARDS / 2 * TASK_SECONDS
-        if 0.8 < seconds / wanted < 1.25:
+        target = SHARDS / 2 * TASK_SECONDS
+        if 0.8 < seconds / target < 1.25:
             break
-        runs = int(runs * wanted / seconds)
-    print(f"load before it began {busy:.1f}; {runs} of {type(work).__name__.lower()}, {SHARDS} shards of about {seconds * 2 / SHARDS:.0f} s", flush=True)
+        runs = int(runs * target / seconds)
+    shard_s = seconds * 2 / SHARDS
+    name = type(work).__name__.lower()
+    print(f"load before {load:.1f}; {name} with {runs} runs, {SHARDS} shards of about {shard_s:.0f} s", flush=True)
     plan = ["plan", *work.planned(runs), f"--shards={SHARDS}", "--engine=hyperqueue", "--out=campaign"]
     subprocess.run([crumple, "--quiet", *plan], check=True, stdout=subprocess.DEVNULL)
     shares = []
@@ -199,22 +216,29 @@ def efficiency(work, crumple, root):
         subprocess.run(job, check=True, capture_output=True, env={**os.environ, "CRUMPLE": crumple})
         shards = time.monotonic() - begin
         shares.append(100 * threads / shards)
-        print(f"two threads {threads:.1f} s, {SHARDS} shards on HyperQueue {shards:.1f} s: {shares[-1]:.0f} %", flush=True)
+        print(
+            f"two threads {threads:.1f} s, {SHARDS} shards on HyperQueue {shards:.1f} s: {shares[-1]:.0f} %", flush=True
+        )
     median = sorted(shares)[1]
-    verdict = "reached" if median >= LEAST_PERCENT else "NOT reached"
-    print(f"median {median:.0f} %: {LEAST_PERCENT} % {verdict}; the engine's start and end are counted")
-    return median >= LEAST_PERCENT
+    verdict = "reached" if median >= MIN_PERCENT else "NOT reached"
+    print(f"median {median:.0f} %: {MIN_PERCENT} % {verdict}; start and end of the engine are counted")
+    return median >= MIN_PERCENT
 
 
 def main():
+    """Runs the rounds, or measures the efficiency."""
     parser = argparse.ArgumentParser()
     parser.add_argument("engine", choices=["hyperqueue", "ray"])
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--work", choices=["rate", "falsify"], default="rate")
-    parser.add_argument("--runs", type=int, default=40_000, help="runs of a count, evaluations of a search")
+    parser.add_argument("--runs", type=int, default=40_000, help="runs of a rate, evaluations of a search")
     parser.add_argument("--crumple", default="target/release/crumple")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments and the victims")
-    parser.add_argument("--efficiency", action="store_true", help="measure it, with tasks of ten seconds; needs an idle machine")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the times and of the killed workers")
+    parser.add_argument(
+        "--efficiency",
+        action="store_true",
+        help="measure the efficiency, with tasks of ten seconds; needs an idle machine",
+    )
     arguments = parser.parse_args()
     random.seed(arguments.seed)
     crumple = str(Path(arguments.crumple).resolve())
@@ -225,11 +249,12 @@ def main():
             sys.exit(0 if efficiency(work, crumple, root) else 1)
         single, begin = root / "single", time.monotonic()
         work.expected(crumple, arguments.runs, root)
-        seconds = (time.monotonic() - begin) * work.at_work
-        print(f"{arguments.engine}: {SHARDS} shards of {arguments.work}, {arguments.runs} runs, {seconds / work.at_work:.1f} s by one process", flush=True)
+        seconds = (time.monotonic() - begin) * work.busy_share
+        task = f"{SHARDS} shards of {arguments.work}, {arguments.runs} runs"
+        print(f"{arguments.engine}: {task}, {seconds / work.busy_share:.1f} s by one process", flush=True)
         rounds = range(1, arguments.rounds + 1)
-        same = [one_round(n, arguments.engine, work, crumple, arguments.runs, single, seconds, root) for n in rounds]
-        print(f"{sum(same)} of {len(same)} rounds with two workers killed came to the same bytes")
+        same = [run_round(n, arguments.engine, work, crumple, arguments.runs, single, seconds, root) for n in rounds]
+        print(f"{sum(same)} of {len(same)} rounds with two killed workers have the identical result")
         sys.exit(0 if all(same) else 1)
 
 

@@ -93,7 +93,8 @@ proptest! {
         let scenario = all_under_test_scenario();
         let kind = |&fails_at: &usize| {
             let controller = FailingController::new(fails_at, answer.clone()).into_kind();
-            if shielded { ShieldedSource { controller, settings: ShieldSettings::default() }.into() } else { controller }
+            let settings = ShieldSettings::default();
+            if shielded { ShieldedSource { controller, settings }.into() } else { controller }
         };
         let runs: Vec<_> = fails_at
             .iter()

@@ -15,7 +15,8 @@ struct Row {
 enum Source {
     /// Its command, which takes about a second; numbers follow these texts.
     Printed(&'static [&'static str]),
-    /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
+    /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text
+    /// before each number.
     Report(&'static [(&'static str, &'static str)]),
     /// Command, which takes longer.
     Slow(fn(&str) -> Vec<f64>),

@@ -164,7 +164,8 @@ proptest! {
             ahead_brake_mps2: Some(chase.classes[0].max_brake_mps2() + more_mps2),
             errors: Some(ErrorBounds { gap_m: 0.2, speed_mps: 0.1, ahead_speed_mps: 0.3 }),
         };
-        let result = simulate_with_truth(&chase.scenario(), with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings));
+        let controller = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings);
+        let result = simulate_with_truth(&chase.scenario(), controller);
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
 
@@ -172,14 +173,14 @@ proptest! {
     #[test]
     fn interventions_are_reported_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
-        let controller = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
-        let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
+        let driver = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
+        let options = RunOptions::new(driver).with_estimator(EstimatorKind::Truth);
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
         for (k, at_s) in trace.time_s.iter().enumerate().take(scenario.steps()) {
-            let intervenes = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
+            let acts = result.interventions.iter().any(|one| one.from_s < at_s + 1e-6 && *at_s < one.to_s - 1e-6);
             let accel_mps2 = trace.vehicles[1].acceleration_mps2[k];
-            prop_assert_eq!(accel_mps2 <= 0.0, intervenes, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
+            prop_assert_eq!(accel_mps2 <= 0.0, acts, "{} m/s² at {} s: {:?}", accel_mps2, at_s, result.interventions);
         }
     }
 
@@ -187,8 +188,8 @@ proptest! {
     fn engines_agree_about_shields(chases in prop::collection::vec(chase(true), 2..6)) {
         let scenarios: Vec<_> = chases.iter().map(Chase::scenario).collect();
         for driver in drivers() {
-            let controller = with_shield(driver, ShieldSettings::default());
-            let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, RunOptions::new(controller.clone())).unwrap()).collect();
+            let options = RunOptions::new(with_shield(driver, ShieldSettings::default()));
+            let runs: Vec<_> = scenarios.iter().map(|s| Run::new(s, options.clone()).unwrap()).collect();
             let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
             for (run, result) in runs.iter().zip(together) {
                 prop_assert_eq!(&simulate(run, RecordingLevel::Trace), &result);

@@ -241,7 +241,10 @@ fn suites_are_evidence_of_an_assessment() {
     for (suites, message) in [
         (vec![suite("fmvss-127", &["rss"])], "suites[0].controllers[0]: `rss` is not among `controllers`"),
         (vec![suite("fmvss-127", &[])], "suites[0].controllers: must name at least one"),
-        (vec![suite("own.toml", &["idm"]), suite("own.toml", &["idm"])], "suites[1].suite: the name `stands` is taken"),
+        (
+            vec![suite("own.toml", &["idm"]), suite("own.toml", &["idm"])],
+            "suites[1].suite: another suite has the name `stands`; rename one of them",
+        ),
     ] {
         let mut asked = asked.clone();
         (asked.suites, asked.gates) = (suites, Vec::new());

@@ -634,7 +634,7 @@ fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
     assert_eq!(exit_code(&run_crumple(folder.path(), &words)), 0, "{replay}");
     let junit = run("2", &["--format", "junit"]);
     let junit = String::from_utf8(junit.stdout).unwrap();
-    assert!(junit.contains("no certification") && junit.contains("<failure message=\"FAILED, contact"), "{junit}");
+    assert!(junit.contains("no certification") && junit.contains("<failure message=\"FAILED, collision"), "{junit}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Runs z3 and cvc5, where installed, on every obligation and records what they said in results.json.
+"""Runs z3 and cvc5, if installed, on every obligation and records their results in results.json.
 
-Neither is needed to build, run or test anything here: `pip install z3-solver cvc5` gives both. A result is recorded with
-the solver's version and the SHA-256 of the file it speaks about; those of other files and solvers are kept.
+No build, run or test needs the solvers; `pip install z3-solver cvc5` installs both. A result has the solver's version
+and the SHA-256 of the file. Results of other files and solvers stay.
 """
 
 import hashlib
@@ -13,7 +13,8 @@ import subprocess
 import sys
 
 HERE = pathlib.Path(__file__).resolve().parent
-SECONDS = 60  # of processor time, so that a busy machine answers the same
+# Limit of processor time, so that results do not depend on the load of the machine.
+LIMIT_S = 60
 
 Z3 = """
 import sys, z3
@@ -34,21 +35,24 @@ PROGRAMS = {"z3": Z3, "cvc5": CVC5}
 
 
 def version(solver):
+    """Returns the version of a solver; None if it is not installed."""
     done = subprocess.run([sys.executable, "-c", VERSIONS[solver]], capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else None
 
 
 def answer(solver, path):
+    """Returns the result of a solver for a file."""
     command = [sys.executable, "-c", PROGRAMS[solver], str(path)]
-    limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+    limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S, LIMIT_S))
     done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limit)
     if done.returncode < 0:
-        return f"no answer in {SECONDS} s"
-    said = done.stdout.strip()
-    return said if said in ("sat", "unsat", "unknown") else "failed"
+        return f"no answer in {LIMIT_S} s"
+    result = done.stdout.strip()
+    return result if result in ("sat", "unsat", "unknown") else "failed"
 
 
 def main():
+    """Runs all solvers on all files; returns 1 if a result contradicts the expected one."""
     record = HERE / "results.json"
     old = json.loads(record.read_text()) if record.exists() else []
     files = sorted(path for path in HERE.glob("*/*.smt2") if path.parent.name != "statements")
@@ -63,12 +67,12 @@ def main():
         for path in files:
             name = path.relative_to(HERE).as_posix()
             expected = "unsat" if "(set-info :status unsat)" in path.read_text() else "sat"
-            said = answer(solver, path)
-            wrong += {said, expected} == {"sat", "unsat"}
-            print(f"{solver} {found}: {name}: {said}{'' if said == expected else f', not {expected}'}", flush=True)
+            actual = answer(solver, path)
+            wrong += {actual, expected} == {"sat", "unsat"}
+            print(f"{solver} {found}: {name}: {actual}{'' if actual == expected else f', not {expected}'}", flush=True)
             results = [r for r in results if (r["file"], r["solver"]) != (name, solver)]
             results.append(
-                {"file": name, "sha256": digests[name], "solver": solver, "version": found, "result": said}
+                {"file": name, "sha256": digests[name], "solver": solver, "version": found, "result": actual}
             )
     results.sort(key=lambda r: (r["file"], r["solver"]))
     record.write_text(json.dumps(results, indent=2) + "\n")

@@ -309,7 +309,8 @@ mod tests {
     proptest! {
         #[test]
         fn the_motion_of_a_step_is_integrated_exactly(
-            begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64, h in 0.01..2.0_f64,
+            begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64,
+            h in 0.01..2.0_f64,
         ) {
             let ego = ego(brake, accel);
             let found = min_step_integral(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));

@@ -84,7 +84,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bound_is_below_its_number(bound in proptest::num::f64::POSITIVE | proptest::num::f64::NORMAL, digits in 1..8_usize) {
+        fn no_bound_is_below_its_number(
+            bound in proptest::num::f64::POSITIVE | proptest::num::f64::NORMAL,
+            digits in 1..8_usize,
+        ) {
             let shown: f64 = format_rounded_up(bound, digits).parse().unwrap();
             prop_assert!(shown >= bound, "{shown} is shown for {bound}");
         }

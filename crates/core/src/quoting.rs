@@ -175,7 +175,7 @@ mod tests {
         #[test]
         fn nothing_hidden_reaches_a_reader_and_json_means_the_same(text in hostile_text()) {
             prop_assert!(!TerminalText(&text).to_string().chars().any(is_hidden));
-            prop_assert!(!TerminalLines(&text).to_string().chars().any(|letter| is_hidden(letter) && !"\n\t".contains(letter)));
+            prop_assert!(!TerminalLines(&text).to_string().chars().any(|c| is_hidden(c) && !"\n\t".contains(c)));
             let json = serde_json::to_string(&text).unwrap();
             prop_assert_eq!(serde_json::from_str::<String>(&TerminalLines(&json).to_string()).unwrap(), text);
         }

@@ -174,7 +174,8 @@ mod tests {
             let low = clopper_pearson_lower(failures, runs, tail);
             if low > 1e-7 {
                 prop_assert!(binomial_tail_upper_bound(runs - failures, runs, 1.0 - low) <= tail * (1.0 + 1e-8));
-                prop_assert!(binomial_tail_upper_bound(runs - failures, runs, 1.0 - low * (1.0 + 1e-8)) >= tail, "{low}");
+                let beyond = 1.0 - low * (1.0 + 1e-8);
+                prop_assert!(binomial_tail_upper_bound(runs - failures, runs, beyond) >= tail, "{low}");
             }
         }
     }

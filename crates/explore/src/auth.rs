@@ -122,7 +122,11 @@ mod tests {
     proptest! {
         /// Any other text in place of the token is refused.
         #[test]
-        fn nothing_but_the_token_will_do(path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?", change in 0..64_usize, to in "[0-9a-f]") {
+        fn nothing_but_the_token_will_do(
+            path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?",
+            change in 0..64_usize,
+            to in "[0-9a-f]",
+        ) {
             let gate = RequestAuth::new(80).unwrap();
             let own = headers(&[("host", "127.0.0.1:80")]);
             prop_assert!(gate.authorize(&path, &own).is_err());

@@ -19,8 +19,8 @@ pub(crate) fn script() -> String {
 }
 
 pub(crate) fn scenario_page(offer: &Catalog) -> String {
-    let classes = VehicleClass::ALL.iter().map(|class| {
-        json!({ "name": class.name(), "max_brake_mps2": class.max_brake_mps2(), "max_accel_mps2": class.max_accel_mps2() })
+    let classes = VehicleClass::ALL.iter().map(|one| {
+        json!({ "name": one.name(), "max_brake_mps2": one.max_brake_mps2(), "max_accel_mps2": one.max_accel_mps2() })
     });
     let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": ExploreConfig::MAX_CONTROLLERS });
     let content = html! {
@@ -29,7 +29,9 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
             form.controls id="controls" aria-label="What happens" {
                 label { "Scenario "
                     select id="scenario" {
-                        @for (index, offered) in offer.scenarios.iter().enumerate() { option value=(index) { (TerminalText(&offered.name)) } }
+                        @for (index, offered) in offer.scenarios.iter().enumerate() {
+                            option value=(index) { (TerminalText(&offered.name)) }
+                        }
                     }
                 }
                 p.hint id="about" hidden {}
@@ -46,13 +48,16 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                     legend { "Controllers to compare" }
                     @for (index, controller) in offer.controllers.iter().enumerate() {
                         @let name = TerminalText(&controller.name);
-                        label.choice { input type="checkbox" value=(controller.name) checked[index < offer.selected_controllers]; " " (name) }
+                        label.choice {
+                            input type="checkbox" value=(controller.name) checked[index < offer.selected_controllers];
+                            " " (name)
+                        }
                     }
                 }
                 label { "Estimator "
                     select id="estimator" {
-                        @for estimator in EstimatorKind::ALL {
-                            option value=(estimator.name()) selected[estimator == offer.estimator] { (estimator.name()) }
+                        @for kind in EstimatorKind::ALL {
+                            option value=(kind.name()) selected[kind == offer.estimator] { (kind.name()) }
                         }
                     }
                 }
@@ -87,7 +92,11 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
             p { code { "crumple explore runs/match-leader" } }
         } @else {
             form.filters id="filters" aria-label="Selection" {
-                label { "Campaign " select id="campaign" { @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } } } }
+                label { "Campaign "
+                    select id="campaign" {
+                        @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } }
+                    }
+                }
                 label { "Compare with "
                     select id="against" {
                         option value="" { "none" }
@@ -131,7 +140,8 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                 header {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     nav {
-                        @for (name, address, words) in [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")] {
+                        @let links = [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")];
+                        @for (name, address, words) in links {
                             a href=(address) aria-current=[(name == page).then_some("page")] { (words) } " "
                         }
                     }

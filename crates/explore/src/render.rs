@@ -138,7 +138,10 @@ fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResu
         div.side-by-side data-columns=(if narrow { 1 } else { traced.len().min(2) }) {
             @for (index, (controller, run, trace)) in traced.iter().enumerate() {
                 @let prefix = format!("motion-{index}");
-                (draw_motion_on_axes(&MotionFigure { prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts }, &axes, layout))
+                @let figure = MotionFigure {
+                    prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts
+                };
+                (draw_motion_on_axes(&figure, &axes, layout))
             }
         }
     };

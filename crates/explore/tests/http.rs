@@ -89,7 +89,12 @@ fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
 }
 
 fn run_request(edits: &Value) -> Value {
-    json!({ "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits, "controllers": ["baseline", "idm"], "estimator": "truth" })
+    json!({
+        "scenario": built_in_scenario("paper-1").unwrap().spec(),
+        "edits": edits,
+        "controllers": ["baseline", "idm"],
+        "estimator": "truth",
+    })
 }
 
 #[test]
@@ -396,13 +401,21 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let edits = json!({
         "name": "dragged",
         "friction": 0.75,
-        "vehicles": [{ "vehicle": 1, "gap_m": 11.3, "class": "heavy" }, { "vehicle": 2, "gap_m": 9.77, "speed_mps": 26.1 }],
+        "vehicles": [
+            { "vehicle": 1, "gap_m": 11.3, "class": "heavy" },
+            { "vehicle": 2, "gap_m": 9.77, "speed_mps": 26.1 },
+        ],
         "lead": { "from_s": [0.0, 1.5, 4.25], "accel_mps2": [0.0, -4.5, -1.0] },
     });
     let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
     assert_eq!(status, 200, "{drawn}");
     assert_eq!(drawn["sliders"]["vehicles"][2]["gap_m"].as_f64().map(|gap| (gap * 1e6).round() / 1e6), Some(9.77));
-    let save = json!({ "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits }, "controller": "baseline", "estimator": "truth", "to_folder": true });
+    let save = json!({
+        "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits },
+        "controller": "baseline",
+        "estimator": "truth",
+        "to_folder": true,
+    });
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
     let path = Path::new(saved["path"].as_str().unwrap());
@@ -428,8 +441,13 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(96))]
     /// A request with any damage gets a response, and one clear error if it is invalid.
     #[test]
-    fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {
-        let whole = run_request(&json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] })).to_string().into_bytes();
+    fn damage_is_refused_in_words(
+        at in 0.0..1.0_f64,
+        put in prop::collection::vec(any::<u8>(), 0..6),
+        cut in 0..9_usize,
+    ) {
+        let edits = json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] });
+        let whole = run_request(&edits).to_string().into_bytes();
         let place = (at * whole.len() as f64) as usize;
         let damaged = [&whole[..place], &put, whole.get(place + cut..).unwrap_or_default()].concat();
         let (status, answer) = post("run", &damaged);

@@ -226,7 +226,10 @@ const TRACKS_MAP: &str = r#"version = 1
 name = "tracks"
 time.clock = { column = "time_s" }
 interpolate_s = 0.5
-layout.tracks = { vehicle = "event", position = { column = "gap_m", of = "centre" }, speed = { column = "follower_speed_mps" }, length.metres = 2.0 }
+layout.tracks.vehicle = "event"
+layout.tracks.position = { column = "gap_m", of = "centre" }
+layout.tracks.speed = { column = "follower_speed_mps" }
+layout.tracks.length.metres = 2.0
 "#;
 
 /// Checks that bytes are a recording or are refused, and that every braking episode makes a scenario or states a

@@ -74,10 +74,8 @@ impl JunitSuite {
         let [skipped, errors, failures] = [JunitStatus::Skipped, JunitStatus::Error, JunitStatus::Failed].map(count);
         let (name, tests) = (escape(&self.name), self.cases.len());
         let close = if self.cases.is_empty() && self.properties.is_empty() { "/" } else { "" };
-        writeln!(
-            out,
-            r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" errors="{errors}" failures="{failures}"{close}>"#
-        )?;
+        write!(out, r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" "#)?;
+        writeln!(out, r#"errors="{errors}" failures="{failures}"{close}>"#)?;
         if !close.is_empty() {
             return Ok(());
         }

@@ -221,8 +221,9 @@ mod tests {
                     | Event::InlineMath(_) | Event::DisplayMath(_) | Event::TaskListMarker(_) => {
                         prop_assert!(false, "{event:?} in {text}");
                     }
-                    Event::Start(Tag::Link { .. } | Tag::Image { .. } | Tag::HtmlBlock | Tag::CodeBlock(_) | Tag::BlockQuote(_)
-                        | Tag::FootnoteDefinition(_) | Tag::Emphasis | Tag::Strikethrough | Tag::MetadataBlock(_)) => {
+                    Event::Start(Tag::Link { .. } | Tag::Image { .. } | Tag::HtmlBlock | Tag::CodeBlock(_)
+                        | Tag::BlockQuote(_) | Tag::FootnoteDefinition(_) | Tag::Emphasis | Tag::Strikethrough
+                        | Tag::MetadataBlock(_)) => {
                         prop_assert!(false, "{event:?} in {text}");
                     }
                     Event::Start(Tag::Heading { .. }) => headings += 1,

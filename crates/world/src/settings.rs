@@ -57,7 +57,9 @@ macro_rules! settings {
 
         impl $crate::settings::ControllerSettings for $name {
             const FIELDS: &'static [$crate::settings::SettingField] = &[
-                $($crate::settings::SettingField { name: stringify!($field), range: [$low, $high], typical_range: [$from, $to] },)*
+                $($crate::settings::SettingField {
+                    name: stringify!($field), range: [$low, $high], typical_range: [$from, $to],
+                },)*
             ];
 
             fn get(&self, index: usize) -> Option<f64> {

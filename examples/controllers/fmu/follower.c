@@ -1,5 +1,5 @@
-/* A controller as an FMU (FMI 2.0, co-simulation): keeps 4 m and a time gap to the vehicle ahead, and otherwise its set
- * speed. Needs the standard library only; `modelDescription.xml` names the variables. On Linux:
+/* Controller as an FMU (FMI 2.0, co-simulation): keeps 4 m and a time gap to the leader, and otherwise its set speed.
+ * Needs the standard library only; `modelDescription.xml` names the variables. On Linux:
  *
  *     mkdir -p binaries/linux64 && cc -O2 -shared -fPIC -o binaries/linux64/follower.so follower.c -lm
  *     python3 -m zipfile -c follower.fmu modelDescription.xml binaries
@@ -34,8 +34,8 @@ int fmi2Reset(void *component) {
     return OK;
 }
 
-void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources, const Callbacks *callbacks, int visible,
-                      int logging) {
+void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources, const Callbacks *callbacks,
+                      int visible, int logging) {
     Follower *own = callbacks->allocate(1, sizeof *own);
     (void)name, (void)type, (void)guid, (void)resources, (void)visible, (void)logging;
     if (own) own->callbacks = callbacks, fmi2Reset(own);
@@ -46,7 +46,8 @@ void fmi2FreeInstance(void *component) {
     if (component) ((Follower *)component)->callbacks->free(component);
 }
 
-int fmi2SetupExperiment(void *component, int has_tolerance, double tolerance, double start_s, int has_stop, double stop_s) {
+int fmi2SetupExperiment(void *component, int has_tolerance, double tolerance, double start_s, int has_stop,
+                        double stop_s) {
     (void)component, (void)has_tolerance, (void)tolerance, (void)start_s, (void)has_stop, (void)stop_s;
     return OK;
 }
@@ -83,10 +84,10 @@ int fmi2SetBoolean(void *component, const unsigned references[], size_t count, c
 }
 
 int fmi2DoStep(void *component, double time_s, double step_s, int no_set_state) {
-    double *value = ((Follower *)component)->values, wanted_mps2;
+    double *value = ((Follower *)component)->values, command_mps2;
     (void)time_s, (void)step_s, (void)no_set_state;
-    wanted_mps2 = 0.3 * (value[GAP_M] - 4.0 - value[TIME_GAP_S] * value[SPEED_MPS]) + 0.9 * value[RELATIVE_MPS];
-    value[ACCELERATION_MPS2] = fmax(-7.5, fmin(wanted_mps2, fmin(2.0, value[SET_SPEED_MPS] - value[SPEED_MPS])));
+    command_mps2 = 0.3 * (value[GAP_M] - 4.0 - value[TIME_GAP_S] * value[SPEED_MPS]) + 0.9 * value[RELATIVE_MPS];
+    value[ACCELERATION_MPS2] = fmax(-7.5, fmin(command_mps2, fmin(2.0, value[SET_SPEED_MPS] - value[SPEED_MPS])));
     return OK;
 }
 

@@ -103,7 +103,18 @@ def falsify(
     reference = None if against is None else as_controller(against)
     contrast = (reference, metamorphic)
     summary, text = _falsify(
-        resolved, find_space(space), spec, contrast, method, aim, budget, seed, estimator, Path(folder), resume, progress
+        resolved,
+        find_space(space),
+        spec,
+        contrast,
+        method,
+        aim,
+        budget,
+        seed,
+        estimator,
+        Path(folder),
+        resume,
+        progress,
     )
     after_contact: Literal["stop", "continue"] = "stop" if summary["specification"] == "no contact" else "continue"
     failures = [

@@ -51,4 +51,6 @@ def as_controller(controller: str | Controller | Callable[..., Any]) -> str | Co
         return controller
     if callable(controller):
         return Controller(controller, name=getattr(controller, "__name__", "python"))
-    raise ControllerError(f"a controller is a name, a callable or a crumple.Controller, found {type(controller).__name__}")
+    raise ControllerError(
+        f"a controller is a name, a callable or a crumple.Controller, found {type(controller).__name__}"
+    )

@@ -157,7 +157,9 @@ class Simulation:
 
 @final
 class Episodes:
-    def __new__(cls, count: int, space: Space | None, preset: str, estimator: str | None, autoreset: str) -> Episodes: ...
+    def __new__(
+        cls, count: int, space: Space | None, preset: str, estimator: str | None, autoreset: str
+    ) -> Episodes: ...
     @property
     def state_limit(self) -> float: ...
     @property

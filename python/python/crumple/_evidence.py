@@ -86,7 +86,9 @@ def rate(
             )
     reference = None if against is None else as_controller(against)
     resolved, resolved_space = as_controller(controller), find_space(space)
-    result = _rate(resolved, reference, resolved_space, runs, confidence, seed, estimator, Path(folder), resume, progress)
+    result = _rate(
+        resolved, reference, resolved_space, runs, confidence, seed, estimator, Path(folder), resume, progress
+    )
     return Rate(*result)
 
 

@@ -231,5 +231,7 @@ def _parse_seed(seed: object, offset: int = 0) -> int:
     return number
 
 
-def _make_episodes(count: int, source: SpaceLike | None, preset: str, estimator: str | None, autoreset: str) -> Episodes:
+def _make_episodes(
+    count: int, source: SpaceLike | None, preset: str, estimator: str | None, autoreset: str
+) -> Episodes:
     return Episodes(count, None if source is None else space(source), str(preset), estimator, autoreset)

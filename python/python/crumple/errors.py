@@ -10,7 +10,9 @@ class CrumpleError(Exception):
     dictionary ``<dict>``.
     """
 
-    def __init__(self, message: str, file: str | None = None, line: int | None = None, field: str | None = None) -> None:
+    def __init__(
+        self, message: str, file: str | None = None, line: int | None = None, field: str | None = None
+    ) -> None:
         super().__init__(message, file, line, field)
         self.file = file
         self.line = line

@@ -49,14 +49,25 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
     rate_below: Option<f64>,
     /// Failures among the runs that the claim tolerates: 0 to 1 000 000
-    #[arg(long, value_name = "K", default_value_t = 0, conflicts_with = "runs", value_parser = clap::value_parser!(u64).range(0..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "K",
+        default_value_t = 0,
+        conflicts_with = "runs",
+        value_parser = clap::value_parser!(u64).range(0..=1_000_000)
+    )]
     failures: u64,
     /// Number of runs instead of a rate: 1 to 1 000 000 000
     #[arg(long, value_name = "N", conflicts_with = "rate_below")]
     runs: Option<u64>,
     /// Budget of a search instead of a rate: evaluations of the method, and of each reference search, 1 to 1 000 000
     /// 000
-    #[arg(long, value_name = "N", conflicts_with_all = ["rate_below", "runs", "failures"], value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        conflicts_with_all = ["rate_below", "runs", "failures"],
+        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
+    )]
     budget: Option<u64>,
     /// Method of the search (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto", conflicts_with_all = ["rate_below", "runs"])]
@@ -65,7 +76,12 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
     aim: SearchObjective,
     /// Specification of the search: `no contact`, or a formula of signal temporal logic
-    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, conflicts_with_all = ["rate_below", "runs"])]
+    #[arg(
+        long,
+        value_name = "STL",
+        default_value = Specification::NO_CONTACT,
+        conflicts_with_all = ["rate_below", "runs"]
+    )]
     spec: String,
     /// Confidence level of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999, conflicts_with = "budget")]
@@ -74,13 +90,24 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Estimator of the vehicles under test
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(
+        long,
+        value_name = "ESTIMATOR",
+        default_value = "kalman",
+        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
+    )]
     estimator: EstimatorKind,
     /// Number of shards, 1 to 10 000 and at most the number of blocks of runs [default: of --minutes each]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     shards: Option<u32>,
     /// Target duration of a shard in minutes: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = 10, conflicts_with = "shards", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 10,
+        conflicts_with = "shards",
+        value_parser = clap::value_parser!(u32).range(1..=10_000)
+    )]
     minutes: u32,
     /// Cores for each shard: 1 to 1024
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1024))]

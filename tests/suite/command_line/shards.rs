@@ -491,5 +491,5 @@ fn job_files_connect_only_to_named_hosts() {
         assert!(why.ends_with(": nobody\n"), "{why}");
     }
     let (_, why) = message(&["p/hyperqueue_job.py"], None);
-    assert!(why.starts_with("no server of HyperQueue runs here") && why.contains("--local N begins one"), "{why}");
+    assert!(why.starts_with("no server of HyperQueue runs here") && why.contains("--local N starts one"), "{why}");
 }

@@ -171,7 +171,7 @@ fn a_page_uses_the_recorded_controller_or_reports_its_absence() {
     let page = |shard: &str, more: &[&str]| {
         inputs.run(&[&["merge", shard, "--out", "pages", "--format", "html"], more].concat())
     };
-    let is_missing = "Not drawn: the recorded controller is not available here.";
+    let is_missing = "No figure, because the recorded controller is not available here.";
     // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
     for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC_CONTROLLER)] {
         let text = page(shard, &[]);

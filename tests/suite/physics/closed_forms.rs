@@ -202,7 +202,8 @@ proptest! {
         let while_moving = 2.0 * g / (closing + (closing * closing + 2.0 * b * g).sqrt());
         let time_s = if while_moving <= v_f / b { while_moving } else { (g + v_f * v_f / (2.0 * b)) / v_r };
         let steps = (time_s / step_s) as u32 + 2;
-        let result = run(&two_vehicle_scenario(AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
+        let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 });
+        let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
         let contact = result.outcome.contact().expect("nothing stops the rear one");
         prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
         prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
@@ -211,10 +212,14 @@ proptest! {
     /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g), or stops after v² /
     /// 2b.
     #[test]
-    fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in any_step_s()) {
+    fn braking_into_a_standing_vehicle(
+        (g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64),
+        step_s in any_step_s(),
+    ) {
         let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
         prop_assume!(left.abs() > 1e-3);
-        let result = run(&two_vehicle_scenario(AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b }, step_s, steps));
+        let (front, rear) = (AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b });
+        let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
         if left > 0.0 {
             let contact = result.outcome.contact().expect("it cannot stop in time");
             prop_assert!((contact.time_s - (v - left.sqrt()) / b).abs() < 1e-9);

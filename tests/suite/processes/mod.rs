@@ -139,7 +139,7 @@ fn a_failure_in_a_batch_is_of_one_run() {
     let Some(folder) = python_example_folder() else { return };
     let text = fs::read_to_string(folder.path().join("follower.py")).unwrap();
     let picky =
-        text.replace("    wanted_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    wanted_mps2 =");
+        text.replace("    command_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    command_mps2 =");
     fs::write(folder.path().join("picky.py"), picky).unwrap();
     let controller = find_controller("exec:python3 picky.py", folder.path()).kind;
     let scenarios = draw_scenarios(40);

@@ -1,9 +1,9 @@
 //! Commands of the egos of a set until the next decision: a held acceleration, or those of a residual policy.
 //!
 //! A residual policy commands a new acceleration at every step. New uncertainty within a decision interval belongs to
-//! no symbol; it becomes symbols at the decision. The unclipped update of a vehicle that stops within the step ends at a
-//! speed of at least -b h, so lower speeds are discarded. Over the last step before the next decision the set is split into moving and
-//! standing members, as [`ego_set`](super::ego_set) does for a whole interval.
+//! no symbol; it becomes symbols at the decision. The unclipped update of a vehicle that stops within the step ends at
+//! a speed of at least -b h, so lower speeds are discarded. Over the last step before the next decision the set is
+//! split into moving and standing members, as [`ego_set`](super::ego_set) does for a whole interval.
 
 use super::braking::VehicleState;
 use super::ego_set::{EgoSet, MotionMode};

@@ -181,7 +181,9 @@ mod tests {
     fn header_json() -> serde_json::Value {
         serde_json::json!({
             "version": 1, "crumple": "0.1.0", "hidden": [64, 64],
-            "observation": {"offset": vec![0; OBSERVATION_SIZE], "scale": vec![1; OBSERVATION_SIZE], "limit": 1.5, "empty_gap_m": 80},
+            "observation": {
+                "offset": vec![0; OBSERVATION_SIZE], "scale": vec![1; OBSERVATION_SIZE], "limit": 1.5, "empty_gap_m": 80
+            },
             "action": {"low_mps2": -7.5, "high_mps2": 3}, "decision_interval_s": 0.1, "estimator": "truth", "seed": 1,
             "episode": 2, "training": {}
         })

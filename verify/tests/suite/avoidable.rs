@@ -215,21 +215,23 @@ proptest! {
 
     #[test]
     fn every_member_keeps_the_gap_that_was_proved(
-        (scene, witness) in (1..3_usize).prop_flat_map(scene_with_witness), picks in prop::collection::vec(0.0..=1.0_f64, 64),
+        (scene, witness) in (1..3_usize).prop_flat_map(scene_with_witness),
+        picks in prop::collection::vec(0.0..=1.0_f64, 64),
     ) {
         let accepted = check(&certificate(&scene, witness.clone()));
         let profiles = expand_to_substeps(&witness);
         let mut picks = picks.into_iter().cycle();
         let mut least_m = f64::INFINITY;
         for corner in 0..8 {
-            let member = pick_member(&scene, || { let p = picks.next().unwrap(); if corner < 4 { p.round() } else { p } });
+            let member = pick_member(&scene, || picks.next().map(|p| if corner < 4 { p.round() } else { p }).unwrap());
             least_m = least_m.min(simulate_scene(&scene, &member, &profiles).min_gap_m);
         }
         match accepted {
             Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => {
                 prop_assert!(smallest_gap_m <= least_m + 1e-9);
                 if afterwards != SafetyAfterHorizon::Unproved {
-                    let kept_m = min_gap_after_horizon_m(&scene, &profiles, afterwards, &mut || picks.next().unwrap().round());
+                    let mut pick = || picks.next().unwrap().round();
+                    let kept_m = min_gap_after_horizon_m(&scene, &profiles, afterwards, &mut pick);
                     // Braking ends with a substep, not at the target speed.
                     let late_m = 9.0 * (scene.step_s / SUBSTEPS as f64).powi(2);
                     prop_assert!(kept_m > -late_m, "{afterwards}: {kept_m}");

@@ -216,7 +216,7 @@ proptest! {
         thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
         let mut file = FILES.with(|files| files[usize::from(which)].clone());
         let places: Vec<String> =
-            support::mutants::json_pointers(&file).into_iter().filter(|place| file.pointer(place).unwrap().is_f64()).collect();
+            support::mutants::json_pointers(&file).into_iter().filter(|p| file.pointer(p).unwrap().is_f64()).collect();
         for (place, value) in changes {
             *file.pointer_mut(place.get(&places).as_str()).unwrap() = json!(value);
         }

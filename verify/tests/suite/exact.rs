@@ -63,7 +63,9 @@ fn is_bounded(
 
 prop_compose! {
     /// Generates error bounds: none, 1e-9 of a unit, or centimetres.
-    fn any_errors()(size in prop::sample::select(vec![0.0, 1e-9, 0.02]), shares in prop::array::uniform8(0.0..1.0_f64)) -> [f64; 8] {
+    fn any_errors()(
+        size in prop::sample::select(vec![0.0, 1e-9, 0.02]), shares in prop::array::uniform8(0.0..1.0_f64),
+    ) -> [f64; 8] {
         shares.map(|share| size * share)
     }
 }
@@ -78,11 +80,12 @@ proptest! {
         ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), is_point: bool,
         follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(FollowerModel::ByLaw)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
-        every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
+        every in prop::sample::select(vec![1_u32, 2, 5, 10]),
+        places in prop::collection::vec((any_unit(), any::<u64>()), 4),
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
         residual_over in prop::option::of(any_residual_policy()),
     ) {
-        let controller = gain.map_or_else(|| any_network(seed), |gain| residual_network(&[12, 9], gain, seed, residual_over));
+        let controller = gain.map_or_else(|| any_network(seed), |g| residual_network(&[12, 9], g, seed, residual_over));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = ReachProblem {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,

@@ -129,7 +129,7 @@ proptest! {
         let rests = rational(x.rest()) * rational(2.0);
         let rounding = rational(1e-14) * (rational(x.centre().abs()) + rational(x.radius())) + rational(1e-290);
         let difference = x.clone().minus(&x);
-        prop_assert!(rational(difference.radius()) <= rests.clone() * (BigRational::one() + rational(1e-9)) + rounding.clone());
+        prop_assert!(rational(difference.radius()) <= rests * (BigRational::one() + rational(1e-9)) + rounding);
         prop_assert_eq!(AffineForm::constant(Interval::point(x.centre())).rest(), 0.0);
         prop_assert_eq!(x.join(&x), x.clone());
         // A symbol may replace the rest: the set stays the same.

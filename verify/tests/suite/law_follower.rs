@@ -98,7 +98,8 @@ proptest! {
     ) {
         let controller = gain.map_or_else(|| any_network(seed), |gain| native_network(&[12, 9], gain, seed));
         let whole = with_law_follower(&controller, ranges, law);
-        let scene = ReachProblem { stop_when_undecided: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
+        let steps = if step_s < 0.1 { 400 } else { 100 };
+        let scene = ReachProblem { stop_when_undecided: false, steps, step_s, decision_steps: every, ..whole };
         let bounded = reach_with_tube(&scene);
         for place in places {
             let start = box_member(&ranges, place);

@@ -91,8 +91,8 @@ proptest! {
     fn a_zero_limit_equals_an_empty_script(ranges in any_ranges(), seed: u64, has_follower: bool) {
         let controller = any_network(seed);
         let follower = has_follower.then_some(LATCHED);
-        let scripted =
-            ReachProblem { follower, steps: 300, stop_when_undecided: false, ..paper_problem(&controller, unscripted(ranges)) };
+        let whole = paper_problem(&controller, unscripted(ranges));
+        let scripted = ReachProblem { follower, steps: 300, stop_when_undecided: false, ..whole };
         let within = ReachProblem { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
         prop_assert_eq!(reach_with_tube(&scripted), reach_with_tube(&within));
         let nearly = reach(&ReachProblem { leader_brakes_at_most_mps2: Some(1e-13), ..scripted.clone() });

@@ -44,7 +44,8 @@ proptest! {
     fn a_stop_at_the_very_end_of_the_step(b in 1..80_u32, t in 1..50_u32, off in -3..=3_i32) {
         let (b, t) = (f64::from(b) / 10.0, f64::from(t) / 10.0);
         let v = (0..off.abs()).fold(b * t, |v, _| if off < 0 { v.next_down() } else { v.next_up() });
-        let (covered, after) = motion::distance_and_speed_after(Interval::point(v), Interval::point(-b), Interval::point(t));
+        let point = Interval::point;
+        let (covered, after) = motion::distance_and_speed_after(point(v), point(-b), point(t));
         let (distance, end) = rational_distance_and_speed(v, -b, t);
         prop_assert!(holds(covered, &distance) && holds(after, &end));
         prop_assert!(covered.high() - covered.low() < 1e-10);

@@ -125,7 +125,9 @@ proptest! {
     /// Compares centre, terms and rest with the formulas. Rounding is a millionth of its sum, so sampling would not
     /// notice an error in it.
     #[test]
-    fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVATION_SIZE), layers in layers()) {
+    fn bounds_are_those_of_the_formulas(
+        seen in prop::collection::vec(observation(), OBSERVATION_SIZE), layers in layers(),
+    ) {
         let seen: [AffineForm; OBSERVATION_SIZE] = seen.try_into().unwrap();
         let mut numbers: Vec<NumberBounds> = (0..OBSERVATION_SIZE)
             .map(|i| NumberBounds {

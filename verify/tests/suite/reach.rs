@@ -87,7 +87,8 @@ pub fn any_unit() -> impl Strategy<Value = [f64; 8]> {
 prop_compose! {
     /// Generates a box with a single number in some dimensions.
     pub fn any_ranges()(
-        low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64), size in 0.001..0.1_f64,
+        low in prop::array::uniform8(0.0..1.0_f64), width in prop::array::uniform8(-0.5..1.0_f64),
+        size in 0.001..0.1_f64,
     ) -> InitialRanges {
         let scales = [30.0, 30.0, 30.0, 30.0, 30.0, 6.0, 7.0, 150.0];
         let mut ranges = paper_box(0.0, 0.0);
@@ -118,7 +119,8 @@ proptest! {
         let share: Vec<[f64; 8]> =
             (0..inputs).map(|i| std::array::from_fn(|_| radii[i % 8] * numbers.next_signed())).collect();
         let forms: Vec<AffineForm> = (0..inputs).map(|i| {
-            share[i].iter().enumerate().fold(AffineForm::constant(Interval::point(centre[i])), |mut form, (symbol, &share)| {
+            let constant = AffineForm::constant(Interval::point(centre[i]));
+            share[i].iter().enumerate().fold(constant, |mut form, (symbol, &share)| {
                 form.add_scaled(&AffineForm::symbol(symbol, between(-1.0, 1.0)), Interval::point(share));
                 form
             })
@@ -505,7 +507,8 @@ fn a_box_takes_a_fraction_of_a_second() {
 proptest! {
     #[test]
     fn functions_of_forms_hold_the_values(
-        centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64), at in prop::array::uniform3(-1.0..=1.0_f64),
+        centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64),
+        at in prop::array::uniform3(-1.0..=1.0_f64),
     ) {
         use crumple_verify::reach::relax;
         let mut form = AffineForm::constant(Interval::point(centre));

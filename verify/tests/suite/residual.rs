@@ -54,8 +54,9 @@ proptest! {
         let controller = residual_network(&[12, 9], gain, seed, Some(residual));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let scene = ReachProblem {
-            follower, leader_brakes_at_most_mps2: limit_mps2, observation_error: [largest; 8], stop_when_undecided: false,
-            steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..paper_problem(&controller, ranges)
+            follower, leader_brakes_at_most_mps2: limit_mps2, observation_error: [largest; 8],
+            stop_when_undecided: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every,
+            ..paper_problem(&controller, ranges)
         };
         let bounded = reach_with_tube(&scene);
         for (run, place) in places.into_iter().enumerate() {
@@ -64,8 +65,8 @@ proptest! {
                 let mut numbers = XorShiftRng::for_index(seed + run as u64, decision);
                 std::array::from_fn(|_| largest * numbers.next_signed().signum() * f64::from(u8::from(run > 0)))
             };
-            let brakes = |k| limit_mps2.map(|limit_mps2| limit_mps2 * XorShiftRng::for_index(seed, k / 20).next_unit().round());
-            let run = simulate_with_errors(&scene, start, |k| brakes(k).unwrap_or_else(|| scripted_braking(&start)(k)), error);
+            let brakes = |k| limit_mps2.map(|most| most * XorShiftRng::for_index(seed, k / 20).next_unit().round());
+            let run = simulate_with_errors(&scene, start, |k| brakes(k).unwrap_or(scripted_braking(&start)(k)), error);
             is_bounded(&scene, &bounded, run, &(start, residual))?;
         }
     }

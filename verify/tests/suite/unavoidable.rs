@@ -65,7 +65,9 @@ proptest! {
                 let contact: f64 = rows.iter().filter(|row| row.2).map(|row| row.0).sum();
                 prop_assert!(contact == 0.0 || least_m >= overlap_m * contact - 1e-6);
             }
-            Err(Rejection::Unproved { branch: 3, sum_m }) => prop_assert!(least_m >= sum_m - 1e-6, "{least_m} < {sum_m}"),
+            Err(Rejection::Unproved { branch: 3, sum_m }) => {
+                prop_assert!(least_m >= sum_m - 1e-6, "{least_m} < {sum_m}");
+            }
             Err(other) => prop_assert!(false, "{other}"),
         }
     }

@@ -186,7 +186,9 @@ base = "paper-1"
 name = "friction"
 field = "environment.friction"
 unit = "1"
-distribution.point-mass = { at = 0.3, probability = 0.3, others.normal = { mean = 0.7, deviation = 0.15, low = 0.3, high = 1.0 } }
+distribution.point-mass.at = 0.3
+distribution.point-mass.probability = 0.3
+distribution.point-mass.others.normal = { mean = 0.7, deviation = 0.15, low = 0.3, high = 1.0 }
 [[parameters]]
 name = "ahead_m"
 field = "vehicles[1].gap_m"

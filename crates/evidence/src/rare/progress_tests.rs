@@ -82,7 +82,9 @@ proptest! {
         let root = tempfile::tempdir().unwrap();
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
         let all = with_threads(2, || run_until(&plan, shard, &through, u64::MAX)).unwrap();
-        let interrupted = |&(runs, threads): &(u64, usize)| with_threads(threads, || run_until(&plan, shard, &broken, runs)).is_none();
+        let interrupted = |&(runs, threads): &(u64, usize)| {
+            with_threads(threads, || run_until(&plan, shard, &broken, runs)).is_none()
+        };
         let times = interruptions.iter().filter(|one| interrupted(one)).count();
         let left = with_threads(3, || run_until(&plan, shard, &broken, u64::MAX)).unwrap();
         prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");

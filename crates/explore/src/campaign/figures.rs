@@ -128,7 +128,9 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
             );
             panel.add_overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
                 Some(index) => html! {
-                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(text) { title { (text) } (drawn) }
+                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(text) {
+                        title { (text) } (drawn)
+                    }
                 },
                 // The evaluation of this point is not stored.
                 None => drawn,
@@ -174,32 +176,41 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
     let title = format!("{} over {}", map.y_axis.title(), map.x_axis.title());
     let content = html! {
         (draw_text((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
-        (draw_text((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.y_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        @let y_title = format!("↑ {}", map.y_axis.title());
+        (draw_text((4.0, 32.0), Anchor::Start, &y_title, SMALL_TEXT_SIZE, Ink::Muted, false))
         (draw_cells(CellStyle::Blank, of(|cell| cell.total > 0 && cell.failing == 0)))
         (draw_cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.total)))
-        @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.total) {
+        @for (index, cell) in map.cells.iter().enumerate().filter(|(_, c)| c.failing > 0 && c.failing == c.total) {
             @let PixelRect { left, top, width, height } = cell_frame(index);
-            rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex()) fill-opacity="0.5" {}
-            (draw_text((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
+            rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex())
+                fill-opacity="0.5" {}
+            @let at = (left + width / 2.0, top + height / 2.0 + 4.0);
+            (draw_text(at, Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none" stroke=(Ink::Axis.hex()) {}
+        rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none"
+            stroke=(Ink::Axis.hex()) {}
         @for (index, (from, _)) in map.y_axis.cell_bounds.iter().enumerate() {
             @let y = frame.bottom() - (index as f64 + if map.y_axis.is_named { 0.5 } else { 0.0 }) * CELL_HEIGHT + 4.0;
             (draw_text((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        @for (index, (from, _)) in map.x_axis.cell_bounds.iter().enumerate().filter(|(index, _)| map.x_axis.is_named || index % 3 == 0) {
+        @for (index, (from, _)) in
+            map.x_axis.cell_bounds.iter().enumerate().filter(|(index, _)| map.x_axis.is_named || index % 3 == 0)
+        {
             @let x = frame.left + (index as f64 + if map.x_axis.is_named { 0.5 } else { 0.0 }) * wide;
             (draw_text((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        (draw_text((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.x_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        @let (at, x_title) = ((frame.right(), frame.bottom() + 31.0), format!("{} →", map.x_axis.title()));
+        (draw_text(at, Anchor::End, &x_title, SMALL_TEXT_SIZE, Ink::Muted, false))
         @for (index, cell) in map.cells.iter().enumerate() {
             @if let Some((worst, robustness)) = cell.worst {
                 @let PixelRect { left, top, width, height } = cell_frame(index);
-                @let text = format!("{}, {}: {} of {} fail, worst robustness {}", map.x_axis.cell_label(index % columns), map.y_axis.cell_label(index / columns),
+                @let text = format!("{}, {}: {} of {} fail, worst robustness {}",
+                    map.x_axis.cell_label(index % columns), map.y_axis.cell_label(index / columns),
                     cell.failing, cell.total, format_number(robustness, 2));
                 a href={ "./?campaign=" (shown.index) "&evaluation=" (worst) } aria-label=(text) {
                     title { (text) }
-                    rect class="cell" x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill="transparent" {}
+                    rect class="cell" x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height))
+                        fill="transparent" {}
                 }
             }
         }

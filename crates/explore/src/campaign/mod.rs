@@ -242,11 +242,14 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
         @else { div.scroll tabindex="0" { table {
             caption { (TerminalText(shown.name)) ": distinct failures, shrunk, most severe first" }
             thead { tr {
-                th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
-                th scope="col" { "avoidable" } th scope="col" { "found by" } th scope="col" { "not nominal" }
+                th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" }
+                th.number scope="col" { "at (s)" } th scope="col" { "avoidable" }
+                th scope="col" { "found by" } th scope="col" { "not nominal" }
             } }
             tbody { @for (place, found) in summary.counterexamples.iter().enumerate() { tr {
-                th scope="row" { a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (TerminalText(&found.kind)) } }
+                th scope="row" {
+                    a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (TerminalText(&found.kind)) }
+                }
                 td.number { (format_number(found.impact_speed_mps, 1)) }
                 td.number { (format_number(found.contact_time_s, 2)) }
                 td { (avoidability_label(found.avoidability.class())) }
@@ -274,13 +277,19 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
         failing.truncate(MAX_LISTED);
         let order = if one.reader.summary().is_some() { "severest" } else { "latest" };
         html! { @if all > 0 { div.scroll tabindex="0" { table {
-            caption { (TerminalText(one.name)) ": " (all) " failing evaluations" @if all > failing.len() { ", the " (failing.len()) " " (order) } }
+            caption {
+                (TerminalText(one.name)) ": " (all) " failing evaluations"
+                @if all > failing.len() { ", the " (failing.len()) " " (order) }
+            }
             thead { tr {
-                th scope="col" { "evaluation" } th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" }
-                th.number scope="col" { "at (s)" } th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
+                th scope="col" { "evaluation" } th scope="col" { "what happens" }
+                th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
+                th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
             } }
             tbody { @for (index, (method, evaluated)) in &failing { tr {
-                th scope="row" { a href={ "./?campaign=" (one.index) "&evaluation=" (index) } { (method.name()) " " (evaluated.number) } }
+                th scope="row" { a href={ "./?campaign=" (one.index) "&evaluation=" (index) } {
+                    (method.name()) " " (evaluated.number)
+                } }
                 td { (TerminalText(&one.reader.describe_failure(evaluated).unwrap_or_default())) }
                 td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
                 td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }

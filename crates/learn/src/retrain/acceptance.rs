@@ -281,12 +281,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn changes_add_up(before in proptest::collection::btree_set(0..40_u64, 0..20), after in proptest::collection::btree_set(0..40_u64, 0..20)) {
+        fn changes_add_up(
+            before in proptest::collection::btree_set(0..40_u64, 0..20),
+            after in proptest::collection::btree_set(0..40_u64, 0..20),
+        ) {
             let lists = [before, after].map(|set| set.into_iter().collect::<Vec<_>>());
             let change = FailureChange::between(&lists[0], &lists[1]);
             prop_assert_eq!(change.before - change.fixed, change.after - change.regressed);
-            let accepted = decide_acceptance(&results(&[], &lists[0], &[]), &results(&[], &lists[1], &[])).is_accepted();
-            prop_assert_eq!(accepted, change.regressed == 0);
+            let passed = decide_acceptance(&results(&[], &lists[0], &[]), &results(&[], &lists[1], &[])).is_accepted();
+            prop_assert_eq!(passed, change.regressed == 0);
         }
     }
 }

@@ -161,7 +161,9 @@ mod tests {
             "seen from standing vehicles alone"
         );
         let Acceptance::Rejected { objections } = decide_acceptance(&before, &after) else { panic!("accepted") };
-        let is_of_high_risk = |reason: &RejectionReason| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
+        let is_of_high_risk = |reason: &RejectionReason| {
+            if let RejectionReason::MoreCollisions { space, .. } = reason { space == "high-risk" } else { false }
+        };
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
         let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
         assert!(traffic.not_useful.as_ref().unwrap().len() > 30, "it is of no use in traffic");

@@ -275,7 +275,8 @@ mod tests {
             let mut replay = ReplayBuffer::new(capacity, LAYOUT);
             (0..count).for_each(|number| replay.push(&numbered_transition(number)));
             let kept = count.saturating_sub(capacity)..count;
-            let reward = |place: usize| replay.data[place * replay.width + 2 * STATE_ROW.len() + PRIVILEGED_ROW.len() + 1] as usize;
+            let offset = 2 * STATE_ROW.len() + PRIVILEGED_ROW.len() + 1;
+            let reward = |place: usize| replay.data[place * replay.width + offset] as usize;
             let mut rewards: Vec<usize> = (0..replay.len()).map(reward).collect();
             rewards.sort_unstable();
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());

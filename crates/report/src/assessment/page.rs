@@ -20,7 +20,11 @@ pub(super) fn render_html(assessment: &AssessmentReport) -> String {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
                     h1 { (TITLE) }
-                    nav { @for (id, title) in parts.iter().chain(&appendix).map(|part| part.anchor_and_title()) { a href={ "#" (id) } { (title) } " " } }
+                    nav {
+                        @for (id, title) in parts.iter().chain(&appendix).map(|part| part.anchor_and_title()) {
+                            a href={ "#" (id) } { (title) } " "
+                        }
+                    }
                 }
                 main {
                     @for part in &parts {
@@ -29,7 +33,8 @@ pub(super) fn render_html(assessment: &AssessmentReport) -> String {
                     div.appendix {
                         h1 { "Appendix" }
                         @for part in &appendix {
-                            section id=(part.anchor_and_title().0) { h2 { (part.anchor_and_title().1) } (part.to_html()) }
+                            @let (id, title) = part.anchor_and_title();
+                            section id=(id) { h2 { (title) } (part.to_html()) }
                         }
                     }
                 }

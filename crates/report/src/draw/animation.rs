@@ -154,7 +154,8 @@ impl LaneView<'_> {
             @if length >= 1.9 * tag_width(&number) {
                 (draw_tag((-length / 2.0, 0.0), &number, ink))
             } @else {
-                (draw_text((-length / 2.0, SMALL_TEXT_SIZE * 0.35), Anchor::Middle, &number, SMALL_TEXT_SIZE, Ink::Text, true))
+                @let at = (-length / 2.0, SMALL_TEXT_SIZE * 0.35);
+                (draw_text(at, Anchor::Middle, &number, SMALL_TEXT_SIZE, Ink::Text, true))
             }
         }
     }
@@ -179,7 +180,8 @@ impl LaneView<'_> {
             (draw_line((left, y), (right, y), Stroke::solid(Ink::Muted, 1.2)))
             (draw_line((left, y - 3.0), (left, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
             (draw_line((right, y - 3.0), (right, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
-            (draw_text((left - 5.0, y + SMALL_TEXT_SIZE * 0.35), Anchor::End, &format!("{metres} m"), SMALL_TEXT_SIZE, Ink::Muted, false))
+            @let at = (left - 5.0, y + SMALL_TEXT_SIZE * 0.35);
+            (draw_text(at, Anchor::End, &format!("{metres} m"), SMALL_TEXT_SIZE, Ink::Muted, false))
         }
     }
 

@@ -274,7 +274,8 @@ mod tests {
         #[test]
         fn any_trace_gives_data_that_json_can_hold(
             times in proptest::collection::vec(ANY_NUMBER, 0..8),
-            values in proptest::collection::vec(proptest::collection::vec(ANY_NUMBER, 0..8), 0..4), length_m in ANY_NUMBER,
+            values in proptest::collection::vec(proptest::collection::vec(ANY_NUMBER, 0..8), 0..4),
+            length_m in ANY_NUMBER,
         ) {
             let track = |values: &Vec<f64>| Track {
                 length_m,

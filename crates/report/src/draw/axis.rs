@@ -83,7 +83,8 @@ impl Axis {
                 (draw_line((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
             }
             @if !self.title.is_empty() {
-                (draw_text((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
+                @let at = (frame.right(), bottom + 30.0);
+                (draw_text(at, Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
             }
         }
     }
@@ -95,8 +96,8 @@ impl Axis {
                 @if self.has_grid {
                     (draw_line((frame.left, y), (frame.right(), y), Stroke::solid(Ink::Grid, 0.8)))
                 }
-                text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL_TEXT_SIZE * 0.35)) text-anchor="end" font-size=(Px(SMALL_TEXT_SIZE))
-                    fill=(Ink::Text.hex()) { (strip_unprintable(label)) }
+                text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL_TEXT_SIZE * 0.35)) text-anchor="end"
+                    font-size=(Px(SMALL_TEXT_SIZE)) fill=(Ink::Text.hex()) { (strip_unprintable(label)) }
             }
         }
     }

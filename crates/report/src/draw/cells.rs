@@ -114,8 +114,8 @@ pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
             @match entry {
                 LegendEntry::Cell(look, _) => {
                     (draw_cells(*look, std::iter::once(sample)))
-                    rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SWATCH_SIZE) height=(SWATCH_SIZE)
-                        fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
+                    rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SWATCH_SIZE)
+                        height=(SWATCH_SIZE) fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
                 }
                 LegendEntry::Mark(marker, _) => (draw_marker((sample.left + SWATCH_SIZE / 2.0, y), *marker, Ink::Text))
                 LegendEntry::Line(stroke, _) => (draw_line((sample.left, y), (sample.right(), y), *stroke))

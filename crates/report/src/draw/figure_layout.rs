@@ -115,8 +115,8 @@ impl FigureLayout {
                         @let after = x + tag_width(&number);
                         (draw_swatch(index, x, y, SWATCH_WIDTH))
                         (draw_tag((SWATCH_WIDTH + 3.0 + (x + after) / 2.0, y), &number, Ink::Series(index)))
-                        (draw_text((after + SWATCH_WIDTH + 7.0, y + TEXT_SIZE * 0.35), Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE,
-                            Ink::Text, false))
+                        (draw_text((after + SWATCH_WIDTH + 7.0, y + TEXT_SIZE * 0.35), Anchor::Start,
+                            &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
                     }
                 }
             }

@@ -224,7 +224,7 @@ mod tests {
             let corner = PixelRect { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
             let mut taken = vec![corner];
             let places = place_line_labels(&lines, &sizes, frame, &mut taken);
-            let labels: Vec<PixelRect> = places.iter().flatten().map(|&at| PixelRect::from_center(at, 16.0, 14.0)).collect();
+            let labels: Vec<_> = places.iter().flatten().map(|&at| PixelRect::from_center(at, 16.0, 14.0)).collect();
             for (i, label) in labels.iter().enumerate() {
                 prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
                 prop_assert!(labels.iter().skip(i + 1).all(|other| !other.overlaps(label)));

@@ -165,7 +165,8 @@ fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLay
             (draw_line(from, (left, y), Stroke::solid(ink, 0.8)))
             (draw_tag((left + tag_width(&number) / 2.0, y), &number, ink))
             @if plan.arrangement == PanelArrangement::Wide {
-                (draw_text((name_left, y + TEXT_SIZE * 0.35), Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
+                @let at = (name_left, y + TEXT_SIZE * 0.35);
+                (draw_text(at, Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
             }
         });
     }

@@ -98,8 +98,8 @@ impl Panel {
             html! { circle cx=(Px(x)) cy=(Px(y)) r=(Px(stroke.width)) fill=(stroke.ink.hex()) {} }
         } else {
             html! {
-                path d=(path::polyline_data(&places)) fill="none" stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
-                    stroke-dasharray=[dash] stroke-linejoin="round" {}
+                path d=(path::polyline_data(&places)) fill="none" stroke=(stroke.ink.hex())
+                    stroke-width=(Px(stroke.width)) stroke-dasharray=[dash] stroke-linejoin="round" {}
             }
         });
     }
@@ -202,9 +202,8 @@ pub const HEADING_HEIGHT: f64 = 40.0;
 
 fn draw_heading((left, top): PixelPoint, title: &str) -> Markup {
     html! {
-        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE)) font-weight="600" fill=(Ink::Text.hex()) {
-            (strip_unprintable(title))
-        }
+        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE)) font-weight="600"
+            fill=(Ink::Text.hex()) { (strip_unprintable(title)) }
     }
 }
 
@@ -220,7 +219,8 @@ pub fn draw_text((x, y): PixelPoint, anchor: Anchor, text: &str, size: f64, ink:
         if halo { (Some(Ink::Paper.hex()), Some("3"), Some("stroke")) } else { (None, None, None) };
     html! {
         text x=(Px(x)) y=(Px(y)) text-anchor=[anchor] font-size=(Px(size)) fill=(ink.hex()) stroke=[stroke]
-            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")] paint-order=[order] { (strip_unprintable(text)) }
+            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")]
+            paint-order=[order] { (strip_unprintable(text)) }
     }
 }
 

@@ -97,8 +97,8 @@ pub(super) fn draw_swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
     let Stroke { ink, width: stroke_width, dash } = Stroke::series(index);
     let dash = (!dash.is_empty()).then_some(dash);
     html! {
-        path d={ "M" (Px(x)) " " (Px(y)) "h" (Px(width)) } fill="none" stroke=(ink.hex()) stroke-width=(Px(stroke_width))
-            stroke-dasharray=[dash] {}
+        path d={ "M" (Px(x)) " " (Px(y)) "h" (Px(width)) } fill="none" stroke=(ink.hex())
+            stroke-width=(Px(stroke_width)) stroke-dasharray=[dash] {}
     }
 }
 

@@ -108,7 +108,9 @@ pub fn render_map_html(map: &CrashMap) -> String {
                     figure { (map_figure::draw_responsive(map)) }
                     div.scroll tabindex="0" { table {
                         thead { tr { th scope="col" { "driver" } th scope="col" { "result" } } }
-                        tbody { @for panel in &map.panels { tr { th scope="row" { (panel_title(panel)) } td { (PanelSummary(panel).describe()) } } } }
+                        tbody { @for panel in &map.panels { tr {
+                            th scope="row" { (panel_title(panel)) } td { (PanelSummary(panel).describe()) }
+                        } } }
                     } }
                     ul { @for line in &map.boundaries { li { (line.label) } } }
                     p { "Each cell is the scenario at its centre, simulated for every driver. " (NO_PUBLISHED_COUNTS) }

@@ -51,10 +51,13 @@ impl Page<'_> {
                         p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                         h1 { (title) }
                         p.answer { (statement) }
-                        p { (edition) ". Source of the parameters: " (figures_from) " Sensors of the controllers: " (describe_estimator(self.result.estimator)) "." }
+                        p { (edition) ". Source of the parameters: " (figures_from) " Sensors of the controllers: "
+                            (describe_estimator(self.result.estimator)) "." }
                         nav {
                             a href="#matrix" { "Matrix" }
-                            @for (index, clause) in clauses.iter().enumerate() { " " a href={ "#clause-" (index) } { (clause.clause) } }
+                            @for (index, clause) in clauses.iter().enumerate() {
+                                " " a href={ "#clause-" (index) } { (clause.clause) }
+                            }
                             " " a href="#outside" { "Limits" }
                         }
                     }
@@ -105,15 +108,23 @@ impl Page<'_> {
             h3 id={ "test-" (test.name) } { (test.name) }
             @if test.parameters.iter().next().is_some() { (parameter_list(test)) }
             div.scroll tabindex="0" { table {
-                thead { tr { @for name in ["controller", "verdict", "margins", "worst within tolerances"] { th scope="col" { (name) } } } }
+                thead { tr { @for name in ["controller", "verdict", "margins", "worst within tolerances"] {
+                    th scope="col" { (name) }
+                } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
-                    td.judged.(css_class(tested)) { (verdict_sign(tested)) (describe_outcome(tested)) (format_points(tested)) }
+                    td.judged.(css_class(tested)) {
+                        (verdict_sign(tested)) (describe_outcome(tested)) (format_points(tested))
+                    }
                     td.wide { @for line in describe_min_margins(&tested.margins) { p { (line) } } }
-                    td.wide { @if let Some(within) = &tested.worst_in_tolerance { (describe_worst_in_tolerance(within)) } @else { "–" } }
+                    td.wide { @if let Some(within) = &tested.worst_in_tolerance {
+                        (describe_worst_in_tolerance(within))
+                    } @else { "–" } }
                 } } }
             } }
-            @for tested in &test.controllers { @if tested.failures().next().is_some() { (self.failures(test, tested)) } }
+            @for tested in &test.controllers {
+                @if tested.failures().next().is_some() { (self.failures(test, tested)) }
+            }
         }
     }
 
@@ -167,7 +178,8 @@ impl Page<'_> {
             @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
                 @let impacts = &simulated.impacts;
                 figure {
-                    (draw_motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &labels, trace, impacts }))
+                    @let motion = MotionFigure { prefix: &prefix, title: &title, labels: &labels, trace, impacts };
+                    (draw_motion_responsive(&motion))
                     figcaption { (tested.controller) " at " (failed.point) ": " (describe_verdict(&failed.verdict)) }
                 }
             } }
@@ -176,7 +188,8 @@ impl Page<'_> {
 
     fn limitations(&self) -> Markup {
         html! {
-            @for (title, list) in [("Not modelled", &self.result.not_modelled), ("Omitted", &self.result.omitted_parameters)] {
+            @let lists = [("Not modelled", &self.result.not_modelled), ("Omitted", &self.result.omitted_parameters)];
+            @for (title, list) in lists {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
             }
             p { "Reference drivers, who observe the true state, and a search for an escape with knowledge of the \

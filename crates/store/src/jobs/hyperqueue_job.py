@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Has the shards made by HyperQueue: by the workers of the server that runs, or with --local N on N cores of this machine.
+"""Runs the shards on HyperQueue: on the workers of a running server, or with --local N on N cores of this machine.
 
     python3 hyperqueue_job.py [--local N] [--server-dir DIR] [SHARD ...]
 
-Start it in the folder in which `crumple plan` was started. Finished work is kept: run it until it ends with exit code 0. All machines need the
-same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH). What is said while shard N is made
-lies beside this file, in `shard-N.out` and `shard-N.err`; once the shard is made both are removed.
+Start this program in the folder in which `crumple plan` was started. It keeps finished work: run it until it ends with
+exit code 0. All machines need the same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple`
+on the PATH). The output of shard N is in `shard-N.out` and `shard-N.err` beside this file, until the shard is complete.
 """
 
 import argparse
@@ -25,26 +25,27 @@ CORES = @CORES@
 TASK = Path(__file__).resolve().parent / "task.sh"
 
 
-def connected(folder):
-    """The server that runs."""
+def connect(folder):
+    """Returns a client of the running server; ends the program if there is none."""
     try:
         return Client(folder)
-    except Exception as error:  # The package has no other name for it.
-        where = f"that keeps its files in {folder} " if folder else ""
-        said = str(error).splitlines() or ["no reason is given"]
-        sys.exit(f"no server of HyperQueue {where}runs here (`hq server start` starts one, --local N begins one for this job): {said[0]}")
+    except Exception as error:  # The package has no more specific exception.
+        where = f"with files in {folder} " if folder else ""
+        reason = (str(error).splitlines() or ["no reason is given"])[0]
+        hint = "`hq server start` starts one, --local N starts one for this job"
+        sys.exit(f"no server of HyperQueue {where}runs here ({hint}): {reason}")
 
 
 def log(shard, ending):
-    """Where it goes what is said while a shard is made."""
+    """Returns the path of a shard's output."""
     return TASK.parent / f"shard-{shard}.{ending}"
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Has the shards made by HyperQueue.")
-    parser.add_argument("--local", type=int, metavar="N", help="on N cores of this machine")
-    parser.add_argument("--server-dir", metavar="DIR", help="where the server keeps its files, if not in its usual place")
-    parser.add_argument("shards", nargs="*", type=int, metavar="SHARD", help="these alone")
+    parser = argparse.ArgumentParser(description="Runs the shards on HyperQueue.")
+    parser.add_argument("--local", type=int, metavar="N", help="run on N cores of this machine")
+    parser.add_argument("--server-dir", metavar="DIR", help="folder of the server's files [default: that of hq]")
+    parser.add_argument("shards", nargs="*", type=int, metavar="SHARD", help="shards to run [default: all]")
     arguments = parser.parse_args()
     with ExitStack() as stack:
         if arguments.local:
@@ -52,7 +53,7 @@ def main():
             cluster = stack.enter_context(LocalCluster(folder, WorkerConfig(cores=arguments.local)))
             client = cluster.client()
         else:
-            client = connected(arguments.server_dir)
+            client = connect(arguments.server_dir)
         crumple = os.environ.get("CRUMPLE", "crumple")
         job = Job(default_workdir=os.getcwd(), max_fails=None, default_env={"CRUMPLE": crumple}, name="crumple")
         tasks = {}
@@ -65,13 +66,13 @@ def main():
             )
             tasks[task.task_id] = shard
         submitted = client.submit(job)
-        is_made = client.wait_for_jobs([submitted], raise_on_error=False)
-        failed = set() if is_made else {tasks[task] for task in client.get_failed_tasks(submitted)}
+        is_complete = client.wait_for_jobs([submitted], raise_on_error=False)
+        failed = set() if is_complete else {tasks[task] for task in client.get_failed_tasks(submitted)}
         for shard in set(tasks.values()) - failed:
             log(shard, "out").unlink(missing_ok=True)
             log(shard, "err").unlink(missing_ok=True)
-        if not is_made:
-            sys.exit(f"not made: {sorted(failed)}, see {log('N', 'err')}; run this again")
+        if not is_complete:
+            sys.exit(f"incomplete shards: {sorted(failed)}, see {log('N', 'err')}; run this program again")
 
 
 if __name__ == "__main__":

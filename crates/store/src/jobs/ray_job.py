@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Has the shards made by Ray: on the cluster that --address or RAY_ADDRESS names, or with --local N on N cores of this machine.
+"""Runs the shards on Ray: on the cluster at --address or RAY_ADDRESS, or with --local N on N cores of this machine.
 
     python3 ray_job.py --local N [SHARD ...]
     python3 ray_job.py --address ADDRESS [SHARD ...]
 
-ADDRESS is `auto` for the cluster that this machine is of. No cluster is begun but with --local, and that one asks for no token and writes
-none. Start it in the folder in which `crumple plan` was started. Finished work is kept: run it until it ends with exit code 0. All machines need the
-same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH).
+ADDRESS is `auto` for the cluster of this machine. Only --local starts a cluster, without a token. Start this program in
+the folder in which `crumple plan` was started. It keeps finished work: run it until it ends with exit code 0. All
+machines need the same files in the same places, and the same build of crumple ($CRUMPLE, or `crumple` on the PATH).
 """
 
 import argparse
@@ -23,14 +23,15 @@ TASK = Path(__file__).resolve().parent / "task.sh"
 
 
 def end_with_parent():
-    """A worker that is killed takes its shard with it: else the next worker would find the folder in use."""
+    """Ends this process when its worker is killed; otherwise the next worker would find the folder in use."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 
 
-def make(shard, folder, crumple):
+def run_shard(shard, folder, crumple):
+    """Runs one shard; returns its exit code and its error output."""
     environment = {**os.environ, "CRUMPLE": crumple}
-    made = subprocess.run(
+    process = subprocess.run(
         ["sh", str(TASK), str(shard)],
         cwd=folder,
         env=environment,
@@ -39,15 +40,15 @@ def make(shard, folder, crumple):
         errors="replace",
         preexec_fn=end_with_parent,
     )
-    return made.returncode, made.stderr
+    return process.returncode, process.stderr
 
 
-def connected(local, address):
-    """Ray, connected to what was named and to nothing else."""
+def connect(local, address):
+    """Connects Ray to the named cluster only; ends the program if there is none."""
     if not local and not address:
-        sys.exit("no cluster is named: --address auto is the one that this machine is of, --local N begins one on N cores of it")
+        sys.exit("no cluster is named: use --address auto for that of this machine, or --local N to start one")
     if local or address == "local":
-        # Nothing but this machine reaches it: no token is needed, and none is written. Ray reads this when it is imported.
+        # Only this machine reaches a local cluster, so it needs no token. Ray reads these variables during its import.
         os.environ["RAY_AUTH_MODE"] = "disabled"
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     import ray
@@ -63,13 +64,14 @@ def connected(local, address):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Has the shards made by Ray.")
-    parser.add_argument("--local", type=int, metavar="N", help="on N cores of this machine")
-    parser.add_argument("--address", default=os.environ.get("RAY_ADDRESS"), help="of a cluster that runs [default: RAY_ADDRESS]")
-    parser.add_argument("shards", nargs="*", type=int, metavar="SHARD", help="these alone")
+    parser = argparse.ArgumentParser(description="Runs the shards on Ray.")
+    parser.add_argument("--local", type=int, metavar="N", help="run on N cores of this machine")
+    address = os.environ.get("RAY_ADDRESS")
+    parser.add_argument("--address", default=address, help="address of a running cluster [default: RAY_ADDRESS]")
+    parser.add_argument("shards", nargs="*", type=int, metavar="SHARD", help="shards to run [default: all]")
     arguments = parser.parse_args()
-    ray = connected(arguments.local, arguments.address)
-    remote = ray.remote(num_cpus=CORES, max_retries=3)(make)
+    ray = connect(arguments.local, arguments.address)
+    remote = ray.remote(num_cpus=CORES, max_retries=3)(run_shard)
     crumple = os.environ.get("CRUMPLE", "crumple")
     shards = arguments.shards or range(1, SHARDS + 1)
     waiting = {remote.remote(shard, os.getcwd(), crumple): shard for shard in shards}
@@ -78,15 +80,15 @@ def main():
         for done in ray.wait(list(waiting), num_returns=1)[0]:
             shard = waiting.pop(done)
             try:
-                code, said = ray.get(done)
+                code, message = ray.get(done)
             except ray.exceptions.RayError as error:
-                code, said = 1, str(error).splitlines()[0]
+                code, message = 1, str(error).splitlines()[0]
             if code != 0:
                 failed.append(shard)
-                print(f"shard {shard}: {said.strip()}", file=sys.stderr)
+                print(f"shard {shard}: {message.strip()}", file=sys.stderr)
     ray.shutdown()
     if failed:
-        sys.exit(f"not made: {sorted(failed)}; run this again")
+        sys.exit(f"incomplete shards: {sorted(failed)}; run this program again")
 
 
 if __name__ == "__main__":

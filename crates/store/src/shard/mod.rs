@@ -240,7 +240,8 @@ mod tests {
                 let mut end = 0;
                 for range in ranges {
                     let range = range.unwrap();
-                    prop_assert!(range.start == end && range.end > end && range.end - range.start <= parts / u64::from(of) + 1);
+                    prop_assert!(range.start == end && range.end > end);
+                    prop_assert!(range.end - range.start <= parts / u64::from(of) + 1);
                     end = range.end;
                 }
                 prop_assert_eq!(end, parts);

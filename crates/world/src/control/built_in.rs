@@ -43,7 +43,10 @@ pub trait BuiltIn {
 }
 
 macro_rules! define {
-    (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }) => {
+    (
+        rules { $($(#[$doc:meta])* $rule:ident,)* }
+        policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }
+    ) => {
         /// A built-in controller and its settings.
         #[derive(Debug, Clone, PartialEq)]
         pub enum ControllerSpec {

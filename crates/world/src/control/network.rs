@@ -73,7 +73,8 @@ impl NetworkController {
         let refused = |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
         if inputs != mapping.width() || outputs != 1 {
             return refused(format!(
-                "inputs: {inputs}, outputs: {outputs}; without a controller file crumple expects {} inputs and 1 output",
+                "inputs: {inputs}, outputs: {outputs}; without a controller file crumple expects {} inputs and \
+                 1 output",
                 mapping.width()
             ));
         }

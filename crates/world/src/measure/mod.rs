@@ -206,8 +206,8 @@ mod tests {
         ) {
             let at = |shift_m: f64| {
                 let vehicle = |i: usize| {
-                    let place_m = shift_m - 20.0 * i as f64;
-                    driven_track(4.0, place_m, 20.0, &[(0.5, 0.0), (2.0, 0.5 * f64::from(halves[i])), (4.0, -4.0)], 0.125)
+                    let at_m = shift_m - 20.0 * i as f64;
+                    driven_track(4.0, at_m, 20.0, &[(0.5, 0.0), (2.0, 0.5 * f64::from(halves[i])), (4.0, -4.0)], 0.125)
                 };
                 measure_all(&trace((0..3).map(vehicle).collect(), 0.125), &[])
             };

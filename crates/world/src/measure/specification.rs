@@ -42,7 +42,11 @@ pub enum SpecificationError {
     #[error(transparent)]
     Parse(#[from] FormulaParseError),
     /// A text without a comparison that is not a rule either, such as a misspelt rule.
-    #[error("{formula}; nor is this `{}`, or a rule as {} are", Specification::NO_CONTACT, DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", "))]
+    #[error(
+        "{formula}; nor is this `{}`, or a rule as {} are",
+        Specification::NO_CONTACT,
+        DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", ")
+    )]
     UnknownRule {
         /// Error of the text as a formula.
         formula: FormulaParseError,

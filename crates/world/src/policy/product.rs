@@ -355,12 +355,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, rectified: bool) {
+        fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, relu: bool) {
             let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));
             let expected: Vec<f32> = (0..m * n)
                 .map(|i| {
                     let sum = (0..k).fold(start[i % n], |sum, p| a[i / n * k + p].mul_add(b[p * n + i % n], sum));
-                    if rectified { sum.max(0.0) } else { sum }
+                    if relu { sum.max(0.0) } else { sum }
                 })
                 .collect();
             let (a_columns, b_columns) = (transposed(&a, m, k), transposed(&b, k, n));
@@ -369,7 +369,7 @@ mod tests {
                 for left in [Lhs::Rows(&a), Lhs::Columns(&a_columns)] {
                     for path in available_archs() {
                         let mut out = vec![f32::NAN; m * n];
-                        panels.multiply_with_arch(path, left, m, rectified, &mut out);
+                        panels.multiply_with_arch(path, left, m, relu, &mut out);
                         prop_assert_eq!(&out, &expected);
                     }
                 }

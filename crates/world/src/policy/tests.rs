@@ -166,17 +166,17 @@ fn no_number_at_all_means_full_braking() {
 
 proptest! {
     #[test]
-    fn accepted_policies_output_a_number(seen in any_observation(), seed: u64, exponent in 0..39_i32, layer in 0..3_usize) {
+    fn accepted_policies_output_a_number(seen in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);
         let layer = network.layers().nth(layer).unwrap();
-        let factor = 10.0_f32.powi(exponent);
+        let factor = 10.0_f32.powi(exp);
         network.parameters_mut()[layer.offset..layer.biases().end].iter_mut().for_each(|value| *value *= factor);
         match Policy::new(header, network) {
-            Ok(policy) => {
-                let raw = policy.packed.forward(&policy.header.observation.state(&seen), 1, &mut Workspace::default())[0];
+            Ok(valid) => {
+                let raw = valid.packed.forward(&valid.header.observation.state(&seen), 1, &mut Workspace::default())[0];
                 prop_assert!(raw.is_finite());
             }
-            Err(error) => prop_assert!(exponent > 30 && error.to_string().contains("overflow"), "{}", error),
+            Err(error) => prop_assert!(exp > 30 && error.to_string().contains("overflow"), "{}", error),
         }
     }
 }

@@ -111,7 +111,10 @@ pub enum RecordingError {
     #[error(transparent)]
     Map(Box<FileError>),
     /// A threshold outside its range.
-    #[error("min_brake_mps2: must be above 0 and at most {limit}, found {found}", limit = super::MAX_PLAUSIBLE_ACCEL_MPS2)]
+    #[error(
+        "min_brake_mps2: must be above 0 and at most {limit}, found {found}",
+        limit = super::MAX_PLAUSIBLE_ACCEL_MPS2
+    )]
     MinBrake {
         /// Threshold, in m/s².
         found: f64,

@@ -85,7 +85,8 @@ proptest! {
                 prop_assert_eq!(platoon.gap_ahead_m(index), written);
             }
         }
-        for episode in find_episodes(&recording, MinBrake::new(threshold).expect("in range"), LeaderSelection::Any).episodes {
+        let min_brake = MinBrake::new(threshold).expect("in range");
+        for episode in find_episodes(&recording, min_brake, LeaderSelection::Any).episodes {
             let scenario = episode.scenario("drawn".to_owned(), "a.csv").expect("valid");
             let row = usize::try_from(episode.line).expect("small") - 8;
             for (index, vehicle) in scenario.vehicles().iter().enumerate() {

@@ -92,7 +92,10 @@ impl FileDriver {
 }
 
 macro_rules! define_form {
-    (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }) => {
+    (
+        rules { $($(#[$doc:meta])* $rule:ident,)* }
+        policies { $($(#[$policy_doc:meta])* $policy:ident($known_by:ident),)* }
+    ) => {
         /// Flat form of [`Driver`] in files: an externally tagged name, which keeps line numbers in error messages.
         #[derive(Serialize, Deserialize)]
         #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -46,7 +46,8 @@ classes! {
         /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
         Light: ClassPreset { name: "light", length_m: 2.0, mass_kg: 1_500.0, max_brake_mps2: 7.5, max_accel_mps2: 3.0 };
         /// Truck: 15 m, brakes at up to 6 m/s², accelerates at up to 1.5 m/s², 15 000 kg.
-        Heavy: ClassPreset { name: "heavy", length_m: 15.0, mass_kg: 15_000.0, max_brake_mps2: 6.0, max_accel_mps2: 1.5 };
+        Heavy:
+            ClassPreset { name: "heavy", length_m: 15.0, mass_kg: 15_000.0, max_brake_mps2: 6.0, max_accel_mps2: 1.5 };
     }
 }
 

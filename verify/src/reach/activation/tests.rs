@@ -92,12 +92,13 @@ proptest! {
         }
         let inside = extremum_candidates(&each, line.slope).into_iter().filter(|&x| low < x && x < high);
         let off: Vec<f64> = inside.chain([low, high]).map(|x| evaluate(&each, x) - line.slope * x).collect();
-        let (least, most) = off.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &off| (a.min(off), b.max(off)));
+        let (least, most) = off.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
         let near = 1e-11 * (1.0 + line.slope.abs()) * (1.0 + low.abs().max(high.abs()));
         prop_assert!((line.low - least).abs() <= near && (line.high - most).abs() <= near, "{each:?} {line:?} {least} \
             {most}");
         let expected = expected_rounding(&each, low, high);
-        prop_assert!(line.rounding >= expected && line.rounding <= expected * (1.0 + 1e-5) + 2e-44, "{each:?} {line:?} {expected}");
+        let tight = expected..=expected * (1.0 + 1e-5) + 2e-44;
+        prop_assert!(tight.contains(&line.rounding), "{each:?} {line:?} {expected}");
         let chord = (evaluate(&each, high) - evaluate(&each, low)) / (high - low);
         let is_smooth = matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Elu(_));
         if high - low > 1e-3 && !is_smooth {
@@ -107,12 +108,14 @@ proptest! {
 
     #[test]
     fn bent_activations_have_a_kink_inside(
-        low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32, slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
+        low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32,
+        slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
     ) {
         let (low, high) = (f64::from(low), f64::from(low + width));
         let (least, most) = (f64::from(least), f64::from(least + between));
         let clip = Activation::Clip { low: vec![least], high: vec![most] };
-        for (each, kinks) in [(Activation::Relu, vec![0.0]), (Activation::LeakyRelu(slope), vec![0.0]), (clip, vec![least, most])] {
+        let leaky = Activation::LeakyRelu(slope);
+        for (each, kinks) in [(Activation::Relu, vec![0.0]), (leaky, vec![0.0]), (clip, vec![least, most])] {
             let is_bent = kinks.iter().any(|&kink| low < kink && kink < high);
             prop_assert_eq!(each.is_nonlinear_on(0, low, high), is_bent, "{:?} {} {}", each, low, high);
             let line = each.relaxation(0, low, high);
@@ -121,8 +124,9 @@ proptest! {
             prop_assert!(is_straight || is_bent, "{each:?} {line:?}");
         }
         prop_assert_eq!(Activation::Elu(0.5).is_nonlinear_on(0, low, high), low < 0.0);
-        prop_assert!(Activation::Tanh.is_nonlinear_on(0, low, high) && Activation::Sigmoid.is_nonlinear_on(0, low, high));
-        prop_assert!(!Activation::Add(vec![1.0]).is_nonlinear_on(0, low, high) && !Activation::Divide(vec![2.0]).is_nonlinear_on(0, low, high));
+        let is_bent = |each: Activation| each.is_nonlinear_on(0, low, high);
+        prop_assert!(is_bent(Activation::Tanh) && is_bent(Activation::Sigmoid));
+        prop_assert!(!is_bent(Activation::Add(vec![1.0])) && !is_bent(Activation::Divide(vec![2.0])));
     }
 
     #[test]

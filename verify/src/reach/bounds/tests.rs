@@ -63,7 +63,8 @@ proptest! {
             let own = column(NUMBERS, number).abs() + column(NUMBERS + 1, number).abs();
             let shared = [0, 1].map(|symbol| (0..NUMBERS).map(|i| slopes[i] * terms[i][symbol]).sum::<f64>());
             let apart: f64 = (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].radius()).sum();
-            let together = abs_sum(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SUM_REL_ERROR * apart;
+            let rests: f64 = (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum();
+            let together = abs_sum(&shared) + rests + 2.0 * SUM_REL_ERROR * apart;
             let bent = |by: f64| {
                 let radius = (by + own + rho[number]) * (1.0 + SUM_REL_ERROR);
                 (centre[number] - radius, centre[number] + radius)

@@ -30,7 +30,8 @@ proptest! {
     ) {
         let step = Interval::point(STEP_S);
         let members = EgoSet::from_speed(symbol_form(0, v, v + width), SHARED_SYMBOLS);
-        let profile = CommandProfile::from_steps(&members.ego, rates.len() as u32, step, |j, _| point_form(rates[j as usize]));
+        let steps = rates.len() as u32;
+        let profile = CommandProfile::from_steps(&members.ego, steps, step, |j, _| point_form(rates[j as usize]));
         let start = v + place * width;
         for j in 0..=rates.len() {
             let ego = profile.ego_after(&members, step, j as u32);
@@ -45,12 +46,12 @@ proptest! {
         let (_, before) = simulate_rates(start, &rates[..rates.len() - 1]);
         let last = rates[rates.len() - 1];
         let observed = if before == 0.0 && last <= 0.0 { 0.0 } else { last };
-        let holds = |form: &AffineForm, truth: f64| form.range().low() <= truth + 1e-12 && truth - 1e-12 <= form.range().high();
+        let holds = |form: &AffineForm, x: f64| form.range().low() <= x + 1e-12 && x - 1e-12 <= form.range().high();
         let is_in = |next: &EgoSet| {
             let VehicleState { distance, speed, acceleration } = &next.ego;
             holds(distance, x) && holds(speed, end) && holds(acceleration, observed)
         };
-        let next = profile.after_decision(&members, step, rates.len() as u32);
+        let next = profile.after_decision(&members, step, steps);
         prop_assert!(next.iter().flatten().any(is_in), "{x} {end} {observed} {next:?}");
         let acts = profile.accelerations_mps2();
         prop_assert!(rates.iter().all(|rate| acts.low() <= *rate && *rate <= acts.high()));

@@ -27,7 +27,8 @@ proptest! {
                 for (symbol, noise) in noise.iter().enumerate() {
                     let [distance, age] = [1.0, decay.powi(symbol as i32)];
                     let term = [distance * age, 0.1 * age, -0.01 * age][i % 3] + noise[i];
-                    form.add_scaled(&AffineForm::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0)), Interval::point(term));
+                    let own = AffineForm::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0));
+                    form.add_scaled(&own, Interval::point(term));
                 }
                 form
             })
@@ -37,8 +38,8 @@ proptest! {
             VehicleState { distance, speed, acceleration }
         });
         let follower = is_followed.then_some(follower);
-        let symbols = SHARED_SYMBOLS + MAX_SYMBOLS + 10;
-        let all = EgoSet { mode: MotionMode::Moving, ego, follower, first_own_symbol: SHARED_SYMBOLS, next_symbol: symbols };
+        let next_symbol = SHARED_SYMBOLS + MAX_SYMBOLS + 10;
+        let all = EgoSet { mode: MotionMode::Moving, ego, follower, first_own_symbol: SHARED_SYMBOLS, next_symbol };
         let fewer = all.clone().reduce_order();
         prop_assert!(fewer.next_symbol <= SHARED_SYMBOLS + REDUCED_SYMBOLS);
         prop_assert_eq!(fewer.ego.speed.centre(), all.ego.speed.centre());
@@ -71,10 +72,10 @@ proptest! {
     ) {
         let (h, [v1, u1]) = (0.1, [v0 + widths[0], u0 + widths[1]]);
         let (s, t) = (f64::from(every - 1) * h, f64::from(every) * h);
-        let wanted = symbol_form(1, u0, u1);
-        let [moving, standing] = egos_at_speed(symbol_form(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
-        let nears_a_limit = [v0 + u0 * s, v1 + u1 * s, v0 + u0 * t, v1 + u1 * t, u0, u1].into_iter().any(|x: f64| x.abs() < 1e-6);
-        prop_assume!(!nears_a_limit);
+        let goal = symbol_form(1, u0, u1);
+        let [moving, standing] = egos_at_speed(symbol_form(0, v0, v1)).after_decision(&goal, Interval::point(h), every);
+        let limits = [v0 + u0 * s, v1 + u1 * s, v0 + u0 * t, v1 + u1 * t, u0, u1];
+        prop_assume!(!limits.into_iter().any(|x: f64| x.abs() < 1e-6));
         prop_assert_eq!(moving.is_some(), v1 + u1 * s > 0.0 || u1 > 0.0);
         prop_assert_eq!(standing.is_some(), v0 + u0 * s <= 0.0 && u0 <= 0.0);
         let brake = (-u0).max(0.0);
@@ -83,7 +84,7 @@ proptest! {
             let free = |v: f64, u: f64| v * t + 0.5 * u * t * t;
             assert_bounds(moving.ego.distance.range(), [free(v0, u0), free(v1, u1) + 0.5 * reversing * h], 1e-10);
             assert_bounds(moving.ego.speed.range(), relu_range([v0 + u0 * t, v1 + u1 * t], -brake * h), 1e-10);
-            prop_assert_eq!(&moving.ego.acceleration, &wanted);
+            prop_assert_eq!(&moving.ego.acceleration, &goal);
             prop_assert_eq!(moving.mode, MotionMode::Moving);
         }
         if let Some(standing) = &standing {
@@ -108,14 +109,15 @@ proptest! {
     ) {
         let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
         let t = f64::from(steps) * 0.1;
-        let wanted = symbol_form(1, u0, u1);
-        let VehicleState { distance, speed, acceleration } = egos_at_speed(symbol_form(0, v0, v1)).ego_after(&wanted, Interval::point(0.1), steps);
+        let goal = symbol_form(1, u0, u1);
+        let after = egos_at_speed(symbol_form(0, v0, v1)).ego_after(&goal, Interval::point(0.1), steps);
+        let VehicleState { distance, speed, acceleration } = after;
         let [least, most] = [v0 + u0 * t, v1 + u1 * t];
         prop_assume!(least.abs() > 1e-6 && most.abs() > 1e-6);
         let free = [v0 * t + 0.5 * u0 * t * t, v1 * t + 0.5 * u1 * t * t + 0.5 * (-least).max(0.0) * t];
         assert_bounds(distance.range(), if most < 0.0 { [0.0, 0.5 * v1 * t] } else { free }, 1e-9);
         assert_bounds(speed.range(), relu_range([least, most], f64::NEG_INFINITY), 1e-10);
-        prop_assert_eq!(acceleration, wanted);
+        prop_assert_eq!(acceleration, goal);
     }
 
     /// The cost of a merged pair is the part of each outside their sum.

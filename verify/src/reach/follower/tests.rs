@@ -110,7 +110,7 @@ proptest! {
         let behind = law_follower(&law, AffineForm::default(), point_form(8.0), &start_gap);
         let box_of = [low, v, w].into_iter().zip(widths);
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
-        let forms: Vec<AffineForm> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
+        let forms: Vec<_> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
         let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
         let found = behind.acceleration(&seen);
         let form = behind.clamp_to_limits(&IDM.desired_acceleration(&seen, &behind.brake)).range();

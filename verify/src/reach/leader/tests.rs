@@ -35,7 +35,8 @@ proptest! {
     /// distance.
     #[test]
     fn a_leader_within_a_limit_is_where_the_forms_say(
-        v0 in 0.5..30.0_f64, width in 0.1..5.0_f64, b in 0.5..9.0_f64, every in 1..8_u32, decisions in 1..12_u32, at in 0..110_u32,
+        v0 in 0.5..30.0_f64, width in 0.1..5.0_f64, b in 0.5..9.0_f64, every in 1..8_u32, decisions in 1..12_u32,
+        at in 0..110_u32,
     ) {
         // Includes instants after the end, without correlations.
         let (steps, k) = (every * decisions, at % (every * decisions + 4));
@@ -58,7 +59,8 @@ proptest! {
         assert_bounds(distance.range(), [least + low, least + high], slack);
         // Three braking patterns: always, never, or from the middle on.
         let (stopping, later) = (braking_motion(v0, b, 0.5 * t), braking_motion(v1, b, 0.5 * t));
-        for (covered, then) in [braking_motion(v0, b, t), (v1 * t, v1), (0.5 * v1 * t + later.0, later.1), then_coast(stopping, t)] {
+        let later = (0.5 * v1 * t + later.0, later.1);
+        for (covered, then) in [braking_motion(v0, b, t), (v1 * t, v1), later, then_coast(stopping, t)] {
             prop_assert!(distance.range().low() - slack <= covered && covered <= distance.range().high() + slack);
             prop_assert!(speed.range().low() - slack <= then && then <= speed.range().high() + slack);
         }

@@ -60,7 +60,8 @@ proptest! {
         // A form widens a range by 10⁻¹² of its radius, which matters most at the lower end.
         let near = 1e-12 * (1.0 + more) / low;
         prop_assert!(is_near(slope, -1.0 / (low * high), near / high));
-        prop_assert!(is_near(middle, 0.5 * (at_ends + on_tangent), near) && is_near(off, 0.5 * (at_ends - on_tangent), near));
+        prop_assert!(is_near(middle, 0.5 * (at_ends + on_tangent), near));
+        prop_assert!(is_near(off, 0.5 * (at_ends - on_tangent), near));
     }
 
     /// The excess is (h - l)²/4 wide for positive members.
@@ -73,13 +74,15 @@ proptest! {
         let chord = (square(high) - square(low)) / width;
         let [least, most] = extremes(square, chord, [low, high], &[0.5 * chord]);
         prop_assert!(is_near(slope, chord, 1e-12 * (1.0 + chord)));
-        prop_assert!(is_near(middle, 0.5 * (least + most), 1e-11) && is_near(off, 0.5 * (most - least), 1e-11), "{least} {most}");
+        prop_assert!(is_near(middle, 0.5 * (least + most), 1e-11), "{least} {most}");
+        prop_assert!(is_near(off, 0.5 * (most - least), 1e-11), "{least} {most}");
     }
 
     /// The line is the chord, unless a level line is tighter; extremes are at the ends and at tangent points.
     #[test]
     fn a_hyperbolic_tangent_is_as_near_its_chord_as_can_be(
-        low in prop_oneof![-4.0..4.0_f64, -40.0..40.0_f64, Just(0.0)], width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],
+        low in prop_oneof![-4.0..4.0_f64, -40.0..40.0_f64, Just(0.0)],
+        width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],
     ) {
         let high = low + width;
         let (slope, off) = tanh_relaxation(low, high);
@@ -88,7 +91,8 @@ proptest! {
         let [least, most] = extremes(f64::tanh, chord, [low, high], &[-turn, turn]);
         let reach = 0.5 * (chord * width + most - least);
         if reach > 1.0 + 1e-9 {
-            prop_assert!(slope == 0.0 && is_near(off.low(), low.tanh(), 1e-12) && is_near(off.high(), high.tanh(), 1e-12));
+            prop_assert!(slope == 0.0 && is_near(off.low(), low.tanh(), 1e-12));
+            prop_assert!(is_near(off.high(), high.tanh(), 1e-12));
         } else if reach < 1.0 - 1e-9 {
             prop_assert!(is_near(slope, chord, 1e-12 / width));
             let near = 1e-11 * (1.0 + low.abs() + high.abs());
@@ -98,7 +102,8 @@ proptest! {
 
     #[test]
     fn exponentials_below_0_are_tightest_to_their_chord(
-        alpha in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64, -2.0..3.0_f64], low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
+        alpha in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64, -2.0..3.0_f64],
+        low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
     ) {
         let high = low + width;
         let (slope, off) = elu_relaxation(alpha, low, high);

@@ -52,8 +52,9 @@ proptest! {
     /// The enclosure of a box holds each member, and does not exceed the ranges of law and action.
     #[test]
     fn of_a_box_it_holds_every_member(
-        zone in 0.0..0.9_f64, ends in prop::array::uniform2(-1.0..=1.0_f64), gap in 3.0..60.0_f64, v in 1.0..29.0_f64, w in 0.0..30.0_f64,
-        widths in prop::array::uniform3(0.0..5.0_f64), places in prop::array::uniform4(0.0..=1.0_f64),
+        zone in 0.0..0.9_f64, ends in prop::array::uniform2(-1.0..=1.0_f64), gap in 3.0..60.0_f64, v in 1.0..29.0_f64,
+        w in 0.0..30.0_f64, widths in prop::array::uniform3(0.0..5.0_f64),
+        places in prop::array::uniform4(0.0..=1.0_f64),
     ) {
         let ends = [ends[0].min(ends[1]), ends[0].max(ends[1])];
         let from = [[gap, gap + widths[0]], [v, v + widths[1]], [w, w + widths[2]]];
@@ -62,7 +63,7 @@ proptest! {
         let at = |[low, high]: [f64; 2], place: f64| low + place * (high - low);
         let seen = std::array::from_fn(|i| at(from[i], places[i]));
         let truth = expected_acceleration(zone, at(ends, places[3]), seen);
-        let value = form.centre() + form.terms().iter().zip(places).map(|(term, place)| term * (2.0 * place - 1.0)).sum::<f64>();
+        let value = form.centre() + form.terms().iter().zip(places).map(|(t, p)| t * (2.0 * p - 1.0)).sum::<f64>();
         prop_assert!((truth - value).abs() <= form.rest() + 1e-9, "{truth} {value} {form:?}");
         prop_assert!(form.radius() < 12.0, "{form:?}");
     }

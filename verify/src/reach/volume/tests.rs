@@ -37,7 +37,8 @@ proptest! {
         let unit = 0.5_f64.powi(places);
         let [low, high] = [a.min(b), a.max(b)].map(|end| (end / unit).round() * unit);
         prop_assume!(low < high);
-        for [low, high] in [[low, high], [low.next_down(), high], [low, high.next_up()], [low.next_down(), high.next_up()]] {
+        let (below, above) = (low.next_down(), high.next_up());
+        for [low, high] in [[low, high], [below, high], [low, above], [below, above]] {
             let (middle, whole) = (0.5 * low + 0.5 * high, interval(low, high));
             for part in [interval(low, middle), interval(middle, high)] {
                 let (found, expected) = (part_share(share, part, whole), rational(share) * size(part) / size(whole));

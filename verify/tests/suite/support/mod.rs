@@ -169,28 +169,28 @@ fn interval_around(value: f64, width: f64) -> Interval {
 prop_compose! {
     /// Generates narrow scenes, half of them boxes, most of them with a follower.
     pub fn scenes(egos: usize)(
-        steps in 2..8_u32, step_s in prop::sample::select(vec![0.1, 0.25, 0.5]), width in prop_oneof![Just(0.0), 0.0..0.5],
-        leader in (0.0..20.0_f64, -8.0..2.0_f64, -8.0..2.0_f64),
+        steps in 2..8_u32, step_s in prop::sample::select(vec![0.1, 0.25, 0.5]),
+        width in prop_oneof![Just(0.0), 0.0..0.5], leader in (0.0..20.0_f64, -8.0..2.0_f64, -8.0..2.0_f64),
         spaced in prop::collection::vec((0.1..12.0_f64, 0.0..25.0_f64, 0.0..9.0_f64, 0.0..3.0_f64), egos),
         follower in prop::option::weighted(0.8, (0.1..15.0_f64, 5.0..30.0_f64, 1.0..8.0_f64, 0.0..3.0_f64, 0..3_u32)),
     ) -> Scene {
         let mut bumper = -2.0;
-        let speed = |v: f64| interval_around(v + width / 2.0, width);
+        let around = |middle: f64| interval_around(middle, width);
+        let speed = |v: f64| around(v + width / 2.0);
         let egos: Vec<SceneEgo> = spaced.into_iter().map(|(gap, v, max_brake_mps2, max_accel_mps2)| {
-            let position_m = bumper - gap;
-            bumper = position_m - 3.0;
-            SceneEgo { position_m: interval_around(position_m, width), length_m: 3.0, speed_mps: speed(v), max_brake_mps2, max_accel_mps2 }
+            let position_m = around(bumper - gap);
+            bumper = bumper - gap - 3.0;
+            SceneEgo { position_m, length_m: 3.0, speed_mps: speed(v), max_brake_mps2, max_accel_mps2 }
         }).collect();
         Scene {
             step_s, steps,
             leader: SceneLeader {
-                position_m: interval_around(0.0, width), length_m: 2.0, speed_mps: speed(leader.0),
-                acceleration_mps2: vec![ConstantPiece(1, interval_around(leader.1, width)), ConstantPiece(steps - 1, interval_around(leader.2, width))],
+                position_m: around(0.0), length_m: 2.0, speed_mps: speed(leader.0),
+                acceleration_mps2: vec![ConstantPiece(1, around(leader.1)), ConstantPiece(steps - 1, around(leader.2))],
             },
             egos,
             follower: follower.map(|(gap, v, brake, ttc_s, reaction_steps)| SceneFollower {
-                position_m: interval_around(bumper - gap, width), speed_mps: speed(v), brake_mps2: interval_around(brake, width),
-                ttc_s, reaction_steps,
+                position_m: around(bumper - gap), speed_mps: speed(v), brake_mps2: around(brake), ttc_s, reaction_steps,
             }),
         }
     }

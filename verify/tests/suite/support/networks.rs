@@ -213,8 +213,8 @@ fn network_file(controller: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
     let text = json!({
         "version": 1, "source": controller.source, "inputs": inputs, "steps": steps,
         "output": {
-            "answer": controller.output_index, "scale_mps2": controller.scale_mps2, "offset_mps2": controller.offset_mps2,
-            "low_mps2": low_mps2, "high_mps2": high_mps2,
+            "answer": controller.output_index, "scale_mps2": controller.scale_mps2,
+            "offset_mps2": controller.offset_mps2, "low_mps2": low_mps2, "high_mps2": high_mps2,
         },
         "empty_gap_m": controller.empty_gap_m, "decision_interval_s": controller.decision_interval_s,
     });

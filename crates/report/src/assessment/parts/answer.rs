@@ -309,7 +309,10 @@ impl ReportPart for FirstPage {
         let sides = [("Evidence against it", &self.against), ("Evidence for it", &self.speaks_for)];
         out.push_html(html! {
             div.sides { @for (title, lines) in sides {
-                div { h3 { (title) } ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { "none" } } } }
+                div {
+                    h3 { (title) }
+                    ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { "none" } } }
+                }
             } }
             @if let Some(sides) = &self.both_sides_figure {
                 h3 { "Safety and usefulness of each controller" }
@@ -320,7 +323,9 @@ impl ReportPart for FirstPage {
             @if !self.worst_failures.is_empty() {
                 h3 { "Severest failures" }
                 div.worst { @for cases in &self.worst_failures { @for case in &cases.cases {
-                    figure { (cases.figure(case)) figcaption { (case.verdict.describe()) " · " (cases.replay_html(case)) } }
+                    figure {
+                        (cases.figure(case)) figcaption { (case.verdict.describe()) " · " (cases.replay_html(case)) }
+                    }
                 } } }
             }
             h3 { "Assumptions" }

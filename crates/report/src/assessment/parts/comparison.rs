@@ -80,7 +80,10 @@ pub enum ComparisonError {
         problem: String,
     },
     /// The file has another format version.
-    #[error("{}: version: {found} is not supported; this release compares with version {EVIDENCE_VERSION}", path.display())]
+    #[error(
+        "{}: version: {found} is not supported; this release compares with version {EVIDENCE_VERSION}",
+        path.display()
+    )]
     Version {
         /// Path of the file.
         path: PathBuf,

@@ -77,8 +77,8 @@ fn draw_map_cells(map: &FailureMap, frame: PixelRect) -> Markup {
         @for kind in MapCell::ALL {
             (draw::draw_cells(cell_style(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
         }
-        path d=(boundary_path(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(BOUNDARY_WIDTH)
-            stroke-linecap="square" {}
+        path d=(boundary_path(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex())
+            stroke-width=(BOUNDARY_WIDTH) stroke-linecap="square" {}
     }
 }
 

@@ -485,7 +485,8 @@ impl FailureSearch {
                 p { (prose_to_html(&self.describe_effort())) }
                 @if !self.failures.is_empty() {
                     (self.table().to_html())
-                    ul { @for command in self.failures.iter().flat_map(DistinctFailure::commands) { li { code { (command) } } } }
+                    @let commands = self.failures.iter().flat_map(DistinctFailure::commands);
+                    ul { @for command in commands { li { code { (command) } } } }
                 }
                 @if let Some(command) = &self.command { p { "Search again: " code { (command) } } }
                 @if !self.drawn_cases.is_empty() {

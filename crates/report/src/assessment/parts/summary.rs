@@ -298,7 +298,13 @@ impl ReportPart for ClaimSummary {
         out.paragraph(LEGEND);
         out.table(&self.table());
         out.push_html(html! {
-            details { summary { "rules from evidence to claims" } ul { li { (InferenceRule::Direct.describe()) } @for rule in InferenceRule::DERIVED { li { (rule.describe()) } } } }
+            details {
+                summary { "rules from evidence to claims" }
+                ul {
+                    li { (InferenceRule::Direct.describe()) }
+                    @for rule in InferenceRule::DERIVED { li { (rule.describe()) } }
+                }
+            }
         });
     }
 }

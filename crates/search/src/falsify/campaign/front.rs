@@ -127,7 +127,7 @@ mod tests {
         /// The front equals that of a brute-force search, for any order, ties and infinities.
         #[test]
         fn the_front_is_that_of_brute_force(found in prop::collection::vec((0..9_i8, 0..9_i8, 0..3_i8), 1..60)) {
-            let candidates: Vec<FailureCandidate> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| FailureCandidate {
+            let candidates: Vec<_> = found.iter().zip(1..).map(|(&(deep, likely, far), number)| FailureCandidate {
                 method: Method::Uniform,
                 number,
                 values: Vec::new(),

@@ -100,7 +100,10 @@ mod tests {
         fn failures_come_first_and_are_ordered_by_the_aim(
             safe in 0.0..100.0f64,
             deep in [-50.0..-1e-9f64, -50.0..-1e-9],
-            likely in [prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64], prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64]],
+            likely in [
+                prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64],
+                prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64],
+            ],
             far in [0.0..1.0f64, 0.0..1.0],
         ) {
             let [one, other] = [0, 1].map(|i| evaluated(deep[i], likely[i], far[i]));
@@ -108,9 +111,10 @@ mod tests {
                 prop_assert_eq!(aim.name().parse::<SearchObjective>(), Ok(aim));
                 prop_assert!(aim.cost(&one) < aim.cost(&evaluated(safe, likely[0], far[0])));
             }
-            prop_assert_eq!(SearchObjective::Severest.cost(&one) < SearchObjective::Severest.cost(&other), deep[0] < deep[1]);
-            prop_assert_eq!(SearchObjective::Nearest.cost(&one) < SearchObjective::Nearest.cost(&other), far[0] < far[1]);
-            prop_assert_eq!(SearchObjective::Likeliest.cost(&one) < SearchObjective::Likeliest.cost(&other), likely[0] > likely[1]);
+            let is_first = |aim: SearchObjective| aim.cost(&one) < aim.cost(&other);
+            prop_assert_eq!(is_first(SearchObjective::Severest), deep[0] < deep[1]);
+            prop_assert_eq!(is_first(SearchObjective::Nearest), far[0] < far[1]);
+            prop_assert_eq!(is_first(SearchObjective::Likeliest), likely[0] > likely[1]);
         }
     }
 }

@@ -91,9 +91,9 @@ mod tests {
         #[test]
         fn closed_forms_are_the_largest_closing(v in 0.0..40.0_f64, w in 0.0..40.0_f64, b in 0.5..10.0_f64,
                                                 c in 0.5..10.0_f64, a in -10.0..4.0_f64, dt in 0.01..2.0_f64) {
-            let until_standstill_s = (v / b).max(w / c) + 0.01;
+            let standstill_s = (v / b).max(w / c) + 0.01;
             for (rate, horizon_s, claimed) in [
-                (-b, until_standstill_s, ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
+                (-b, standstill_s, ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
                 (a, dt, max_closing_m(v, a, w, c, dt)),
             ] {
                 let closing = |t: f64| distance_and_speed_after(v, rate, t)[0] - distance_and_speed_after(w, -c, t)[0];

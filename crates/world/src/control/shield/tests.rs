@@ -67,7 +67,9 @@ prop_compose! {
         (response, wanted) in (0.0..1.0_f64, prop_oneof![0.0..1.0_f64, 0.0..0.2_f64]),
     ) -> (ShieldParams, ShieldState, f64) {
         let noise_mps2 = noise_share * brake_mps2;
-        let frame = ShieldParams { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, response_fraction: share, ..slow_step_params() };
+        let frame = ShieldParams {
+            step_s, brake_mps2, ahead_brake_mps2, noise_mps2, response_fraction: share, ..slow_step_params()
+        };
         let between = |part: f64| -brake_mps2 + part * (brake_mps2 + frame.accel_mps2);
         let ahead_mps = near.map_or(ahead_mps, |by| (speed_mps + by).max(0.0));
         let response_mps2 = if share < 1.0 { between(response) } else { 0.0 };

@@ -291,7 +291,7 @@ mod tests {
             let signals = signals(&x, &y);
             let over_time = formula.robustness_over_time(&signals).unwrap();
             for (k, &value) in over_time.iter().enumerate() {
-                prop_assert_eq!(value, naive_robustness(&formula, &signals, k).unwrap(), "sample {} of {}", k, &formula);
+                prop_assert_eq!(value, naive_robustness(&formula, &signals, k).unwrap(), "sample {} of {}", k, formula);
             }
             prop_assert_eq!(formula.robustness(&signals).unwrap(), over_time[0]);
         }
@@ -299,7 +299,8 @@ mod tests {
         #[test]
         fn truth_is_the_sign_of_robustness((x, y) in trace(), formula in formula()) {
             let signals = signals(&x, &y);
-            let (robustness, satisfied) = (formula.robustness(&signals).unwrap(), formula.is_satisfied(&signals).unwrap());
+            let robustness = formula.robustness(&signals).unwrap();
+            let satisfied = formula.is_satisfied(&signals).unwrap();
             prop_assert!(robustness == 0.0 || satisfied == (robustness > 0.0));
             let negated = Formula::Not(Box::new(formula));
             prop_assert_eq!(negated.is_satisfied(&signals).unwrap(), !satisfied);

@@ -35,7 +35,10 @@ const STEADY: &str = include_str!("built_in/steady.toml");
 #[non_exhaustive]
 pub enum FindSpaceError {
     /// Neither a built-in space nor a file.
-    #[error("`{name}` is neither a built-in space ({}) nor a file", BUILT_IN_SPACES.map(|(known, ..)| known).join(", "))]
+    #[error(
+        "`{name}` is neither a built-in space ({}) nor a file",
+        BUILT_IN_SPACES.map(|(known, ..)| known).join(", ")
+    )]
     Name {
         /// The name.
         name: String,

@@ -135,7 +135,9 @@ fn draws_have_the_density_that_is_stated() {
 proptest! {
     /// Any uniform numbers, ends included, map to a point of the space.
     #[test]
-    fn every_corner_of_the_cube_is_a_point(u in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 3)) {
+    fn every_corner_of_the_cube_is_a_point(
+        u in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 3),
+    ) {
         let space = space(SPACE).unwrap();
         let point = space.quantile(&u);
         prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{point:?}");

@@ -376,7 +376,7 @@ mod tests {
             let below: f64 = (0..whole).map(cell).sum::<f64>() + (place - whole as f64) * cell(whole);
             prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
             prop_assert!((marginal.cdf(at) - u).abs() < 1e-8);
-            let point = if let CoordinateMarginal::PointMass { probability: share, .. } = &marginal { *share } else { 0.0 };
+            let point = if let CoordinateMarginal::PointMass { probability: p, .. } = &marginal { *p } else { 0.0 };
             let is_choice = matches!(marginal, CoordinateMarginal::Choice { .. });
             let off = marginal.cdf_of_value(marginal.value(at)) - u;
             prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");

@@ -172,7 +172,8 @@ proptest! {
     #[test]
     fn far_away_changes_nothing(time_s in 0.0..5.0_f64, leaves in any::<bool>(), brake_mps2 in 1.0..7.0_f64) {
         let line = |far: Option<VehicleSpec>| {
-            let near = [scripted_vehicle(40.0, 20.0, brake_profile(2.0, brake_mps2)), controlled_vehicle(10.0, 20.0, "idm"), controlled_vehicle(-20.0, 20.0, "acc-aeb")];
+            let ahead = scripted_vehicle(40.0, 20.0, brake_profile(2.0, brake_mps2));
+            let near = [ahead, controlled_vehicle(10.0, 20.0, "idm"), controlled_vehicle(-20.0, 20.0, "acc-aeb")];
             scenario(far.into_iter().chain(near).collect(), 6.0)
         };
         let change = LaneChange::At(time_s);
@@ -196,7 +197,8 @@ proptest! {
             scenario([steady_vehicle(500.0, 20.0)].into_iter().chain(twins).chain(rest).collect(), 8.0)
         };
         let change = LaneChange::At(time_s);
-        let (one, two) = (run(&line(vec![twin()])), run(&line(vec![with_exit(twin(), change), with_entry(twin(), change)])));
+        let both = vec![with_exit(twin(), change), with_entry(twin(), change)];
+        let (one, two) = (run(&line(vec![twin()])), run(&line(both)));
         prop_assert_eq!(&tracks(&two)[3..], &tracks(&one)[2..]);
     }
 
@@ -204,7 +206,8 @@ proptest! {
     #[test]
     fn a_vehicle_that_leaves_changes_nothing_ahead(time_s in 0.0..5.0_f64, brake_mps2 in 1.0..7.0_f64) {
         let line = |last: VehicleSpec| {
-            scenario(vec![scripted_vehicle(40.0, 20.0, brake_profile(1.0, brake_mps2)), controlled_vehicle(10.0, 20.0, "idm"), last], 6.0)
+            let ahead = scripted_vehicle(40.0, 20.0, brake_profile(1.0, brake_mps2));
+            scenario(vec![ahead, controlled_vehicle(10.0, 20.0, "idm"), last], 6.0)
         };
         let last = || steady_vehicle(-100.0, 20.0);
         let (stays, leaves) = (run(&line(last())), run(&line(with_exit(last(), LaneChange::At(time_s)))));
@@ -214,8 +217,8 @@ proptest! {
     /// Results do not depend on the integration step, and measures of the trace equal those of the engine.
     #[test]
     fn steps_do_not_matter(
-        enters in any_lane_change(), leaves in prop::option::of(any_lane_change()), place_m in -20.0..60.0_f64, speed_mps in 10.0..30.0_f64,
-        brakes_mps2 in prop::array::uniform3(0.0..7.0_f64), goes_on in any::<bool>(),
+        enters in any_lane_change(), leaves in prop::option::of(any_lane_change()), place_m in -20.0..60.0_f64,
+        speed_mps in 10.0..30.0_f64, brakes_mps2 in prop::array::uniform3(0.0..7.0_f64), goes_on in any::<bool>(),
     ) {
         let mut cutter = scripted_vehicle(place_m, speed_mps, brake_profile(2.0, brakes_mps2[1]));
         (cutter.enters, cutter.leaves) = (Some(enters), leaves);
@@ -251,7 +254,8 @@ proptest! {
             let measured_m = LeadMeasures::from_trace(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
             let gaps_m = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
             prop_assert!(close(gaps_m[0], gaps_m[1]), "vehicle {index}: {gaps_m:?}");
-            prop_assert!(InducedBraking::from_trace(trace, &coarse.impacts, index).is_none_or(|induced| induced.peak_brake_mps2 < Some(31.0)));
+            let induced = InducedBraking::from_trace(trace, &coarse.impacts, index);
+            prop_assert!(induced.is_none_or(|induced| induced.peak_brake_mps2 < Some(31.0)));
         }
     }
 }

@@ -32,7 +32,7 @@ macro_rules! define {
             pub(super) fn new(drivers: Vec<VehicleController<&'s LeadProfile>>) -> Self {
                 /// Returns the sorted drivers if all match the pattern; otherwise evaluates to the unchanged drivers.
                 macro_rules! unless_all {
-                    ($drivers:ident, $pattern:pat => $driver:ident, $all:ident => $sorted:expr) => {
+                    ($drivers:ident, $pattern:pat => $driver:expr, $all:ident => $sorted:expr) => {
                         match all_of_kind(
                             $drivers,
                             #[allow(unused_variables)]
@@ -49,11 +49,12 @@ macro_rules! define {
                 }
                 use VehicleController::{Controller as C, Profile as P};
                 let drivers = unless_all!(drivers, P(one) => one, all => Self::Profile(ScriptedLeaders::new(all)));
-                let drivers = unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
+                let drivers =
+                    unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
                 let drivers = unless_all!(drivers, C(AnyController::Network(one)) => one, all => Self::Network(all));
-                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => one, all => Self::Process(all.into_iter().map(|one| *one).collect()));
+                let drivers = unless_all!(drivers, C(AnyController::Process(one)) => *one, all => Self::Process(all));
                 let drivers = unless_all!(drivers, C(AnyController::Custom(one)) => one, all => Self::Custom(all));
                 Self::Mixed(drivers)
             }

@@ -183,7 +183,7 @@ prop_compose! {
             prop::array::uniform2(prop_oneof![4 => 0.0..40.0_f64, 1 => Just(0.0)]),
         ],
         friction in prop_oneof![Just(1.0), 0.2..1.0_f64, 0.2..0.5_f64],
-        step_s in prop_oneof![2 => Just(100), 1 => 10..100_u32, 1 => 1..10_u32].prop_map(|parts| 0.01 / f64::from(parts)),
+        step_s in prop_oneof![2 => Just(100), 1 => 10..100_u32, 1 => 1..10_u32].prop_map(|n| 0.01 / f64::from(n)),
         substeps in prop_oneof![2 => Just(1), 1 => 2..4_u32],
         spare_m in prop_oneof![Just(2e-3), 2e-3..5.0_f64],
         onset_s in 0.0..4.0_f64,
