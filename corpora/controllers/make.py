@@ -1,11 +1,11 @@
-"""Makes the networks of this folder, and what onnxruntime and Stable-Baselines3 answer with them.
+"""Generates the networks of this folder, with their outputs in onnxruntime and Stable-Baselines3.
 
-    python make.py networks      # ONNX, by numpy, onnx, onnxruntime
-    python make.py models        # models of Stable-Baselines3, by torch, stable-baselines3
-    python make.py normalised    # one behind VecNormalize and its statistics, likewise
+    python make.py networks      # ONNX networks; needs numpy, onnx, onnxruntime
+    python make.py models        # models of Stable-Baselines3; needs torch, stable-baselines3
+    python make.py normalised    # a model with VecNormalize and its statistics; needs the same
     python make.py oracle DIR    # 100 000 observations of each, for the ignored test `networks_agree_with_their_makers`
 
-README.md says with which versions the committed files were made.
+README.md lists the versions that generated the committed files.
 """
 
 import json
@@ -19,11 +19,11 @@ HERE = pathlib.Path(__file__).parent
 FEW, MANY = 16, 100_000
 
 
-# ONNX ---------------------------------------------------------------------------------------------------------------------
+# ONNX -----------------------------------------------------------------------------------------------------------------
 
 
 class Graph:
-    """A straight chain, node after node."""
+    """Graph of ONNX nodes in a chain."""
 
     def __init__(self, shape, kind=np.float32, seed=0):
         self.shape, self.kind = shape, kind
@@ -45,12 +45,12 @@ class Graph:
     def then(self, operator, *inputs, **attributes):
         from onnx import helper
 
-        after = f"h{len(self.nodes)}"
+        name = f"h{len(self.nodes)}"
         inputs = [self.now if name is None else name for name in inputs or (None,)]
         self.nodes.append(
-            helper.make_node(operator, inputs, [after], name=f"{operator}_{len(self.nodes)}", **attributes)
+            helper.make_node(operator, inputs, [name], name=f"{operator}_{len(self.nodes)}", **attributes)
         )
-        self.now = after
+        self.now = name
         return self
 
     def weights(self, inputs, outputs):
@@ -81,7 +81,7 @@ class Graph:
 
 
 def reference():
-    """crumple's own reference policy: three layers of 64, rectified, and tanh."""
+    """Converts crumple's reference policy: three layers of 64 with ReLU, and tanh."""
     raw = (HERE / "../policy/reference.safetensors").read_bytes()
     (size,) = struct.unpack("<Q", raw[:8])
     header, data = json.loads(raw[8 : 8 + size]), raw[8 + size :]
@@ -98,13 +98,16 @@ def reference():
 
 
 def imitation(is_old):
-    """An adaptive cruise controller of the shape of the ARCH benchmark: 5 layers of 20 on (set speed, time gap, own speed,
-    distance, relative speed), less 1 each. It imitates a law by least squares on its last layer, so that it drives."""
+    """Returns an adaptive cruise controller with the architecture of the ARCH benchmark.
+
+    Five layers of 20 follow the inputs (set speed, time gap, own speed, distance, relative speed), each minus 1. Least
+    squares on the last layer imitate an expert policy.
+    """
     rng = np.random.default_rng(20)
     n = 20_000
     speed, gap, relative = rng.uniform(0, 36, n), rng.uniform(0, 160, n), rng.uniform(-12, 12, n)
     seen = np.stack([np.full(n, 30.0), np.full(n, 1.4), speed, gap, relative], 1)
-    law = np.minimum(0.4 * (30.0 - speed), 0.25 * (gap - 10.0 - 1.4 * speed) + 0.9 * relative).clip(-7.5, 3.0)
+    expert = np.minimum(0.4 * (30.0 - speed), 0.25 * (gap - 10.0 - 1.4 * speed) + 0.9 * relative).clip(-7.5, 3.0)
     scale = np.array([30.0, 1.4, 18.0, 80.0, 6.0])
     h, layers = (seen - 1.0).astype(np.float64), []
     for index, (width, before) in enumerate([(20, 5)] + [(20, 20)] * 4):
@@ -113,7 +116,7 @@ def imitation(is_old):
         b = rng.normal(0, 0.3, width)
         layers.append((w, b))
         h = np.maximum(h @ w + b, 0)
-    last, *_ = np.linalg.lstsq(np.c_[h, np.ones(n)], law, rcond=None)
+    last, *_ = np.linalg.lstsq(np.c_[h, np.ones(n)], expert, rcond=None)
     layers.append((last[:-1, None], last[-1:]))
     g = Graph([1, 1, 1, 5] if is_old else [1, 5])
     g.then("Sub", None, g.constant(np.ones((1, 1, 1, 5) if is_old else 5)))
@@ -125,7 +128,7 @@ def imitation(is_old):
 
 
 def shapes():
-    """Ten networks of ten shapes; each with its number of inputs."""
+    """Yields the name, the number of inputs and the file of ten networks with different architectures."""
     g = Graph(["N", 8], seed=1)
     g.gemm(8, 33, transB=1).then("Tanh").gemm(33, 17, transB=1).then("Tanh").gemm(17, 1, transB=1).then("Tanh")
     yield "tanh-33-17", 8, g.bytes(13, ["N", 1])
@@ -166,11 +169,12 @@ def shapes():
 
 
 def observations(count, inputs):
+    """Returns random observations."""
     return (np.random.default_rng(inputs + count).normal(0, 1, (count, inputs)) * 2).astype(np.float32)
 
 
-def asked(model, seen):
-    """What onnxruntime answers; where the batch is fixed, one observation at a time."""
+def onnx_answers(model, seen):
+    """Returns the outputs of onnxruntime; evaluates observations singly if the batch size is fixed."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
@@ -182,30 +186,31 @@ def asked(model, seen):
 
 
 def write_expected(file, pairs):
-    """Observations and answers, in full."""
+    """Writes observations and answers with all digits."""
     path = HERE / file
     rounded = {name: {"inputs": x.tolist(), "answers": y.astype(np.float64).tolist()} for name, (x, y) in pairs.items()}
     path.write_text(json.dumps(rounded, separators=(",", ":")).replace('},"', '},\n"') + "\n")
 
 
 def networks():
+    """Writes the ONNX networks."""
     (HERE / "reference.onnx").write_bytes(reference())
     (HERE / "acc-5x20.onnx").write_bytes(imitation(is_old=True))
     pairs = {}
     seen = observations(FEW, 5) * [1, 0.1, 9, 40, 3] + np.float32([30, 1.4, 18, 80, 0])
     seen = seen.astype(np.float32)
-    pairs["acc-5x20.onnx"] = seen, asked(imitation(is_old=False), seen)
+    pairs["acc-5x20.onnx"] = seen, onnx_answers(imitation(is_old=False), seen)
     for name, inputs, model in shapes():
         (HERE / f"{name}.onnx").write_bytes(model)
-        pairs[f"{name}.onnx"] = observations(FEW, inputs), asked(model, observations(FEW, inputs))
+        pairs[f"{name}.onnx"] = observations(FEW, inputs), onnx_answers(model, observations(FEW, inputs))
     write_expected("networks.json", pairs)
 
 
-# Stable-Baselines3 --------------------------------------------------------------------------------------------------------
+# Stable-Baselines3 ----------------------------------------------------------------------------------------------------
 
 
-def trained():
-    """Five models, trained a little, of an environment in which a cart is to keep its place."""
+def untrained_models():
+    """Yields the name, the model and the training steps of six models for a small environment."""
     import gymnasium
     import torch
     from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
@@ -237,8 +242,9 @@ def trained():
 
 
 def models():
+    """Writes the models of Stable-Baselines3."""
     pairs = {}
-    for name, model, steps in trained():
+    for name, model, steps in untrained_models():
         model.learn(steps)
         model.save(HERE / f"{name}.zip")
         seen = observations(FEW, 8)
@@ -247,7 +253,7 @@ def models():
 
 
 def normalised():
-    """A model behind VecNormalize, without what is of no use here, its statistics, and those of one that normalised rewards alone."""
+    """Writes a model with VecNormalize, without unused parts, and its statistics with and without observations."""
     import zipfile
 
     import gymnasium
@@ -300,17 +306,18 @@ def normalised():
     quantities = ["gap_ahead_m", "speed_mps", "relative_speed_ahead_mps"]
     text = 'version = 1\nnetwork = "ppo.zip"\ndecision_interval_s = 0.1\nnormalised = true\n'
     for quantity, mean, variance in zip(quantities, env.obs_rms.mean, env.obs_rms.var):
-        text += f'\n[[inputs]]\nquantity = "{quantity}"\noffset = {float(mean)}\nscale = {float(np.sqrt(variance + env.epsilon))}\n'
+        scale = float(np.sqrt(variance + env.epsilon))
+        text += f'\n[[inputs]]\nquantity = "{quantity}"\noffset = {float(mean)}\nscale = {scale}\n'
         text += f"low = {-env.clip_obs}\nhigh = {env.clip_obs}\n"
     text += "\n[output]\nscale_mps2 = 3.0\noffset_mps2 = -1.0\nlow_mps2 = -4.0\nhigh_mps2 = 2.0\n"
     (folder / "ppo.toml").write_text(text)
 
 
-# Measuring ----------------------------------------------------------------------------------------------------------------
+# Oracle ---------------------------------------------------------------------------------------------------------------
 
 
 def oracle(folder):
-    """Raw observations and answers of single precision beside a copy of each network."""
+    """Writes observations and answers in single precision beside a copy of each network."""
     from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -323,7 +330,7 @@ def oracle(folder):
 
     for name, inputs, model in shapes():
         seen = observations(MANY, inputs)
-        put(f"{name}.onnx", seen, asked(model, seen))
+        put(f"{name}.onnx", seen, onnx_answers(model, seen))
     for name, kind in kinds.items():
         seen = observations(10_000, 8)
         put(f"{name}.zip", seen, kind.load(HERE / f"{name}.zip").predict(seen, deterministic=True)[0])

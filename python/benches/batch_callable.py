@@ -65,7 +65,7 @@ def main():
     )
     for name, taken, found in (("inside crumple", inside, of_inside), ("batch callable", python, of_python)):
         failures = found.summary["methods"][0]["failures"]
-        print(f"{name}: {taken:.2f} s of the processor, {failures} failures of {found.summary['evaluations']}")
+        print(f"{name}: {taken:.2f} s of processor time, {failures} failures of {found.summary['evaluations']}")
     print(f"ratio {python / inside:.2f}")
 
 

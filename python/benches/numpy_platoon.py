@@ -1,6 +1,6 @@
 """Vector environment of three vehicles in plain NumPy, as a reference for speed.
 
-It is simpler: no noise, no filter, no time of collision within a step, uniform distributions, and no checks.
+Simpler than crumple's: no noise, no filter, no time of collision within a step, uniform distributions, and no checks.
 """
 
 import numpy as np
@@ -45,25 +45,25 @@ class NumpyPlatoon:
 
     def step(self, actions):
         """Makes ten steps of the simulator."""
-        wanted = -2.25 + 5.25 * actions[:, 0]
-        touched = np.zeros(self.num_envs, bool)
+        command = -2.25 + 5.25 * actions[:, 0]
+        collided = np.zeros(self.num_envs, bool)
         for _ in range(STEPS):
             gaps = self.position[:, :-1] - LENGTH_M - self.position[:, 1:]
             closing = self.speed[:, 2] - self.speed[:, 1]
             self.fired |= (closing > 0) & (gaps[:, 1] < 1.5 * closing)
             self.acceleration[:, 0] = np.where(self.time >= self.brakes_at, -self.brakes_with, 0.0)
-            self.acceleration[:, 1] = wanted
+            self.acceleration[:, 1] = command
             self.acceleration[:, 2] = np.where(self.fired, -7.5, 0.0)
             speed = np.maximum(self.speed + STEP_S * self.acceleration, 0.0)
             self.position += 0.5 * STEP_S * (self.speed + speed)
             self.speed = speed
             self.time += STEP_S
-            touched |= (self.position[:, :-1] - LENGTH_M <= self.position[:, 1:]).any(axis=1)
-        rewards = np.where(touched, -20.0, 1.0)
+            collided |= (self.position[:, :-1] - LENGTH_M <= self.position[:, 1:]).any(axis=1)
+        rewards = np.where(collided, -20.0, 1.0)
         late = self.time >= 15.0
         states = self.observe()
-        over = touched | late
+        over = collided | late
         if over.any():
             self.reset_masked(over)
             states = self.observe()
-        return states, rewards, touched, late, {}
+        return states, rewards, collided, late, {}

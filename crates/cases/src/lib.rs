@@ -1,6 +1,6 @@
 //! Number of cases of every property test in the workspace.
 //!
-//! `PROPTEST_CASES` scales all tests together. `cargo test` reads 64 from `.cargo/config.toml`, `.ci/run` sets 256.
+//! `PROPTEST_CASES` scales all tests together. `.cargo/config.toml` sets 64, `.ci/nightly` 2560.
 
 use proptest::test_runner::Config;
 

@@ -67,8 +67,8 @@ class EpisodeRenderer:
         rows = high_m - (np.arange(height) + 0.5) / height * (high_m - low_m)
         for index, length_m in enumerate(lengths_m):
             front_m = np.interp(sample_positions, np.arange(samples), trajectories_m[:, index])
-            least_m = max(float(length_m), 1.5 * (high_m - low_m) / height)
-            is_inside = (rows[:, None] <= front_m) & (rows[:, None] > front_m - least_m)
+            visible_m = max(float(length_m), 1.5 * (high_m - low_m) / height)
+            is_inside = (rows[:, None] <= front_m) & (rows[:, None] > front_m - visible_m)
             band = is_inside & (sample_positions <= samples - 1)
             inner[band] = _COLOURS[index % len(_COLOURS)]
         picture[-_MARGIN, _MARGIN:-_MARGIN] = _INK
