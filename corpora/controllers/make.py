@@ -106,10 +106,10 @@ def imitation(is_old):
     rng = np.random.default_rng(20)
     n = 20_000
     speed, gap, relative = rng.uniform(0, 36, n), rng.uniform(0, 160, n), rng.uniform(-12, 12, n)
-    seen = np.stack([np.full(n, 30.0), np.full(n, 1.4), speed, gap, relative], 1)
+    samples = np.stack([np.full(n, 30.0), np.full(n, 1.4), speed, gap, relative], 1)
     expert = np.minimum(0.4 * (30.0 - speed), 0.25 * (gap - 10.0 - 1.4 * speed) + 0.9 * relative).clip(-7.5, 3.0)
     scale = np.array([30.0, 1.4, 18.0, 80.0, 6.0])
-    h, layers = (seen - 1.0).astype(np.float64), []
+    h, layers = (samples - 1.0).astype(np.float64), []
     for index, (width, before) in enumerate([(20, 5)] + [(20, 20)] * 4):
         w = rng.normal(0, np.sqrt(2 / before), (before, width))
         w = w / scale[:, None] if index == 0 else w
@@ -173,7 +173,7 @@ def observations(count, inputs):
     return (np.random.default_rng(inputs + count).normal(0, 1, (count, inputs)) * 2).astype(np.float32)
 
 
-def onnx_answers(model, seen):
+def onnx_answers(model, samples):
     """Returns the outputs of onnxruntime; evaluates observations singly if the batch size is fixed."""
     import onnxruntime
 
@@ -181,8 +181,8 @@ def onnx_answers(model, seen):
     (x,) = session.get_inputs()
     kind = np.float64 if "double" in x.type else np.float32
     if isinstance(x.shape[0], str):
-        return session.run(None, {x.name: seen.astype(kind).reshape(-1, *x.shape[1:])})[0].reshape(len(seen), -1)
-    return np.array([session.run(None, {x.name: row.astype(kind).reshape(x.shape)})[0].flatten() for row in seen])
+        return session.run(None, {x.name: samples.astype(kind).reshape(-1, *x.shape[1:])})[0].reshape(len(samples), -1)
+    return np.array([session.run(None, {x.name: row.astype(kind).reshape(x.shape)})[0].flatten() for row in samples])
 
 
 def write_expected(file, pairs):
@@ -197,9 +197,9 @@ def networks():
     (HERE / "reference.onnx").write_bytes(reference())
     (HERE / "acc-5x20.onnx").write_bytes(imitation(is_old=True))
     pairs = {}
-    seen = observations(FEW, 5) * [1, 0.1, 9, 40, 3] + np.float32([30, 1.4, 18, 80, 0])
-    seen = seen.astype(np.float32)
-    pairs["acc-5x20.onnx"] = seen, onnx_answers(imitation(is_old=False), seen)
+    samples = observations(FEW, 5) * [1, 0.1, 9, 40, 3] + np.float32([30, 1.4, 18, 80, 0])
+    samples = samples.astype(np.float32)
+    pairs["acc-5x20.onnx"] = samples, onnx_answers(imitation(is_old=False), samples)
     for name, inputs, model in shapes():
         (HERE / f"{name}.onnx").write_bytes(model)
         pairs[f"{name}.onnx"] = observations(FEW, inputs), onnx_answers(model, observations(FEW, inputs))
@@ -247,8 +247,8 @@ def models():
     for name, model, steps in untrained_models():
         model.learn(steps)
         model.save(HERE / f"{name}.zip")
-        seen = observations(FEW, 8)
-        pairs[f"{name}.zip"] = seen, model.predict(seen, deterministic=True)[0]
+        samples = observations(FEW, 8)
+        pairs[f"{name}.zip"] = samples, model.predict(samples, deterministic=True)[0]
     write_expected("models.json", pairs)
 
 
@@ -298,10 +298,10 @@ def normalised():
     env.save(folder / "rewards-alone.pkl")
     env.norm_obs = True
     env.training = False
-    seen = (observations(FEW, 3) * [20, 5, 2] + [25, 15, 0]).astype(np.float32)
-    answers = model.predict(env.normalize_obs(seen), deterministic=True)[0]
+    samples = (observations(FEW, 3) * [20, 5, 2] + [25, 15, 0]).astype(np.float32)
+    answers = model.predict(env.normalize_obs(samples), deterministic=True)[0]
     (folder / "answers.json").write_text(
-        json.dumps({"seen": seen.tolist(), "answers": answers.astype(np.float64).tolist()}) + "\n"
+        json.dumps({"seen": samples.tolist(), "answers": answers.astype(np.float64).tolist()}) + "\n"
     )
     quantities = ["gap_ahead_m", "speed_mps", "relative_speed_ahead_mps"]
     text = 'version = 1\nnetwork = "ppo.zip"\ndecision_interval_s = 0.1\nnormalised = true\n'
@@ -323,17 +323,17 @@ def oracle(folder):
     folder.mkdir(parents=True, exist_ok=True)
     kinds = {"ppo": PPO, "a2c": A2C, "sac": SAC, "sac-gsde": SAC, "td3": TD3, "ddpg": DDPG}
 
-    def put(file, seen, answers):
+    def put(file, samples, answers):
         (folder / file).write_bytes((HERE / file).read_bytes())
-        (folder / f"{file}.inputs").write_bytes(seen.astype("<f4").tobytes())
+        (folder / f"{file}.inputs").write_bytes(samples.astype("<f4").tobytes())
         (folder / f"{file}.answers").write_bytes(answers.astype("<f4").tobytes())
 
     for name, inputs, model in shapes():
-        seen = observations(MANY, inputs)
-        put(f"{name}.onnx", seen, onnx_answers(model, seen))
+        samples = observations(MANY, inputs)
+        put(f"{name}.onnx", samples, onnx_answers(model, samples))
     for name, kind in kinds.items():
-        seen = observations(10_000, 8)
-        put(f"{name}.zip", seen, kind.load(HERE / f"{name}.zip").predict(seen, deterministic=True)[0])
+        samples = observations(10_000, 8)
+        put(f"{name}.zip", samples, kind.load(HERE / f"{name}.zip").predict(samples, deterministic=True)[0])
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ class Policy:
         (length,) = struct.unpack("<Q", data[:8])
         header, body = json.loads(data[8 : 8 + length]), data[8 + length :]
         facts = json.loads(header.pop("__metadata__")["crumple_policy"])
-        seen, action = facts["observation"], facts["action"]
-        self.offset, self.scale, self.limit = np.array(seen["offset"]), np.array(seen["scale"]), seen["limit"]
+        inputs, action = facts["observation"], facts["action"]
+        self.offset, self.scale, self.limit = np.array(inputs["offset"]), np.array(inputs["scale"]), inputs["limit"]
         self.low_mps2, self.high_mps2 = action["low_mps2"], action["high_mps2"]
         self.interval_s = facts["decision_interval_s"]
 
@@ -50,9 +50,9 @@ def time_campaign(controller):
     """Returns the shortest time of three campaigns, and the result of the last one."""
     best, found = float("inf"), None
     for _ in range(3):
-        begun = time.process_time()
+        start_s = time.process_time()
         found = crumple.falsify(controller, "high-risk", method="uniform", budget=2000)
-        best = min(best, time.process_time() - begun)
+        best = min(best, time.process_time() - start_s)
     return best, found
 
 
@@ -63,9 +63,9 @@ def main():
     python, of_python = time_campaign(
         crumple.Controller(policy, batch=True, interval_s=policy.interval_s, name="numpy")
     )
-    for name, taken, found in (("inside crumple", inside, of_inside), ("batch callable", python, of_python)):
+    for name, time_s, found in (("inside crumple", inside, of_inside), ("batch callable", python, of_python)):
         failures = found.summary["methods"][0]["failures"]
-        print(f"{name}: {taken:.2f} s of processor time, {failures} failures of {found.summary['evaluations']}")
+        print(f"{name}: {time_s:.2f} s of processor time, {failures} failures of {found.summary['evaluations']}")
     print(f"ratio {python / inside:.2f}")
 
 

@@ -25,9 +25,9 @@ def best_time_s(work):
     """Returns the shortest of five times, in seconds."""
     best = float("inf")
     for _ in range(5):
-        begun = time.process_time()
+        start_s = time.process_time()
         work()
-        best = min(best, time.process_time() - begun)
+        best = min(best, time.process_time() - start_s)
     return best
 
 

@@ -40,10 +40,10 @@ def steps_per_second(env, steps):
     env.reset(seed=0)
     best = 0.0
     for _ in range(5):
-        begun = time.process_time()
+        start_s = time.process_time()
         for action in actions:
             env.step(action)
-        best = max(best, steps * env.num_envs / (time.process_time() - begun))
+        best = max(best, steps * env.num_envs / (time.process_time() - start_s))
     return best
 
 

@@ -23,7 +23,7 @@ def held_random_actions(seed, steps, count):
 
 
 @pytest.mark.filterwarnings("error")
-def test_gymnasium_knows_the_environment_and_finds_nothing_wrong_with_it():
+def test_gymnasium_accepts_the_environment():
     check_env(gymnasium.make("crumple/Platoon-v0", space="paper").unwrapped)
     vector = gymnasium.make_vec("crumple/Platoon-v0", num_envs=3, vectorization_mode="vector_entry_point")
     assert isinstance(vector, PlatoonVectorEnv)
@@ -31,7 +31,7 @@ def test_gymnasium_knows_the_environment_and_finds_nothing_wrong_with_it():
 
 @pytest.mark.parametrize("estimator", ["truth", "kalman"])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_the_vector_steps_to_the_bit_as_its_environments_alone(mode, estimator):
+def test_a_vector_environment_equals_single_environments(mode, estimator):
     count, steps = 37, 400
     several = SyncVectorEnv(
         [lambda: PlatoonEnv("high-risk", estimator=estimator)] * count, autoreset_mode=mode, copy=True
@@ -40,21 +40,21 @@ def test_the_vector_steps_to_the_bit_as_its_environments_alone(mode, estimator):
     assert np.array_equal(several.reset(seed=5)[0], together.reset(seed=5)[0])
     endings = set()
     for actions in held_random_actions(1, steps, count):
-        wanted, told = several.step(actions), together.step(actions)
-        for one, other in zip(wanted[:4], told[:4], strict=True):
+        expected, results = several.step(actions), together.step(actions)
+        for one, other in zip(expected[:4], results[:4], strict=True):
             assert np.array_equal(np.asarray(one, np.float32), np.asarray(other, np.float32))
-        endings |= set(told[4]["ending"].tolist())
-        ended = told[2] | told[3]
+        endings |= set(results[4]["ending"].tolist())
+        ended = results[2] | results[3]
         if mode == AutoresetMode.SAME_STEP and ended.any():
             for index in np.flatnonzero(ended):
-                assert np.array_equal(wanted[4]["final_obs"][index], told[4]["final_obs"][index])
+                assert np.array_equal(expected[4]["final_obs"][index], results[4]["final_obs"][index])
         if mode == AutoresetMode.DISABLED and ended.any():
             options = {"reset_mask": ended}
             assert np.array_equal(several.reset(options=dict(options))[0], together.reset(options=options)[0])
     assert {0, 1} <= endings, "no episode ended in contact"
 
 
-def test_what_cannot_be_done_is_refused_before_anybody_moves():
+def test_invalid_actions_are_refused_before_a_step():
     env = PlatoonVectorEnv(40, "high-risk")
     before, _ = env.reset(seed=3)
     actions = np.zeros((40, 1), np.float32)
@@ -83,18 +83,16 @@ def test_what_cannot_be_done_is_refused_before_anybody_moves():
         never.step(np.zeros((2, 1)))
     with pytest.raises(crumple.TrainingError):
         never.reset(seed=[1, 2, 3])
-    assert not np.array_equal(never.reset()[0], PlatoonVectorEnv(2).reset(seed=0)[0]), (
-        "a seed that was refused is no seed"
-    )
+    assert not np.array_equal(never.reset()[0], PlatoonVectorEnv(2).reset(seed=0)[0]), "a refused seed has no effect"
 
 
-def test_what_was_given_may_be_given_back():
+def test_returned_arrays_are_valid_actions():
     env, other = (PlatoonVectorEnv(3, copy=copies) for copies in (False, True))
     env.reset(seed=1), other.reset(seed=1)
     for _ in range(5):
         rewards = env.step(np.zeros((3, 1)))[1]
-        wanted = other.step(np.zeros((3, 1)))[1].copy()
-        assert np.array_equal(env.step(rewards)[0], other.step(wanted)[0])
+        expected = other.step(np.zeros((3, 1)))[1].copy()
+        assert np.array_equal(env.step(rewards)[0], other.step(expected)[0])
 
 
 FORKED = """
@@ -104,11 +102,11 @@ env = PlatoonVectorEnv(64)
 env.reset(seed=0)
 def child():
     faulthandler.dump_traceback_later(60, exit=True)
-    wanted = env.step(numpy.zeros((64, 1)))[0]
+    expected = env.step(numpy.zeros((64, 1)))[0]
     other = PlatoonVectorEnv(64)
     other.reset(seed=0)
-    assert numpy.array_equal(other.step(numpy.zeros((64, 1)))[0], wanted)
-    assert len(crumple.simulate(["paper-1"] * 50, lambda seen: -1.0)) == 50
+    assert numpy.array_equal(other.step(numpy.zeros((64, 1)))[0], expected)
+    assert len(crumple.simulate(["paper-1"] * 50, lambda observation: -1.0)) == 50
 process = multiprocessing.get_context("fork").Process(target=child)
 process.start()
 process.join()
@@ -117,7 +115,7 @@ assert process.exitcode == 0
 
 LEFT = """
 import threading, time, crumple
-def slow_controller(seen):
+def slow_controller(observation):
     time.sleep(0.0005)
     return -1.0
 threading.Thread(target=lambda: crumple.falsify(slow_controller, "high-risk", budget=100_000), daemon=True).start()
@@ -128,14 +126,14 @@ time.sleep(1.0)
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
 @pytest.mark.parametrize("script", [FORKED, LEFT], ids=["forked", "left"])
 @pytest.mark.parametrize("threads", ["1", "2"])
-def test_processes_may_be_forked_and_left(script, threads):
+def test_processes_can_fork_and_exit(script, threads):
     environment = os.environ | {"RAYON_NUM_THREADS": threads}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
 
-def test_a_controller_that_simulates_is_refused_however_many_runs_there_are():
-    def controller(seen):
+def test_a_controller_that_simulates_is_refused_for_any_number_of_runs():
+    def controller(observation):
         crumple.simulate("paper-1", "idm", trace=False)
         return 0.0
 
@@ -144,7 +142,7 @@ def test_a_controller_that_simulates_is_refused_however_many_runs_there_are():
             assert "a controller cannot begin simulations of its own" in run.failure
 
 
-def test_one_seed_decides_everything_on_any_number_of_threads():
+def test_a_seed_determines_results_for_any_number_of_threads():
     def drive(count):
         env = PlatoonVectorEnv(count, "high-risk")
         states = [env.reset(seed=3)[0][:20]]
@@ -155,23 +153,23 @@ def test_one_seed_decides_everything_on_any_number_of_threads():
     assert np.array_equal(drive(20), drive(300))
 
 
-def test_a_step_writes_into_its_own_arrays_if_the_caller_wants_that():
+def test_steps_reuse_arrays_without_copy():
     env = PlatoonVectorEnv(4, copy=False)
     first = env.reset(seed=0)[0]
     second = env.step(np.zeros((4, 1), np.float32))[0]
     assert first is second
-    kept = PlatoonVectorEnv(4)
-    assert kept.reset(seed=0)[0] is not kept.step(np.zeros((4, 1), np.float32))[0]
+    copying = PlatoonVectorEnv(4)
+    assert copying.reset(seed=0)[0] is not copying.step(np.zeros((4, 1), np.float32))[0]
 
 
-def test_an_action_is_the_acceleration_it_stands_for():
+def test_the_acceleration_range_is_that_of_the_preset():
     env = PlatoonEnv("paper", estimator="truth")
     low, high = env.acceleration_range_mps2
     assert (low, high) == (-7.5, 3.0)
     assert env.decision_s == pytest.approx(0.1)
 
 
-def test_what_is_wrong_is_said():
+def test_errors_are_explained():
     env = PlatoonVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED)
     actions = np.zeros((2, 1), np.float32)
     with pytest.raises(crumple.TrainingError, match="reset"):
@@ -208,7 +206,7 @@ def resident_bytes():
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_memory_stays_as_it_is():
+def test_memory_does_not_grow():
     env = PlatoonVectorEnv(500, estimator="truth", autoreset_mode=AutoresetMode.DISABLED)
     scenarios = [crumple.space("paper").draw(0, index) for index in range(20)]
 
@@ -218,7 +216,7 @@ def test_memory_stays_as_it_is():
             env.step(np.zeros((500, 1), np.float32))
         for _ in range(traces // 20):
             crumple.simulate(scenarios, "baseline", "truth")
-        crumple.simulate(scenarios, lambda seen: -1.0, "truth")
+        crumple.simulate(scenarios, lambda observation: -1.0, "truth")
         crumple.monitor("always x > 0", {"x": np.ones((resets // 100, 100))})
 
     live(10_000, 100)
@@ -228,7 +226,7 @@ def test_memory_stays_as_it_is():
     assert resident_bytes() - before < 8 << 20
 
 
-def test_costs_count_as_often_as_the_space_says():
+def test_costs_have_the_weight_of_the_space():
     def costs(times):
         preset = crumple.training_preset("road").split("[[spaces]]")[0]
         preset += f'[[spaces]]\nspace = "traffic"\nweight = 1\ncosts_times = {times}\n'

@@ -40,7 +40,7 @@ def certificate_by_command_line(crumple_binary, folder, *arguments):
     return json.loads((folder / "certificate.json").read_text())
 
 
-def test_a_rate_is_certified_as_on_the_command_line(tmp_path, crumple_binary):
+def test_a_certified_rate_equals_that_of_the_command_line(tmp_path, crumple_binary):
     one = crumple.rate("idm", "high-risk", runs=700, seed=3, confidence=0.9)
     arguments = ("--space", "high-risk", "--runs", 700, "--seed", 3, "--confidence", 0.9)
     assert one.certificate == certificate_by_command_line(
@@ -58,9 +58,9 @@ def test_a_rate_is_certified_as_on_the_command_line(tmp_path, crumple_binary):
 
 
 def test_failures_of_a_callable_are_counted_if_it_has_an_identity(tmp_path):
-    told = []
-    whole = crumple.rate(follower(), "high-risk", runs=3000, progress=lambda *state: told.append(state))
-    assert told[-1] == (3000, 3000, whole.failures)
+    states = []
+    whole = crumple.rate(follower(), "high-risk", runs=3000, progress=lambda *state: states.append(state))
+    assert states[-1] == (3000, 3000, whole.failures)
     assert whole.failures > 0
     with pytest.raises(crumple.RateError, match="identity"):
         crumple.rate(follower(None), runs=100)
@@ -73,7 +73,7 @@ def test_failures_of_a_callable_are_counted_if_it_has_an_identity(tmp_path):
     assert again == whole
 
 
-def test_what_was_broken_off_halfway_leaves_no_false_failures(tmp_path):
+def test_an_interrupted_campaign_resumes_without_false_failures(tmp_path):
     whole = crumple.falsify(follower(), budget=100, folder=tmp_path / "whole")
     for share in (0.05, 0.9):
         folder = tmp_path / str(share)
@@ -85,26 +85,26 @@ def test_what_was_broken_off_halfway_leaves_no_false_failures(tmp_path):
 @pytest.mark.parametrize(
     ("controller", "aim"), [("baseline", "mildest"), ("idm", "severest"), ("policy", "least-peak")]
 )
-def test_a_worst_case_is_that_of_the_command_line(tmp_path, command_line_json, controller, aim):
+def test_a_worst_case_equals_that_of_the_command_line(tmp_path, command_line_json, controller, aim):
     found = crumple.worst_case("paper-1", controller, aim=aim, budget=200)
     arguments = ("worst-case", "paper-1", "--controller", controller, "--aim", aim, "--budget", 200)
-    told = command_line_json(*arguments, "--out", tmp_path / "worst.toml")
+    printed = command_line_json(*arguments, "--out", tmp_path / "worst.toml")
     # Only the fields about --budget are additional.
-    assert (told.pop("budget"), told.pop("is_over_budget")) == (200, found.facts["evaluations"] > 200)
-    assert (told.pop("over_budget_because") is None) == (found.facts["evaluations"] <= 200)
-    assert told == found.facts
+    assert (printed.pop("budget"), printed.pop("is_over_budget")) == (200, found.facts["evaluations"] > 200)
+    assert (printed.pop("over_budget_because") is None) == (found.facts["evaluations"] <= 200)
+    assert printed == found.facts
     assert found.found == (tmp_path / "worst.toml").exists()
     if found.scenario is not None:
         assert found.scenario == crumple.scenario(tmp_path / "worst.toml")
         assert found.replay().outcome == found.facts["outcome"]["kind"]
 
 
-def test_a_callable_has_a_worst_case_too():
-    told = []
-    found = crumple.worst_case("paper-1", follower(None), budget=400, progress=lambda *state: told.append(state[0]))
+def test_a_callable_has_a_worst_case():
+    counts = []
+    found = crumple.worst_case("paper-1", follower(None), budget=400, progress=lambda *state: counts.append(state[0]))
     assert found.found
     assert found.replay().contact["impact_speed_mps"] == found.facts["outcome"]["impact_speed_mps"]
-    assert told == sorted(told)
+    assert counts == sorted(counts)
     assert "</svg>" in found.plot().svg
     with pytest.raises(StopEarlyError):
         crumple.worst_case("paper-1", follower(), budget=400, progress=stop_after_share(0.1))
@@ -140,20 +140,20 @@ def write_small_config(folder):
     return path
 
 
-def test_an_assessment_is_that_of_the_command_line(tmp_path, crumple_binary):
+def test_an_assessment_equals_that_of_the_command_line(tmp_path, crumple_binary):
     path = write_small_config(tmp_path)
     assessment = crumple.assess(path)
     folder = tmp_path / "report"
     done = subprocess.run(
         [crumple_binary, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False
     )
-    told = json.loads((folder / "assessment.json").read_text())
-    assert told["provenance"].pop("made") is not None
-    said = assessment.evidence
-    assert said["provenance"].pop("made") is None
+    written = json.loads((folder / "assessment.json").read_text())
+    assert written["provenance"].pop("made") is not None
+    evidence = assessment.evidence
+    assert evidence["provenance"].pop("made") is None
     # Without a cache folder there are no hashes of cached evidence.
-    assert said == told
-    assert crumple.assess(path.read_text()).evidence["summary"] == told["summary"]
+    assert evidence == written
+    assert crumple.assess(path.read_text()).evidence["summary"] == written["summary"]
     assert (done.returncode == 0) == assessment.passed == all(gate["holds"] for gate in assessment.gates)
     page = crumple.write_report(assessment, tmp_path / "mine")
     names = {str(file.relative_to(tmp_path / "mine")) for file in (tmp_path / "mine").rglob("*") if file.is_file()}
@@ -163,12 +163,12 @@ def test_an_assessment_is_that_of_the_command_line(tmp_path, crumple_binary):
         crumple.write_report(assessment, tmp_path / "mine")
 
 
-def test_a_callable_is_assessed_and_shows_itself(tmp_path):
-    told = []
-    kept = tmp_path / "evidence"
-    one = crumple.assess(SMALL, [follower()], evidence=kept, progress=lambda *state: told.append(state))
+def test_a_callable_is_assessed_and_displayed(tmp_path):
+    states = []
+    cache = tmp_path / "evidence"
+    one = crumple.assess(SMALL, [follower()], evidence=cache, progress=lambda *state: states.append(state))
     assert one.evidence["provenance"]["config"]["subject"] == "mine"
-    assert told
+    assert states
     shown = one._repr_html_()
     assert shown.startswith("<iframe srcdoc=")
     assert '"' not in shown.removeprefix('<iframe srcdoc="').split('" sandbox')[0]
@@ -182,14 +182,14 @@ def test_a_callable_is_assessed_and_shows_itself(tmp_path):
     again = crumple.Controller(
         counting_controller, batch=True, interval_s=0.1, name="mine", identity="follow, version 1"
     )
-    assert crumple.assess(SMALL, [again], evidence=kept).evidence == one.evidence
+    assert crumple.assess(SMALL, [again], evidence=cache).evidence == one.evidence
     assert crumple.assess(SMALL, [follower(None)]).evidence["summary"]["gates"] == []
     with pytest.raises(StopEarlyError):
         crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut", progress=stop_after_share(0.0))
     assert crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut").evidence == one.evidence
 
 
-def test_what_is_wrong_with_an_assessment_is_said(tmp_path):
+def test_errors_of_an_assessment_are_explained(tmp_path):
     path = write_small_config(tmp_path)
     path.write_text(path.read_text().replace("draws = 20", "draws = -1", 1))
     with pytest.raises(crumple.AssessmentError) as caught:
@@ -211,30 +211,30 @@ def test_what_is_wrong_with_an_assessment_is_said(tmp_path):
     "work",
     [
         "crumple.rate('idm', runs=100_000_000)",
-        "crumple.worst_case('paper-1', lambda seen: time.sleep(0.001) or -1.0)",
+        "crumple.worst_case('paper-1', lambda observation: time.sleep(0.001) or -1.0)",
         "crumple.assess({'version': 1, 'draws': 10_000_000})",
     ],
 )
-def test_ctrl_c_ends_it(work):
+def test_ctrl_c_ends_the_work(work):
     script = textwrap.dedent(f"""
         import signal, time
         import crumple
         # A shell ignores this signal for background processes.
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        print("begun", flush=True)
+        print("started", flush=True)
         try:
             {work}
         except KeyboardInterrupt:
             print("stopped")
     """)
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "begun\n"
+        assert process.stdout.readline() == "started\n"
         threading.Timer(1.0, process.send_signal, [signal.SIGINT]).start()
-        said, _ = process.communicate(timeout=90)
-    assert (said, process.returncode) == ("stopped\n", 0)
+        output, _ = process.communicate(timeout=90)
+    assert (output, process.returncode) == ("stopped\n", 0)
 
 
-def test_failures_beside_another_run_are_failures_of_one_alone():
+def test_failures_of_a_contrast_belong_to_one_run():
     found = crumple.falsify("match-leader", "paper", against="idm", budget=60, seed=3)
     assert found.falsified
     for failure in found.failures:

@@ -13,7 +13,7 @@ def _in_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES)
 
 
-def test_an_acc_written_by_hand_is_falsified(tmp_path):
+def test_a_simple_acc_is_falsified(tmp_path):
     import falsify_acc
 
     failures = falsify_acc.main(60)
@@ -21,7 +21,7 @@ def test_an_acc_written_by_hand_is_falsified(tmp_path):
     assert (tmp_path / "acc-fails.svg").exists()
 
 
-def test_models_are_trained_and_judged(tmp_path):
+def test_models_are_trained_and_evaluated(tmp_path):
     pytest.importorskip("stable_baselines3")
     import train_sb3
 
@@ -31,7 +31,7 @@ def test_models_are_trained_and_judged(tmp_path):
     assert (tmp_path / "sb3-report/assessment.html").exists()
 
 
-def test_the_model_that_crumple_reads_drives_as_it_does_in_python():
+def test_a_model_drives_alike_in_crumple_and_python():
     pytest.importorskip("stable_baselines3")
     import numpy as np
     from sb3_vec_env import PlatoonVecEnv
@@ -60,7 +60,7 @@ def test_the_model_that_crumple_reads_drives_as_it_does_in_python():
             assert abs(one.contact["time_s"] - other.contact["time_s"]) < 0.01
 
 
-def test_the_adapter_gives_what_the_environment_gives():
+def test_the_adapter_returns_the_results_of_the_environment():
     pytest.importorskip("stable_baselines3")
     import numpy as np
     from gymnasium.vector import AutoresetMode
@@ -76,11 +76,11 @@ def test_the_adapter_gives_what_the_environment_gives():
     for _ in range(300):
         actions = np.full((5, 1), 0.4, np.float32)
         states, rewards, over, infos = adapted.step(actions)
-        wanted = plain.step(actions)
-        assert np.array_equal(states, wanted[0])
-        assert np.array_equal(rewards, wanted[1])
+        expected = plain.step(actions)
+        assert np.array_equal(states, expected[0])
+        assert np.array_equal(rewards, expected[1])
         for index in np.flatnonzero(over):
-            assert np.array_equal(infos[index]["terminal_observation"], wanted[4]["final_obs"][index])
+            assert np.array_equal(infos[index]["terminal_observation"], expected[4]["final_obs"][index])
             ended += 1
     assert ended > 0
 

@@ -55,11 +55,11 @@ def rtamt_robustness(text, signals):
         spec.spec = text
         spec.parse()
         times = [STEP_S * index for index in range(len(signals["x"]))]
-        told = spec.evaluate({"time": times, **{name: list(values) for name, values in signals.items()}})
-    return np.array([value for _, value in told])
+        reference = spec.evaluate({"time": times, **{name: list(values) for name, values in signals.items()}})
+    return np.array([value for _, value in reference])
 
 
-def test_robustness_is_that_of_rtamt_on_200_random_formulas_and_traces():
+def test_robustness_equals_that_of_rtamt_for_200_random_formulas():
     compared = 0
     for seed in range(200):
         source = random.Random(seed)
@@ -68,16 +68,16 @@ def test_robustness_is_that_of_rtamt_on_200_random_formulas_and_traces():
         samples = horizon_samples(text) + source.randint(2, 20)
         numbers = np.random.default_rng(seed)
         signals = {name: numbers.uniform(-5, 5, samples) for name in "xyz"}
-        told = rtamt_robustness(text, signals)
+        reference = rtamt_robustness(text, signals)
         found = crumple.monitor(text, signals, step_s=STEP_S, over_time=True)
         whole = samples - horizon_samples(text) + 1
-        assert np.array_equal(found[:whole], told[:whole]), text
-        assert crumple.monitor(text, signals, step_s=STEP_S) == told[0], text
+        assert np.array_equal(found[:whole], reference[:whole]), text
+        assert crumple.monitor(text, signals, step_s=STEP_S) == reference[0], text
         compared += whole
     assert compared > 2000
 
 
-def test_many_traces_at_once_are_each_as_alone():
+def test_a_batch_of_traces_equals_single_traces():
     numbers = np.random.default_rng(1)
     for traces, samples in [(3, 20), (2500, 60)]:
         gap_m, speed_mps = numbers.uniform(0, 10, (2, traces, samples))
@@ -94,14 +94,14 @@ def test_many_traces_at_once_are_each_as_alone():
     assert crumple.monitor("x > 0", {"x": np.zeros((0, 5))}).shape == (0,)
 
 
-def test_a_window_is_cut_at_the_end_of_the_trace():
+def test_a_window_is_clipped_at_the_end_of_the_trace():
     assert crumple.monitor("always[0,9] x > 1", {"x": [3.0, 2.0]}) == 1.0
     assert crumple.monitor("always[5,9] x > 1", {"x": [3.0, 2.0]}) == math.inf
     assert crumple.monitor("eventually[5,9] x > 1", {"x": [3.0, 2.0]}) == -math.inf
 
 
 @pytest.mark.parametrize(
-    ("text", "signals", "step_s", "said"),
+    ("text", "signals", "step_s", "message"),
     [
         ("always", {"x": [1.0]}, 1.0, "column 7"),
         ("y > 0", {"x": [1.0]}, 1.0, "no signal `y`"),
@@ -119,12 +119,12 @@ def test_a_window_is_cut_at_the_end_of_the_trace():
         ("always[0.4,0.6] x > 0", {"x": [1.0]}, 1.0, "no sample"),
     ],
 )
-def test_what_cannot_be_monitored_says_why(text, signals, step_s, said):
-    with pytest.raises(crumple.FormulaError, match=said):
+def test_invalid_input_is_explained(text, signals, step_s, message):
+    with pytest.raises(crumple.FormulaError, match=message):
         crumple.monitor(text, signals, step_s=step_s)
 
 
-def test_a_failure_of_a_formula_is_replayed_as_it_was_judged():
+def test_a_replayed_failure_has_the_recorded_robustness():
     text = "always v1.gap_m > 1.5"
     found = crumple.falsify("match-leader", spec=text, budget=60)
     assert found.failures
@@ -132,13 +132,13 @@ def test_a_failure_of_a_formula_is_replayed_as_it_was_judged():
         assert failure.replay().robustness(text) == failure.facts["robustness"] < 0
 
 
-def test_a_run_is_judged_as_the_command_line_judges_it(command_line_json):
+def test_robustness_equals_that_of_the_command_line(command_line_json):
     text = "always v1.time_gap_s > 0.3"
     run = crumple.simulate("paper-1", "idm", after_contact="continue")
-    told = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no contact")
-    assert run.robustness(text) == told["specifications"][0]["robustness"]
+    printed = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no contact")
+    assert run.robustness(text) == printed["specifications"][0]["robustness"]
     stopped = crumple.simulate("paper-1", "idm")
-    assert stopped.robustness("no contact") == told["specifications"][1]["robustness"]
+    assert stopped.robustness("no contact") == printed["specifications"][1]["robustness"]
     with pytest.raises(crumple.FormulaError, match="v9"):
         run.robustness("always v9.gap_m > 0")
     hit = crumple.simulate("paper-1", "baseline")

@@ -10,7 +10,7 @@ import pytest
 import crumple
 
 
-def test_a_failure_and_a_run_draw_themselves(tmp_path):
+def test_failures_and_runs_are_drawn(tmp_path):
     found = crumple.falsify("match-leader", budget=60)
     figure = found.failures[0].plot()
     ElementTree.fromstring(figure.svg.encode())
@@ -28,7 +28,7 @@ def test_a_failure_and_a_run_draw_themselves(tmp_path):
         crumple.simulate("paper-1", trace=False).plot()
 
 
-def test_a_figure_is_that_of_the_command_line(tmp_path, command_line_json):
+def test_a_figure_equals_that_of_the_command_line(tmp_path, command_line_json):
     command_line_json("simulate", "paper-1", "--plot", tmp_path / "run.svg")
     assert crumple.simulate("paper-1").plot().svg == (tmp_path / "run.svg").read_text()
 
@@ -51,7 +51,7 @@ def test_an_episode_is_drawn_from_above_and_over_time():
     assert gymnasium.make("crumple/Platoon-v0").unwrapped.render() is None
 
 
-def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, command_line_json):
+def test_traces_convert_to_tables_of_arrow_libraries(tmp_path, command_line_json):
     pyarrow, polars, pandas = (pytest.importorskip(name) for name in ("pyarrow", "polars", "pandas"))
     run = crumple.simulate("paper-1")
     table = pyarrow.table(run.trace)
@@ -65,8 +65,8 @@ def test_traces_are_tables_for_everything_that_reads_arrow(tmp_path, command_lin
         assert rows["gap_m"].null_count == (len(rows) if index == 0 else 0)
     command_line_json("simulate", "paper-1", "--trace", tmp_path / "trace.csv")
     with (tmp_path / "trace.csv").open() as file:
-        told = [{name: float(text) if text else None for name, text in row.items()} for row in csv.DictReader(file)]
-    assert table.to_pylist() == told
+        rows = [{name: float(text) if text else None for name, text in row.items()} for row in csv.DictReader(file)]
+    assert table.to_pylist() == rows
     assert isinstance(table.to_pandas(), pandas.DataFrame)
     frame = polars.DataFrame(run.trace)
     assert frame.equals(polars.from_arrow(table))

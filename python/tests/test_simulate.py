@@ -14,11 +14,12 @@ import pytest
 import crumple
 
 
-def follow(seen):
+def follow(observation):
     """Returns the acceleration of a simple follower."""
-    if seen.gap_ahead_m is None:
+    if observation.gap_ahead_m is None:
         return 0.0
-    return 0.2 * (seen.gap_ahead_m - 2.0 - 0.8 * seen.speed_mps) + 0.8 * (seen.speed_ahead_mps - seen.speed_mps)
+    speed_mps = observation.speed_mps
+    return 0.2 * (observation.gap_ahead_m - 2.0 - 0.8 * speed_mps) + 0.8 * (observation.speed_ahead_mps - speed_mps)
 
 
 def follow_all(rows):
@@ -29,19 +30,19 @@ def follow_all(rows):
 
 @pytest.mark.parametrize("estimator", ["kalman", "truth"])
 @pytest.mark.parametrize("controller", ["baseline", "policy", "acc-aeb,ttc_s=2.0"])
-def test_the_command_line_says_the_same_to_the_bit(tmp_path, crumple_binary, controller, estimator):
+def test_results_are_bit_identical_to_the_command_line(tmp_path, crumple_binary, controller, estimator):
     scenarios = [crumple.space("high-risk").draw(7, index) for index in range(3)]
     for index, scenario in enumerate(scenarios):
         (tmp_path / f"{index}.toml").write_text(scenario.to_toml())
     arguments = ["simulate", *(str(tmp_path / f"{index}.toml") for index in range(3)), "--controller", controller]
     arguments += ["--estimator", estimator, "--format", "json", "--trace", str(tmp_path / "trace.csv")]
     printed = subprocess.run([crumple_binary, *arguments], check=True, capture_output=True, text=True).stdout
-    said = [json.loads(line) for line in printed.splitlines()]
+    lines = [json.loads(line) for line in printed.splitlines()]
     done = crumple.simulate(scenarios, controller, estimator)
-    for told, one in zip(said, done, strict=True):
-        assert told["vehicles"] == one.vehicles
-        assert told["impacts"] == one.impacts
-        assert told["outcome"]["kind"] == one.outcome
+    for expected, one in zip(lines, done, strict=True):
+        assert expected["vehicles"] == one.vehicles
+        assert expected["impacts"] == one.impacts
+        assert expected["outcome"]["kind"] == one.outcome
         written = np.genfromtxt(tmp_path / f"trace-{one.scenario.name}.csv", delimiter=",", names=True)
         for index, track in enumerate(one.trace.vehicles):
             rows = written[written["vehicle"] == index]
@@ -59,7 +60,7 @@ def test_traces_are_arrays_that_outlive_their_simulation():
     assert crumple.simulate("paper-1", trace=False).trace is None
 
 
-def test_a_scenario_is_the_same_from_wherever_it_comes(tmp_path):
+def test_all_sources_give_the_same_scenario(tmp_path):
     one = crumple.scenario("paper-1")
     path = tmp_path / "one.toml"
     path.write_text(one.to_toml())
@@ -69,7 +70,7 @@ def test_a_scenario_is_the_same_from_wherever_it_comes(tmp_path):
     assert len(one) == 3
 
 
-def test_what_is_wrong_is_said_with_file_line_and_field(tmp_path):
+def test_errors_have_file_line_and_field(tmp_path):
     text = crumple.scenario("paper-1").to_toml()
     path = tmp_path / "bad.toml"
     path.write_text(text.replace("duration_s = 15.0", "duration_s = -1.0"))
@@ -104,12 +105,12 @@ def test_what_is_wrong_is_said_with_file_line_and_field(tmp_path):
         (lambda: crumple.falsify("baseline", spec="always"), crumple.CampaignError),
     ],
 )
-def test_everything_else_that_is_wrong_is_an_exception_of_its_own(wrong, error):
+def test_other_errors_have_specific_exceptions(wrong, error):
     with pytest.raises(error):
         wrong()
 
 
-def test_a_callable_a_batch_and_a_callable_of_each_run_drive_alike():
+def test_all_kinds_of_callables_drive_alike():
     scenarios = [crumple.space("high-risk").draw(1, index) for index in range(40)]
     alone = crumple.simulate(scenarios, follow, trace=False)
     seen_rows = []
@@ -127,7 +128,7 @@ def test_a_callable_a_batch_and_a_callable_of_each_run_drive_alike():
     assert max(seen_rows) >= 10, "runs share a call"
 
 
-def test_an_exception_ends_its_own_run_and_carries_the_traceback():
+def test_an_exception_ends_its_run_and_has_a_traceback():
     space = crumple.space("high-risk")
     scenarios = [space.draw(1, index) for index in range(20)]
     fastest = max(scenario.to_dict()["vehicles"][1]["speed_mps"] for scenario in scenarios)
@@ -148,22 +149,22 @@ def test_an_exception_ends_its_own_run_and_carries_the_traceback():
 
 
 @pytest.mark.parametrize("answer", [math.nan, "fast", None, [1.0, 2.0]])
-def test_an_answer_that_is_no_number_is_a_failure(answer):
+def test_an_invalid_answer_is_a_failure(answer):
     for batch in (False, True):
-        done = crumple.simulate("paper-1", crumple.Controller(lambda seen: answer, batch=batch))
+        done = crumple.simulate("paper-1", crumple.Controller(lambda observation: answer, batch=batch))
         assert done.outcome == "controller_failed"
 
 
-def test_a_controller_that_begins_simulations_fails_and_hangs_nothing():
-    done = crumple.simulate(["paper-1", "paper-2"], lambda seen: len(crumple.simulate(["paper-1"])))
+def test_a_controller_that_simulates_fails_without_a_deadlock():
+    done = crumple.simulate(["paper-1", "paper-2"], lambda observation: len(crumple.simulate(["paper-1"])))
     assert all("a controller cannot begin simulations" in one.failure for one in done)
 
 
-def test_progress_is_told_and_may_end_the_work():
+def test_progress_is_reported_and_can_end_the_work():
     scenarios = [crumple.space("paper").draw(0, index) for index in range(1500)]
-    told = []
-    crumple.simulate(scenarios, trace=False, progress=lambda *state: told.append(state))
-    assert told[-1][:2] == (1500, 1500)
+    states = []
+    crumple.simulate(scenarios, trace=False, progress=lambda *state: states.append(state))
+    assert states[-1][:2] == (1500, 1500)
 
     def stop_early(done, total, failures):
         raise KeyError("enough")
@@ -172,23 +173,23 @@ def test_progress_is_told_and_may_end_the_work():
         crumple.simulate(scenarios, trace=False, progress=stop_early)
 
 
-def test_ctrl_c_stops_work_that_would_last():
+def test_ctrl_c_stops_long_work():
     script = textwrap.dedent("""
         import crumple
-        print("begun", flush=True)
+        print("started", flush=True)
         try:
             crumple.falsify("idm", "steady", budget=100_000_000)
         except KeyboardInterrupt:
             print("stopped")
     """)
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "begun\n"
+        assert process.stdout.readline() == "started\n"
         threading.Timer(1.0, process.send_signal, [signal.SIGINT]).start()
-        said, _ = process.communicate(timeout=60)
-    assert (said, process.returncode) == ("stopped\n", 0)
+        output, _ = process.communicate(timeout=60)
+    assert (output, process.returncode) == ("stopped\n", 0)
 
 
-def test_others_run_meanwhile():
+def test_other_threads_run_during_work():
     ticks = []
     over = threading.Event()
 
@@ -206,18 +207,18 @@ def test_others_run_meanwhile():
     assert len(ticks) > before, "the interpreter's lock was held"
 
 
-def test_falsify_finds_the_same_with_a_name_as_the_command_line(tmp_path, command_line_json):
+def test_falsify_equals_the_command_line(tmp_path, command_line_json):
     found = crumple.falsify("match-leader", budget=100, seed=3)
     arguments = ["falsify", "--controller", "match-leader", "--budget", "100", "--seed", "3"]
-    told = command_line_json(*arguments, "--out", tmp_path / "campaign")
+    printed = command_line_json(*arguments, "--out", tmp_path / "campaign")
     # Only the fields about methods are additional.
-    assert told.pop("of_method_asked_for") == found.summary["methods"][0]
-    assert told.pop("of_all_methods")["methods"] == len(found.summary["methods"])
-    assert told == found.summary
+    assert printed.pop("of_method_asked_for") == found.summary["methods"][0]
+    assert printed.pop("of_all_methods")["methods"] == len(found.summary["methods"])
+    assert printed == found.summary
     assert found.falsified
 
 
-def test_a_campaign_of_a_batch_replays_its_failures_and_can_be_resumed(tmp_path):
+def test_a_batch_campaign_replays_failures_and_resumes(tmp_path):
     mine = crumple.Controller(follow_all, batch=True, interval_s=0.1, name="mine", identity="follow, version 1")
     found = crumple.falsify(mine, budget=60, folder=tmp_path / "campaign")
     assert found.failures
@@ -233,22 +234,22 @@ def test_a_campaign_of_a_batch_replays_its_failures_and_can_be_resumed(tmp_path)
         crumple.falsify(alone, budget=60, folder=tmp_path / "other", resume=True)
 
 
-def test_a_campaign_that_was_broken_off_goes_on_to_the_same_end(tmp_path):
+def test_an_interrupted_campaign_resumes_to_the_same_result(tmp_path):
     whole = crumple.falsify("match-leader", budget=200, folder=tmp_path / "whole")
-    told = []
+    counts = []
 
     def stop_early(done, total, failures):
-        told.append(done)
+        counts.append(done)
         if done >= 100:
             raise KeyError("enough")
 
     with pytest.raises(KeyError):
         crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", progress=stop_early)
-    assert max(told) < 600
+    assert max(counts) < 600
     assert crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", resume=True).summary == whole.summary
 
 
-def test_a_scenario_starts_no_program_unless_that_is_allowed(tmp_path):
+def test_a_scenario_starts_no_program_without_permission(tmp_path):
     (tmp_path / "evil.sh").write_text(": > started\n")
     (tmp_path / "evil.toml").write_text('version = 1\ncommand = ["sh", "evil.sh"]\nfiles = ["evil.sh"]\n')
     scenario = tmp_path / "driven.toml"

@@ -25,7 +25,7 @@ use crumple_world::sim::NamedController;
 /// Accept or reject certificates with the small checker alone
 #[derive(Args)]
 #[command(after_long_help = "\
-The checker (crate crumple-verify) shares no code with the simulation, the search or the solver: it reads the file \
+The checker (crate crumple-verify) uses no code of the simulator, the search or the solver: it reads the file \
 and recomputes everything in outward-rounded interval arithmetic. Then crumple derives the subject of the \
 certificate (scenario, box, space, controllers) again from the texts in the file, and compares it with the \
 statement. Exit code 1 if the checker rejects a certificate, if its subject differs from its statement or from the \

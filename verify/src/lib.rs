@@ -1,4 +1,4 @@
-//! Checks crumple's proofs about traffic scenes, and shares no code with crumple.
+//! Checks crumple's proofs about traffic scenes, and uses no code of its simulator, search or solver.
 //!
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
 //! This crate accepts or rejects the file. It depends on no simulator, solver or random number. Modules in reading

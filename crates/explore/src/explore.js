@@ -5,21 +5,23 @@
   const SVG = 'http://www.w3.org/2000/svg';
 
   const element = (name, attributes = {}, ...children) => {
-    const made = name.startsWith('svg:') ? document.createElementNS(SVG, name.slice(4)) : document.createElement(name);
+    const created = name.startsWith('svg:')
+      ? document.createElementNS(SVG, name.slice(4))
+      : document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) {
-      if (value === true) made.setAttribute(key, '');
-      else if (value !== false && value !== null && value !== undefined) made.setAttribute(key, value);
+      if (value === true) created.setAttribute(key, '');
+      else if (value !== false && value !== null && value !== undefined) created.setAttribute(key, value);
     }
-    made.append(...children);
-    return made;
+    created.append(...children);
+    return created;
   };
   const number = (value, digits) => String(Number(value.toFixed(digits)));
 
-  // Asks the server for something; what it refuses is an error with its words.
-  const ask = async (what, body) => {
+  // Sends a request to the server; throws its message if the server refuses the request.
+  const ask = async (path, body) => {
     let response;
     try {
-      response = await fetch(`api/${what}`, {
+      response = await fetch(`api/${path}`, {
         method: 'POST',
         headers: { 'Content-Type': 'application/json' },
         body: JSON.stringify(body),
@@ -32,25 +34,25 @@
     return answer;
   };
 
-  // Does something again as often as it is asked for, one at a time and the latest only. Until then a place is said to be busy.
-  const latest = (place, does) => {
+  // Runs an action one at a time, and once more after calls during its run. Meanwhile an element is marked as busy.
+  const latest = (id, action) => {
     let busy = false;
-    let again = false;
+    let pending = false;
     return async () => {
-      again = true;
+      pending = true;
       if (busy) return;
       busy = true;
-      byId(place).setAttribute('aria-busy', 'true');
-      while (again) {
-        again = false;
-        await does();
+      byId(id).setAttribute('aria-busy', 'true');
+      while (pending) {
+        pending = false;
+        await action();
       }
       busy = false;
-      byId(place).removeAttribute('aria-busy');
+      byId(id).removeAttribute('aria-busy');
     };
   };
 
-  const complain = (error) => {
+  const showError = (error) => {
     byId('error').textContent = error ? error.message : '';
     byId('error').hidden = !error;
   };
@@ -59,15 +61,18 @@
   const slider = (into, { label, min, max, step, value, name }, changed) => {
     const id = `slide-${name}`;
     const range = element('input', { type: 'range', id, min, max, step });
-    const exact = element('input', { type: 'number', min, step: 'any', 'aria-label': `${label}, exactly`, id: `${id}-exact` });
+    const exact = element('input', {
+      type: 'number',
+      min,
+      step: 'any',
+      'aria-label': `${label}, exactly`,
+      id: `${id}-exact`,
+    });
     const digits = step < 0.1 ? 2 : 1;
-    const stand = (at) => {
-      range.value = at;
-      exact.value = number(at, 3);
-      range.setAttribute('aria-valuetext', number(at, digits));
-    };
     range.max = Math.max(max, Math.ceil(value));
-    stand(value);
+    range.value = value;
+    exact.value = number(value, 3);
+    range.setAttribute('aria-valuetext', number(value, digits));
     range.addEventListener('input', () => {
       exact.value = number(Number(range.value), digits);
       range.setAttribute('aria-valuetext', exact.value);
@@ -82,16 +87,29 @@
     into.append(element('div', { class: 'slide' }, element('label', { for: id }, label), range, exact));
   };
 
-  // Where a leader's acceleration is drawn: a value for each cell of time.
+  // Drawing area for the leader's acceleration, with a value for each time cell.
   const pad = (into, changed) => {
     const [width, height, top, bottom] = [340, 150, 12, 132];
-    const [under, script, cursor] = ['under', 'script', 'cursor'].map((kind) => element(`svg:${kind === 'cursor' ? 'rect' : 'path'}`, { class: kind }));
+    const [under, script, cursor] = ['under', 'script', 'cursor'].map((kind) =>
+      element(`svg:${kind === 'cursor' ? 'rect' : 'path'}`, { class: kind }),
+    );
     const zero = element('svg:path', { class: 'zero' });
     const words = [0, 1, 2, 3].map(() => element('svg:text', {}));
     const drawing = element(
       'svg:svg',
-      { class: 'pad', id: 'pad', viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: 'slider', 'aria-describedby': 'lead-help' },
-      under, zero, script, cursor, ...words,
+      {
+        class: 'pad',
+        id: 'pad',
+        viewBox: `0 0 ${width} ${height}`,
+        tabindex: 0,
+        role: 'slider',
+        'aria-describedby': 'lead-help',
+      },
+      under,
+      zero,
+      script,
+      cursor,
+      ...words,
     );
     into.replaceChildren(drawing);
     let values = [];
@@ -119,7 +137,9 @@
         word.setAttribute('y', base);
         word.textContent = text;
       });
-      Object.entries({ x: x(at), y: top, width: width / Math.max(values.length, 1), height: bottom - top }).forEach(([key, to]) => cursor.setAttribute(key, to.toFixed(1)));
+      Object.entries({ x: x(at), y: top, width: width / Math.max(values.length, 1), height: bottom - top }).forEach(
+        ([key, to]) => cursor.setAttribute(key, to.toFixed(1)),
+      );
       const now = values[at] ?? 0;
       Object.entries({
         'aria-label': 'Acceleration of vehicle 0 over time',
@@ -132,25 +152,31 @@
     const put = (cell, value) => {
       values[cell] = Math.min(Math.max(Math.round(value * 10) / 10, limits.low), limits.high);
     };
-    const told = () => {
+    const publish = () => {
       paint();
       changed(values, limits.cell_s);
     };
     let last = null;
     const draw = (event) => {
       const box = drawing.getBoundingClientRect();
-      const cell = Math.min(Math.max(Math.floor(((event.clientX - box.left) / box.width) * values.length), 0), values.length - 1);
+      const cell = Math.min(
+        Math.max(Math.floor(((event.clientX - box.left) / box.width) * values.length), 0),
+        values.length - 1,
+      );
       const share = (((event.clientY - box.top) / box.height) * height - top) / (bottom - top);
       const value = limits.high - share * (limits.high - limits.low);
-      // A fast hand leaves no holes.
+      // Fills the cells between two events of a fast pointer.
       const from = last ?? { cell, value };
       const steps = Math.max(Math.abs(cell - from.cell), 1);
       for (let step = 0; step <= steps; step += 1) {
-        put(Math.round(from.cell + ((cell - from.cell) * step) / steps), from.value + ((value - from.value) * step) / steps);
+        put(
+          Math.round(from.cell + ((cell - from.cell) * step) / steps),
+          from.value + ((value - from.value) * step) / steps,
+        );
       }
       last = { cell, value };
       at = cell;
-      told();
+      publish();
     };
     drawing.addEventListener('pointerdown', (event) => {
       if (!values.length) return;
@@ -164,19 +190,28 @@
       if (drawing.hasPointerCapture(event.pointerId)) draw(event);
     });
     drawing.addEventListener('keydown', (event) => {
-      const by = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 0.5], ArrowDown: [0, -0.5], PageUp: [0, 2], PageDown: [0, -2] }[event.key];
+      const by = {
+        ArrowLeft: [-1, 0],
+        ArrowRight: [1, 0],
+        ArrowUp: [0, 0.5],
+        ArrowDown: [0, -0.5],
+        PageUp: [0, 2],
+        PageDown: [0, -2],
+      }[event.key];
       if (!by || !values.length) return;
       event.preventDefault();
       at = Math.min(Math.max(at + by[0], 0), values.length - 1);
       if (by[1]) {
         put(at, values[at] + by[1]);
-        told();
+        publish();
       } else paint();
     });
     return {
       show: (lead, duration_s) => {
         limits = { low: -lead.max_brake_mps2, high: Math.max(lead.max_accel_mps2, 0.5), cell_s: lead.cell_s };
-        values = lead.accel_mps2 ? [...lead.accel_mps2] : new Array(Math.max(1, Math.ceil(duration_s / lead.cell_s - 1e-9))).fill(0);
+        values = lead.accel_mps2
+          ? [...lead.accel_mps2]
+          : new Array(Math.max(1, Math.ceil(duration_s / lead.cell_s - 1e-9))).fill(0);
         at = Math.min(at, values.length - 1);
         paint();
       },
@@ -189,7 +224,7 @@
     };
   };
 
-  // As a script of a scenario file: where the value changes.
+  // Converts cells to a script of a scenario file, which has the times at which the value changes.
   const pieces = (values, cell_s) => {
     const from_s = [];
     const accel_mps2 = [];
@@ -202,8 +237,8 @@
   };
 
   const scenarioPage = () => {
-    // Vehicles that get sliders: with more, nobody would find one.
-    const MOST_SLIDERS = 8;
+    // Number of vehicles with sliders, so that the list stays clear.
+    const MAX_SLIDERS = 8;
     const narrow = matchMedia('(max-width:760px)');
     let opened = null;
     let edits = { vehicles: new Map() };
@@ -216,23 +251,34 @@
       lead: edits.lead,
       vehicles: [...edits.vehicles].map(([vehicle, changes]) => ({ vehicle, ...changes })),
     });
-    const meant = () => ({ scenario: opened.scenario, edits: edited() });
+    const request = () => ({ scenario: opened.scenario, edits: edited() });
 
-    let saidLater = 0;
+    let announcement = 0;
     const show = (drawn) => {
       byId('verdicts').className = 'verdicts';
       byId('verdicts').replaceChildren(
         ...drawn.runs.map((run) =>
-          element('div', { class: `verdict ${run.verdict === 'safe' ? 'good' : 'bad'}`, 'data-verdict': run.verdict, 'data-contact': run.contact_time_s },
-            element('b', {}, run.controller), run.words, ...run.notes.map((note) => element('span', { class: 'note' }, note))),
+          element(
+            'div',
+            {
+              class: `verdict ${run.verdict === 'safe' ? 'good' : 'bad'}`,
+              'data-verdict': run.verdict,
+              'data-contact': run.contact_time_s,
+            },
+            element('b', {}, run.controller),
+            run.words,
+            ...run.notes.map((note) => element('span', { class: 'note' }, note)),
+          ),
         ),
       );
       byId('figures').innerHTML = drawn.figures;
       byId('above').innerHTML = drawn.above;
-      byId('above').querySelectorAll('.draw-animation').forEach((block) => block.dispatchEvent(new Event('draw-animation', { bubbles: true })));
-      // Said once the hand rests, or nobody could listen.
-      clearTimeout(saidLater);
-      saidLater = setTimeout(() => {
+      byId('above')
+        .querySelectorAll('.draw-animation')
+        .forEach((block) => block.dispatchEvent(new Event('draw-animation', { bubbles: true })));
+      // Screen readers announce the result only when the changes stop.
+      clearTimeout(announcement);
+      announcement = setTimeout(() => {
         byId('said').textContent = drawn.runs.map((run) => `${run.controller}: ${run.words}`).join('. ');
       }, 600);
     };
@@ -240,10 +286,17 @@
     const run = latest('verdicts', async () => {
       const began = performance.now();
       try {
-        show(await ask('run', { ...meant(), controllers: chosen(), estimator: byId('estimator').value, narrow: narrow.matches }));
-        complain(null);
+        show(
+          await ask('run', {
+            ...request(),
+            controllers: chosen(),
+            estimator: byId('estimator').value,
+            narrow: narrow.matches,
+          }),
+        );
+        showError(null);
       } catch (error) {
-        complain(error);
+        showError(error);
       }
       if (performance.getEntriesByName('drag').length > 500) performance.clearMeasures('drag');
       performance.measure('drag', { start: began, end: performance.now() });
@@ -264,12 +317,29 @@
     });
 
     const vehicleSliders = (vehicle, index) => {
-      const box = element('fieldset', {}, element('legend', {}, `${index} ${vehicle.name}`), element('p', { class: 'hint' }, `driven by ${vehicle.driver}`));
+      const box = element(
+        'fieldset',
+        {},
+        element('legend', {}, `${index} ${vehicle.name}`),
+        element('p', { class: 'hint' }, `driven by ${vehicle.driver}`),
+      );
       if (vehicle.gap_m !== null && vehicle.gap_m > 0) {
-        slider(box, { label: 'Gap ahead (m)', min: 0.5, max: 100, step: 0.1, value: vehicle.gap_m, name: `gap-${index}` }, (gap_m) => change(index, { gap_m }));
+        slider(
+          box,
+          { label: 'Gap ahead (m)', min: 0.5, max: 100, step: 0.1, value: vehicle.gap_m, name: `gap-${index}` },
+          (gap_m) => change(index, { gap_m }),
+        );
       }
-      slider(box, { label: 'Speed (m/s)', min: 0, max: 50, step: 0.1, value: vehicle.speed_mps, name: `speed-${index}` }, (speed_mps) => change(index, { speed_mps }));
-      const classes = element('select', { id: `class-${index}` }, ...start.classes.map(({ name }) => element('option', { value: name, selected: name === vehicle.class }, name)));
+      slider(
+        box,
+        { label: 'Speed (m/s)', min: 0, max: 50, step: 0.1, value: vehicle.speed_mps, name: `speed-${index}` },
+        (speed_mps) => change(index, { speed_mps }),
+      );
+      const classes = element(
+        'select',
+        { id: `class-${index}` },
+        ...start.classes.map(({ name }) => element('option', { value: name, selected: name === vehicle.class }, name)),
+      );
       classes.addEventListener('change', () => {
         if (index === 0) {
           const limits = start.classes.find(({ name }) => name === classes.value);
@@ -289,12 +359,16 @@
       byId('about').textContent = [scenario.about, opened.note].filter(Boolean).join(' ');
       byId('about').hidden = !byId('about').textContent;
       byId('road').replaceChildren();
-      slider(byId('road'), { label: 'Friction (1 is dry)', min: 0.05, max: 1, step: 0.01, value: sliders.friction, name: 'friction' }, (friction) => {
-        edits.friction = friction;
-        changed();
-      });
-      byId('vehicles').replaceChildren(...sliders.vehicles.slice(0, MOST_SLIDERS).map(vehicleSliders));
-      const more = sliders.vehicles.length - MOST_SLIDERS;
+      slider(
+        byId('road'),
+        { label: 'Friction (1 is dry)', min: 0.05, max: 1, step: 0.01, value: sliders.friction, name: 'friction' },
+        (friction) => {
+          edits.friction = friction;
+          changed();
+        },
+      );
+      byId('vehicles').replaceChildren(...sliders.vehicles.slice(0, MAX_SLIDERS).map(vehicleSliders));
+      const more = sliders.vehicles.length - MAX_SLIDERS;
       if (more > 0) byId('vehicles').append(element('p', { class: 'hint' }, `${more} more vehicles have no sliders.`));
       lead.show(sliders.lead, sliders.duration_s);
       changed();
@@ -303,14 +377,16 @@
       try {
         opened = await ask('open', what);
         if (opened.controller) {
-          byId('chosen').querySelectorAll('input').forEach((box) => {
-            box.checked = box.value === opened.controller;
-          });
+          byId('chosen')
+            .querySelectorAll('input')
+            .forEach((box) => {
+              box.checked = box.value === opened.controller;
+            });
         }
         if (opened.estimator) byId('estimator').value = opened.estimator;
         begin();
       } catch (error) {
-        complain(error);
+        showError(error);
       }
     };
 
@@ -328,7 +404,7 @@
     narrow.addEventListener('change', run);
     byId('chosen').addEventListener('change', (event) => {
       const count = chosen().length;
-      // There is always one, and never more than fit.
+      // At least one controller, and at most as many as fit, are selected.
       if (count < 1 || count > start.most_controllers) event.target.checked = !event.target.checked;
       else run();
     });
@@ -337,7 +413,7 @@
       button.disabled = true;
       place.replaceChildren(element('p', {}, 'Searching for an escape …'));
       try {
-        const { words, escape, verdict } = await ask('avoid', meant());
+        const { words, escape, verdict } = await ask('avoid', request());
         place.replaceChildren(...words.map((line) => element('p', {}, line)));
         place.dataset.verdict = verdict;
         place.insertAdjacentHTML('beforeend', escape);
@@ -347,41 +423,53 @@
       button.disabled = false;
     });
     const save = async (to_folder) => {
-      const told = byId('saved');
+      const status = byId('saved');
       try {
-        const saved = await ask('save', { what: meant(), controller: chosen()[0], estimator: byId('estimator').value, to_folder });
+        const saved = await ask('save', {
+          what: request(),
+          controller: chosen()[0],
+          estimator: byId('estimator').value,
+          to_folder,
+        });
         if (!to_folder) {
           const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
           element('a', { href: address, download: saved.file_name }).click();
           setTimeout(() => URL.revokeObjectURL(address), 10_000);
         }
-        told.replaceChildren(saved.path ? `Saved as ${saved.path}. ` : '', 'Repeat with ', element('code', {}, saved.command));
+        status.replaceChildren(
+          saved.path ? `Saved as ${saved.path}. ` : '',
+          'Repeat with ',
+          element('code', {}, saved.command),
+        );
       } catch (error) {
-        told.replaceChildren(element('span', { class: 'bad' }, error.message));
+        status.replaceChildren(element('span', { class: 'bad' }, error.message));
       }
     };
     byId('save')?.addEventListener('click', () => save(true));
     byId('download').addEventListener('click', () => save(false));
     byId('controls').addEventListener('submit', (event) => event.preventDefault());
 
-    const wanted = ['scenario', 'campaign', 'counterexample', 'evaluation'].filter((key) => /^\d+$/.test(query.get(key) ?? ''));
-    open(wanted.length ? Object.fromEntries(wanted.map((key) => [key, Number(query.get(key))])) : { scenario: 0 });
+    const keys = ['scenario', 'campaign', 'counterexample', 'evaluation'].filter((key) =>
+      /^\d+$/.test(query.get(key) ?? ''),
+    );
+    open(keys.length ? Object.fromEntries(keys.map((key) => [key, Number(query.get(key))])) : { scenario: 0 });
   };
 
   const campaignsPage = () => {
     if (!byId('filters')) return;
     const narrow = matchMedia('(max-width:760px)');
     const chosen = (id) => byId(id).value;
-    // Puts names into a selection, which keeps what was selected.
-    const offer = (id, names, first = []) => {
+    // Sets the options of a selection, and keeps its selected value if possible.
+    const setOptions = (id, names, first = []) => {
       const select = byId(id);
       const before = select.value;
-      const wanted = [...first, ...names.map((name) => [name, name])];
-      if ([...select.options].map((option) => option.value).join('\n') === wanted.map(([value]) => value).join('\n')) return;
-      select.replaceChildren(...wanted.map(([value, words]) => element('option', { value }, words)));
-      if (wanted.some(([value]) => value === before)) select.value = before;
+      const options = [...first, ...names.map((name) => [name, name])];
+      if ([...select.options].map((option) => option.value).join('\n') === options.map(([value]) => value).join('\n'))
+        return;
+      select.replaceChildren(...options.map(([value, words]) => element('option', { value }, words)));
+      if (options.some(([value]) => value === before)) select.value = before;
     };
-    // Only what has changed is put in anew: nobody loses their place in the rest.
+    // Replaces only changed markup, so that the user's focus and position in the rest stay.
     const shown = new Map();
     const put = (id, markup) => {
       if (shown.get(id) === markup) return;
@@ -389,12 +477,12 @@
       byId(id).innerHTML = markup;
     };
     let later = 0;
-    let ran = null;
+    let wasRunning = null;
     const look = latest('words', async () => {
       clearTimeout(later);
       const named = (id) => chosen(id) || null;
       try {
-        const seen = await ask('campaign', {
+        const state = await ask('campaign', {
           campaign: Number(chosen('campaign')),
           against: chosen('against') === '' ? null : Number(chosen('against')),
           across: named('across'),
@@ -403,30 +491,31 @@
           kind: named('kind'),
           narrow: narrow.matches,
         });
-        complain(null);
-        offer('across', seen.coordinates);
-        offer('up', seen.coordinates);
-        byId('across').value = seen.across;
-        byId('up').value = seen.up;
-        offer('method', seen.methods, [['', 'every method']]);
-        offer('kind', seen.kinds, [['', 'every kind']]);
-        byId('words').replaceChildren(...seen.words.map((line) => element('p', { class: 'told' }, line)));
-        ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, seen[id]));
-        document.body.dataset.running = seen.running;
-        document.body.dataset.loading = seen.loading;
-        if (ran === true && !seen.running) byId('said').textContent = seen.words.join('. ');
-        ran = seen.running;
-        if (seen.loading) later = setTimeout(look, 0);
-        else if (seen.running) later = setTimeout(look, 1500);
+        showError(null);
+        setOptions('across', state.coordinates);
+        setOptions('up', state.coordinates);
+        byId('across').value = state.across;
+        byId('up').value = state.up;
+        setOptions('method', state.methods, [['', 'every method']]);
+        setOptions('kind', state.kinds, [['', 'every kind']]);
+        byId('words').replaceChildren(...state.words.map((line) => element('p', { class: 'told' }, line)));
+        ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
+        document.body.dataset.running = state.running;
+        document.body.dataset.loading = state.loading;
+        if (wasRunning === true && !state.running) byId('said').textContent = state.words.join('. ');
+        wasRunning = state.running;
+        if (state.loading) later = setTimeout(look, 0);
+        else if (state.running) later = setTimeout(look, 1500);
       } catch (error) {
-        complain(error);
+        showError(error);
         later = setTimeout(look, 3000);
       }
     });
     byId('filters').addEventListener('submit', (event) => event.preventDefault());
     byId('filters').addEventListener('change', (event) => {
       // Another campaign has other parameters and kinds of failures.
-      if (event.target.id === 'campaign') ['across', 'up', 'method', 'kind'].forEach((id) => byId(id).replaceChildren());
+      if (event.target.id === 'campaign')
+        ['across', 'up', 'method', 'kind'].forEach((id) => byId(id).replaceChildren());
       look();
     });
     narrow.addEventListener('change', look);

@@ -36,7 +36,7 @@ def monitor(
         except (TypeError, ValueError) as error:
             raise FormulaError(f"signal `{name}` is no array of numbers: {error}") from error
         if array.ndim not in (1, 2):
-            raise FormulaError(f"signal `{name}` has {array.ndim} dimensions: 1 or 2 are wanted")
+            raise FormulaError(f"signal `{name}` has {array.ndim} dimensions: it must have 1 or 2")
         arrays[name] = array
     batch_sizes = [len(array) for array in arrays.values() if array.ndim == 2]
     traces = max(batch_sizes, default=1)

@@ -59,8 +59,8 @@ class _StepBuffers:
         count = len(self.rewards)
         array = np.asarray(actions)
         if array.size != count or array.shape not in ((), (count,), (count, 1)) or array.dtype.kind not in "fiu":
-            wanted = f"{count} numbers, in an array of shape ({count}, 1)"
-            raise TrainingError(f"actions are {wanted}, found {array.dtype} of shape {array.shape}")
+            expected = f"{count} numbers, in an array of shape ({count}, 1)"
+            raise TrainingError(f"actions are {expected}, found {array.dtype} of shape {array.shape}")
         # Copied, because the actions may be in an array that this step overwrites.
         episodes.step(
             array.astype(np.float32).reshape(-1),
@@ -182,8 +182,8 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
         if options is not None and "reset_mask" in options:
             mask = np.ascontiguousarray(options["reset_mask"])
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-                wanted = f"an array of bool of shape ({self.num_envs},)"
-                raise TrainingError(f"reset_mask is {wanted}, found {mask.dtype} of shape {mask.shape}")
+                expected = f"an array of bool of shape ({self.num_envs},)"
+                raise TrainingError(f"reset_mask is {expected}, found {mask.dtype} of shape {mask.shape}")
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**62))
         seeds: list[int] | None = None

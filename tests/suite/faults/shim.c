@@ -52,7 +52,8 @@ static void say(const char *format, ...) {
 
 /* Counts a call. Returns -1 if it must fail. The caller holds the mutex. */
 static int counted(void) {
-    if (trace < 0 && getenv("FAULT_TRACE")) trace = REAL(open)(getenv("FAULT_TRACE"), O_CREAT | O_WRONLY | O_APPEND, 0644);
+    const char *path = getenv("FAULT_TRACE");
+    if (trace < 0 && path) trace = REAL(open)(path, O_CREAT | O_WRONLY | O_APPEND, 0644);
     calls++;
     const char *at = getenv("FAULT_AT"), *fault = getenv("FAULT");
     if (!at || atol(at) != calls || !fault) return 0;

@@ -1,4 +1,4 @@
-/* The follower of examples/controllers/fmu in FMI 3.0; WHAT selects a misbehaviour from 0.03 s on. */
+/* Follower of examples/controllers/fmu in FMI 3.0. WHAT selects a fault that begins at 0.03 s. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -6,7 +6,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-enum { TIME, GAP_M, RELATIVE_MPS, SPEED_MPS, ACCELERATION_MPS2, TIME_GAP_S, SET_SPEED_MPS, IS_AHEAD, LANES, SPARE, VARIABLES };
+enum {
+    TIME, GAP_M, RELATIVE_MPS, SPEED_MPS, ACCELERATION_MPS2, TIME_GAP_S, SET_SPEED_MPS, IS_AHEAD, LANES, SPARE,
+    VARIABLES
+};
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { NOTHING, CRASH, NO_NUMBER, TO_DISCARD, TO_FAIL, TO_END, PRINT, WARN, HANG, NO_INSTANCE, ONCE, LATER };
 #ifndef WHAT
@@ -28,8 +31,9 @@ int fmi3Reset(void *instance) {
     return OK;
 }
 
-void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible, bool logging, bool events,
-                                  bool early, const unsigned *intermediate, size_t count, void *environment, Logger log, void *update) {
+void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible,
+                                  bool logging, bool events, bool early, const unsigned *intermediate, size_t count,
+                                  void *environment, Logger log, void *update) {
     static int instances;
     Follower *own = calloc(1, sizeof *own);
     (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)events, (void)early;
@@ -40,7 +44,8 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
     return own;
 }
 void fmi3FreeInstance(void *instance) { free(instance); }
-int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start_s, bool has_stop, double stop_s) {
+int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start_s, bool has_stop,
+                                double stop_s) {
     (void)has_tolerance, (void)tolerance, (void)start_s, (void)has_stop, (void)stop_s;
     return instance ? OK : ERROR;
 }
@@ -76,20 +81,21 @@ int fmi3SetBoolean(void *instance, const unsigned references[], size_t count, co
     return OK;
 }
 
-int fmi3DoStep(void *instance, double time_s, double step_s, bool no_set_state, bool *event, bool *end, bool *early, double *last_s) {
+int fmi3DoStep(void *instance, double time_s, double step_s, bool no_set_state, bool *event, bool *end, bool *early,
+               double *last_s) {
     Follower *own = instance;
-    double *value = own->values, wanted_mps2;
+    double *value = own->values, command_mps2;
     (void)no_set_state, (void)event, (void)early;
     *last_s = time_s + step_s;
-    wanted_mps2 = 0.3 * (value[GAP_M] - 4.0 - value[TIME_GAP_S] * value[SPEED_MPS]) + 0.9 * value[RELATIVE_MPS];
-    wanted_mps2 = fmax(-7.5, fmin(wanted_mps2, fmin(2.0, value[SET_SPEED_MPS] - value[SPEED_MPS])));
+    command_mps2 = 0.3 * (value[GAP_M] - 4.0 - value[TIME_GAP_S] * value[SPEED_MPS]) + 0.9 * value[RELATIVE_MPS];
+    command_mps2 = fmax(-7.5, fmin(command_mps2, fmin(2.0, value[SET_SPEED_MPS] - value[SPEED_MPS])));
     if (!own->is_ahead || own->lanes != 1) return ERROR;
     if (WHAT == PRINT) printf("an answer that is none, at %g\n", time_s), fflush(stdout);
     if (WHAT == LATER) { /* A lag of 0.3 s with internal state. */
-        own->filtered_mps2 += (wanted_mps2 - own->filtered_mps2) * (1.0 - exp(-step_s / 0.3));
-        wanted_mps2 = own->filtered_mps2;
+        own->filtered_mps2 += (command_mps2 - own->filtered_mps2) * (1.0 - exp(-step_s / 0.3));
+        command_mps2 = own->filtered_mps2;
     }
-    value[ACCELERATION_MPS2] = wanted_mps2;
+    value[ACCELERATION_MPS2] = command_mps2;
     if (time_s < 0.025) return OK;
     switch (WHAT) {
     case CRASH: abort();
@@ -108,7 +114,8 @@ int fmi3DoStep(void *instance, double time_s, double step_s, bool no_set_state, 
 UNSUPPORTED(fmi3ActivateModelPartition) UNSUPPORTED(fmi3CompletedIntegratorStep) UNSUPPORTED(fmi3DeserializeFMUState)
 UNSUPPORTED(fmi3EnterConfigurationMode) UNSUPPORTED(fmi3EnterContinuousTimeMode) UNSUPPORTED(fmi3EnterEventMode)
 UNSUPPORTED(fmi3EnterStepMode) UNSUPPORTED(fmi3EvaluateDiscreteStates) UNSUPPORTED(fmi3ExitConfigurationMode)
-UNSUPPORTED(fmi3FreeFMUState) UNSUPPORTED(fmi3GetAdjointDerivative) UNSUPPORTED(fmi3GetBinary) UNSUPPORTED(fmi3GetBoolean)
+UNSUPPORTED(fmi3FreeFMUState) UNSUPPORTED(fmi3GetAdjointDerivative) UNSUPPORTED(fmi3GetBinary)
+UNSUPPORTED(fmi3GetBoolean)
 UNSUPPORTED(fmi3GetClock) UNSUPPORTED(fmi3GetContinuousStateDerivatives) UNSUPPORTED(fmi3GetContinuousStates)
 UNSUPPORTED(fmi3GetDirectionalDerivative) UNSUPPORTED(fmi3GetEventIndicators) UNSUPPORTED(fmi3GetFMUState)
 UNSUPPORTED(fmi3GetFloat32) UNSUPPORTED(fmi3GetInt16) UNSUPPORTED(fmi3GetInt32) UNSUPPORTED(fmi3GetInt64)
@@ -118,7 +125,8 @@ UNSUPPORTED(fmi3GetNumberOfEventIndicators) UNSUPPORTED(fmi3GetNumberOfVariableD
 UNSUPPORTED(fmi3GetOutputDerivatives) UNSUPPORTED(fmi3GetShiftDecimal) UNSUPPORTED(fmi3GetShiftFraction)
 UNSUPPORTED(fmi3GetString) UNSUPPORTED(fmi3GetUInt16) UNSUPPORTED(fmi3GetUInt32) UNSUPPORTED(fmi3GetUInt64)
 UNSUPPORTED(fmi3GetUInt8) UNSUPPORTED(fmi3GetVariableDependencies) UNSUPPORTED(fmi3GetVersion)
-UNSUPPORTED(fmi3InstantiateModelExchange) UNSUPPORTED(fmi3InstantiateScheduledExecution) UNSUPPORTED(fmi3SerializeFMUState)
+UNSUPPORTED(fmi3InstantiateModelExchange) UNSUPPORTED(fmi3InstantiateScheduledExecution)
+UNSUPPORTED(fmi3SerializeFMUState)
 UNSUPPORTED(fmi3SerializedFMUStateSize) UNSUPPORTED(fmi3SetBinary) UNSUPPORTED(fmi3SetClock)
 UNSUPPORTED(fmi3SetContinuousStates) UNSUPPORTED(fmi3SetDebugLogging) UNSUPPORTED(fmi3SetFMUState)
 UNSUPPORTED(fmi3SetFloat32) UNSUPPORTED(fmi3SetInt16) UNSUPPORTED(fmi3SetInt64) UNSUPPORTED(fmi3SetInt8)

@@ -6,7 +6,7 @@
     const text = Math.abs(value).toFixed(digits);
     return (value < 0 && Number(text) !== 0 ? '\u2212' : '') + text;
   };
-  // For each block what to do around printing; blocks that a page has thrown away are forgotten.
+  // Actions before and after printing by block; removed blocks are garbage collected.
   const forPaper = new WeakMap();
   const setUp = (block) => {
     const data = JSON.parse(block.querySelector('script').textContent);
@@ -39,7 +39,8 @@
       const held = (vehicle) => vehicle.acceleration_mps2[share > 1 - 1e-6 ? sample + 1 : sample];
       const inLane = ({ in_lane_s: span }) => !span || (span[0] <= now + 1e-6 && now < span[1] - 1e-6);
       const gap = (rear) => {
-        const ahead = inLane(vehicles[rear]) ? vehicles.findLastIndex((vehicle, index) => index < rear && inLane(vehicle)) : -1;
+        const isAhead = (vehicle, index) => index < rear && inLane(vehicle);
+        const ahead = inLane(vehicles[rear]) ? vehicles.findLastIndex(isAhead) : -1;
         return ahead < 0 ? null : fronts[ahead] - vehicles[ahead].length_m - fronts[rear];
       };
       const [first, end] = data.centred;
@@ -90,10 +91,10 @@
     };
     const frame = (clockMs) => {
       if (!block.isConnected) return;
-      // A frame is stamped with its start, which may lie before the click: the first one only starts the clock.
+      // The time of a frame may be before the click, so the first frame only starts the clock.
       if (before !== null) due += Math.min(Math.max(clockMs - before, 0) / 1000, 0.2);
       before = clockMs;
-      // Without motion there is a still picture every half second.
+      // With reduced motion the picture changes every half second.
       if (!calm.matches || due >= 0.5) {
         now = Math.min(now + due, data.end_s);
         due = 0;
@@ -116,7 +117,7 @@
       now = timeOf(Number(slider.value));
       show();
     });
-    // Paper gets the end, which is what the words around it are about.
+    // Printed pages show the end, which the text describes.
     let shown = now;
     forPaper.set(block, {
       before: () => {
@@ -138,6 +139,6 @@
     addEventListener(`${when}print`, () => blocks().forEach((block) => forPaper.get(block)?.[when]()));
   }
   blocks().forEach(setUp);
-  // What a page puts into itself later, it says by this event on the block.
+  // A page dispatches this event on a block that it inserts later.
   document.addEventListener('draw-animation', (event) => setUp(event.target));
 })();

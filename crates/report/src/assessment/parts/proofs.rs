@@ -168,9 +168,8 @@ impl KernelGap {
     }
 }
 
-const INTRODUCTION: &str = "The checker accepted each certificate in this run; it shares no code with simulation, \
-    search, training and \
-    solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure rate by counts of \
+const INTRODUCTION: &str = "The checker accepted each certificate in this run; it uses no code of the simulator, \
+    the search or the solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure rate by counts of \
     runs that \
     were registered before the first one, and a comparison shows which of two controllers fails less often; `--rerun` \
     repeats the \
