@@ -13,7 +13,7 @@ struct Row {
 
 /// The source of the numbers in a row.
 enum Source {
-    /// Its command, which takes about a second; numbers follow these texts.
+    /// A command that takes about a second; numbers follow these texts.
     Printed(&'static [&'static str]),
     /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text
     /// before each number.

@@ -1,9 +1,9 @@
 //! Checks crumple's proofs about traffic scenes, and uses no code of its simulator, search or solver.
 //!
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
-//! This crate accepts or rejects the file. It depends on no simulator, solver or random number. Modules in reading
-//! order: [`interval`], [`claim`], [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`],
-//! [`reach`], [`cruise`], [`certificate`], [`scope`], [`work`].
+//! This crate accepts or rejects the file, without random numbers. Modules in reading order: [`interval`], [`claim`],
+//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`], [`cruise`],
+//! [`certificate`], [`scope`], [`work`].
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test. Behind them there may be a

@@ -16,7 +16,7 @@ const MAX_PAD_CELLS: usize = 60;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct RunResponse {
-    runs: Vec<RunSummary>,
+    runs: Vec<RunPanel>,
     /// Position, speed and gap diagrams, as SVG.
     figures: String,
     #[serde(rename = "above")]
@@ -25,7 +25,7 @@ pub(crate) struct RunResponse {
 }
 
 #[derive(Debug, Serialize)]
-struct RunSummary {
+struct RunPanel {
     controller: String,
     /// `safe`, `collision` or `failed`.
     verdict: &'static str,
@@ -73,14 +73,14 @@ pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result
         runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
     }
     Ok(RunResponse {
-        runs: runs.iter().map(|(controller, run)| summarize_run(controller, &scenario, run)).collect(),
+        runs: runs.iter().map(|(controller, run)| render_panel(controller, &scenario, run)).collect(),
         figures: render_figures(&scenario, &runs, request.narrow),
         top_views: render_top_views(&scenario, &runs),
         sliders: Sliders::new(&scenario),
     })
 }
 
-fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &SimulationResult) -> RunSummary {
+fn render_panel(controller: &NamedController, scenario: &Scenario, run: &SimulationResult) -> RunPanel {
     let (verdict, words) = match &run.outcome {
         Outcome::Collision(contact) => (
             "collision",
@@ -110,13 +110,7 @@ fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simula
         }
     }
     let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
-    RunSummary {
-        controller: escape_text(&controller.name),
-        verdict,
-        summary: escape_text(&words),
-        notes,
-        contact_time_s,
-    }
+    RunPanel { controller: escape_text(&controller.name), verdict, summary: escape_text(&words), notes, contact_time_s }
 }
 
 /// Escapes invisible characters in foreign text.

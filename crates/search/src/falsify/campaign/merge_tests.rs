@@ -167,9 +167,10 @@ fn merged_shards_form_one_campaign_and_list_missing_shards() {
         // No failure of any shard dominates one on the front.
         for found in alone.iter().flat_map(|one| &one.front) {
             let key = |p: &super::super::FrontPoint| (-p.robustness, p.ln_likelihood, -p.distance_from_nominal);
-            prop_assert!(!summary.front.iter().any(|kept| {
+            let is_dominated = summary.front.iter().any(|kept| {
                 key(found).0 > key(kept).0 && (key(found).1, key(found).2) > (key(kept).1, key(kept).2)
-            }));
+            });
+            prop_assert!(!is_dominated);
             prop_assert!(summary.front.contains(found) || summary.front.iter().any(|kept| key(kept).0 >= key(found).0));
         }
         let divided = summary.sharding.clone();
