@@ -76,8 +76,8 @@ pub(super) struct Assess {
     /// Gather all evidence again
     #[arg(long)]
     fresh: bool,
-    /// Gather only shard I of N of the evidence, N at most the number of its pieces, and write no report. `crumple
-    /// merge` combines shards for `assess`. The same command resumes an interrupted shard
+    /// Gather only shard I of N of the evidence and write no report; N is at most the number of pieces of evidence.
+    /// `crumple merge` combines shards for `assess`. The same command resumes an interrupted shard
     #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
     shard: Option<ShardId>,
     /// Output format: the first page as text, or the summary of assessment.json
@@ -96,8 +96,8 @@ impl Assess {
             None => AssessmentPlan::built_in(),
             Some(path) => {
                 let plan = AssessmentPlan::load(path)?;
-                let undecided = plan.controllers().iter().flat_map(args::controller_notes);
-                undecided.for_each(|doubt| output::note(&doubt, quiet));
+                let notes = plan.controllers().iter().flat_map(args::controller_notes);
+                notes.for_each(|note| output::note(&note, quiet));
                 plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
             }
@@ -110,13 +110,16 @@ impl Assess {
             return Err(CliError::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-        let kept = self.out.join(EVIDENCE_FOLDER);
-        let again = if self.fresh {
+        let evidence_folder = self.out.join(EVIDENCE_FOLDER);
+        let resume_hint = if self.fresh {
             "the same command without --fresh resumes the assessment"
         } else {
             "the same command resumes the assessment"
         };
-        interrupt::set_exit_message(format!("the evidence computed so far is in {}: {again}", kept.display()), quiet);
+        interrupt::set_exit_message(
+            format!("the evidence computed so far is in {}: {resume_hint}", evidence_folder.display()),
+            quiet,
+        );
         let (identity, begun) = (program::identity()?, Instant::now());
         check_no_symlinks(&self.out)?;
         if let Some(kind) = run_folder::read_kind(&self.out).filter(|kind| kind != REPORT_KIND) {
@@ -129,7 +132,7 @@ impl Assess {
         let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
             .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
-        let cache = EvidenceCache::open(&kept, identity, self.fresh)?;
+        let cache = EvidenceCache::open(&evidence_folder, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
             let note = format!(
                 "note: `{}` states no identity, so the next assessment cannot reuse this evidence",
@@ -143,13 +146,13 @@ impl Assess {
         bar.finish_and_clear();
         folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
         let (pieces, reused) = cache.reuse_counts();
-        let again =
+        let reuse_note =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were reused") };
         for path in cache.damaged_files() {
             output::note(&format!("note: {} was damaged, and its evidence was computed again", path.display()), quiet);
         }
         let page = self.out.join("assessment.html");
-        output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
+        output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){reuse_note}", page.display()), quiet);
         let mut message = assessment.first_page.to_plain_text();
         if let Some(comparison) = &assessment.comparison {
             message += &format!("{}\n", comparison.describe());
@@ -262,8 +265,8 @@ fn git_commit(folder: &Path) -> Option<String> {
         command.arg("-C").arg(folder).args(no_programs.iter().chain(arguments));
         // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
         command.env("GIT_OPTIONAL_LOCKS", "0").env("GIT_NO_LAZY_FETCH", "1").env("GIT_ALLOW_PROTOCOL", "none");
-        let message = command.output().ok()?;
-        message.status.success().then(|| String::from_utf8_lossy(&message.stdout).trim().to_owned())
+        let result = command.output().ok()?;
+        result.status.success().then(|| String::from_utf8_lossy(&result.stdout).trim().to_owned())
     };
     let commit = git(&["rev-parse", "HEAD"])?;
     // `git status` starts the filters that the configuration of a repository names.

@@ -68,7 +68,7 @@ pub(super) struct Falsify {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Failures to prefer once the search knows some: severest, likeliest or nearest (to nominal)
+    /// Failures to prefer after the first one is found: severest, likeliest or nearest (to nominal)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
@@ -93,8 +93,8 @@ pub(super) struct Falsify {
     /// Count only failures in scenarios that this other controller passes
     #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
-    /// Count only failures that a harder scenario avoids: `larger-gap=M` (vehicles ahead start M metres nearer) or
-    /// `more-friction=F` (friction lower by F)
+    /// Count only failures that a harder scenario avoids: with `larger-gap=M`, the one in which vehicles ahead start M
+    /// metres nearer; with `more-friction=F`, the one with friction lower by F
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
@@ -111,7 +111,7 @@ pub(super) struct Falsify {
     /// Run only shard I of N: a part of the budget of every method; `crumple merge` combines shards into one campaign
     #[arg(long, value_name = "I/N")]
     shard: Option<ShardId>,
-    /// Make the search a gate: exit code 1 unless it found a failure, or none
+    /// Make the search a gate: exit code 1 if the result differs from this expectation
     #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
     expect: Option<SearchExpectation>,
     /// Folder of the campaign, created if missing [default: crumple-campaign; for a shard,
@@ -150,18 +150,18 @@ impl SearchExpectation {
             }
             // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
-                let alone: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
-                if alone > 0 && alone == evaluations {
+                let without_partner: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
+                if without_partner > 0 && without_partner == evaluations {
                     return Err(CliError::Gate(format!(
                         "expected no failure, but none of {evaluations} evaluations has a second scenario to compare \
                          with"
                     )));
                 }
                 match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
-                    Some(silent) => Err(CliError::Gate(format!(
+                    Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
                          no answer: {}",
-                        silent.because
+                        unanswered.because
                     ))),
                     None => Ok(()),
                 }
@@ -199,11 +199,11 @@ impl Falsify {
             seed: self.seed,
         };
         let kept = format!("the evaluations so far are in {}", out.display());
-        let again = match campaign.controller.kind.identity() {
+        let resume_note = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
             None => format!("{kept}; the controller states no identity, so the campaign cannot resume"),
         };
-        interrupt::set_exit_message(again, quiet);
+        interrupt::set_exit_message(resume_note, quiet);
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let part = match self.shard {
             None => self.budget,

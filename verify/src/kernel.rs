@@ -23,16 +23,16 @@
 //!
 //! 1. *Full braking stays in K at every instant.* If both brake fully for a time s, stops included, the motion from
 //!    (v_s, w_s) on is the rest of the motion from (v, w): P_β(u, s + t) = P_β(u, s) + P_β(u_s, t). So D(v_s, w_s) =
-//!    max over t >= s of closing(t), less closing(s), which is at most D(v, w) - closing(s). The gap after s is g -
-//!    closing(s). Hence **the margin g - D never falls**; s may lie inside a step and past any stop.
-//! 2. *The worst leader bounds all.* A leader that never brakes harder than c has, after s, at least the speed max(w -
-//!    c s, 0), and has covered at least P_c(w, s). P_c(w, t) does not fall in w, so D does not rise in w. Against any
-//!    such leader the gap after s is no smaller, and the demanded gap no larger, than against full braking, whatever
-//!    the own vehicle does. So a test of one step, its inside included, against full braking of the leader covers all
-//!    leaders. The inside matters: a vehicle that brakes harder than its leader may be closest in mid-step and still
-//!    end in K.
-//! 3. *Outside K a collision is unavoidable.* The own vehicle covers at least P_b(v, t) likewise. Against full braking
-//!    the gap at the t of the largest closing(t) is at most g - D(v, w) <= 0.
+//!    (max over t >= s of closing(t)) - closing(s) <= D(v, w) - closing(s). The gap after s is g - closing(s). Hence
+//!    **the margin g - D never falls**; s may lie inside a step and past any stop.
+//! 2. *A fully braking leader is the worst.* A leader that never brakes harder than c has, after s, at least the speed
+//!    max(w - c s, 0), and has covered at least P_c(w, s). P_c(w, t) is nondecreasing in w, so D is nonincreasing in w.
+//!    Against any such leader the gap after s is no smaller, and the demanded gap no larger, than against full braking,
+//!    whatever the own vehicle does. So a test against full braking of the leader at every instant of one step covers
+//!    all leaders. The end of the step is not enough: a vehicle that brakes harder than its leader may be closest in
+//!    mid-step and still end in K.
+//! 3. *Outside K a collision is unavoidable.* The own vehicle covers at least P_b(v, t) likewise. Behind a fully
+//!    braking leader, the gap at the instant of the largest closing(t) is at most g - D(v, w) <= 0.
 //! 4. *Friction.* P_{μβ}(u, t) = P_β(u, μ t)/μ, so on a road that allows the share μ of both limits D is the same
 //!    function divided by μ, and 1 to 3 hold again. If the limits scale differently, the certificate is for the scaled
 //!    limits.
@@ -95,12 +95,12 @@ pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim
     let p = parse_rational("stopping_own_squared", &kernel.stopping_own_squared)?;
     let q = parse_rational("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
     let r = kernel.catching_up_squared.as_ref().map(|text| parse_rational("catching_up_squared", text)).transpose()?;
-    let pair = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
+    let limits = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
     let cases = match (r, b > c) {
         (Some(r), true) => {
-            [&pair.last_stop_cases()[..], &[pair.harder_braking_case()], &pair.catching_up_cases(&r)].concat()
+            [&limits.last_stop_cases()[..], &[limits.harder_braking_case()], &limits.catching_up_cases(&r)].concat()
         }
-        (None, false) => [&pair.last_stop_cases()[..], &pair.softer_braking_cases()].concat(),
+        (None, false) => [&limits.last_stop_cases()[..], &limits.softer_braking_cases()].concat(),
         _ => return Err(Rejection::invalid("catching_up_squared", "must be present exactly if b > c")),
     };
     match cases.into_iter().find(|case| !case.holds()) {
@@ -114,7 +114,8 @@ fn parse_rational(field: &'static str, text: &str) -> Result<BigRational, Reject
     read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
 }
 
-/// A condition on a polynomial in x, y, z >= 0 that makes the closed form right in one case of moving and standing.
+/// A condition on a polynomial in x, y, z >= 0 under which the closed form is right in one case: which vehicles move or
+/// stand.
 #[derive(Debug, Clone)]
 struct ProofCase {
     failure_message: &'static str,
@@ -124,12 +125,12 @@ struct ProofCase {
 }
 
 impl ProofCase {
-    fn zero(fails_where: &'static str, polynomial: Polynomial) -> Self {
-        Self { failure_message: fails_where, polynomial, must_be_zero: true }
+    fn zero(failure_message: &'static str, polynomial: Polynomial) -> Self {
+        Self { failure_message, polynomial, must_be_zero: true }
     }
 
-    fn nonnegative(fails_where: &'static str, polynomial: Polynomial) -> Self {
-        Self { failure_message: fails_where, polynomial, must_be_zero: false }
+    fn nonnegative(failure_message: &'static str, polynomial: Polynomial) -> Self {
+        Self { failure_message, polynomial, must_be_zero: false }
     }
 
     fn holds(&self) -> bool {
@@ -137,7 +138,8 @@ impl ProofCase {
     }
 }
 
-/// The two limits, and their polynomials. `a` and `b` are times to standstill, `t` an instant.
+/// The two limits b and c, and their polynomials. In the methods, `a` and `b` are the times A and B to standstill, and
+/// `t` an instant.
 struct BrakeLimits<'a> {
     b: &'a BigRational,
     c: &'a BigRational,
@@ -146,13 +148,14 @@ struct BrakeLimits<'a> {
 }
 
 impl BrakeLimits<'_> {
-    /// Returns the distance up to t with time `stop` to standstill: rate (stop t - t²/2).
+    /// Returns the distance covered up to t by a vehicle that stands from the time `stop` on: rate (stop t - t²/2).
     fn distance_covered(rate: &BigRational, stop: &Polynomial, t: &Polynomial) -> Polynomial {
         let half = BigRational::new(1.into(), 2.into());
         rate * &(&(stop * t) - &(&half * &t.squared()))
     }
 
-    /// Returns closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). A vehicle that stands has t = its own stop.
+    /// Returns closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). For a vehicle that stands, t is its own
+    /// stop.
     fn closing_distance(&self, [a, ta]: [&Polynomial; 2], [b, tb]: [&Polynomial; 2]) -> Polynomial {
         &Self::distance_covered(self.b, a, ta) - &Self::distance_covered(self.c, b, tb)
     }
@@ -200,7 +203,8 @@ impl BrakeLimits<'_> {
         let turn = &harder.recip() * &(&v - &w);
         let short_by = &demanded - &self.closing_distance([a, t], [b, t]);
         let both_move = &short_by - &(&half_harder * &(t - &turn).squared());
-        // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A. The latter, with A = x and B = x + y:
+        // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A. The condition t* <= A, with A = x and B =
+        // x + y:
         let before_stop = &x - &(&harder.recip() * &(&(self.b * &x) - &(self.c * &(&x + &y))));
         // For w = v + z, closing is never positive before the own stop: A = x, t = y, c B = b x + z.
         let ahead = &self.c.recip() * &(&(self.b * &x) + &z);

@@ -20,7 +20,7 @@ use crumple_world::sim::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
 
-/// Runs that are simulated together, rounded up to whole blocks.
+/// Runs that are simulated together, rounded down to whole blocks, but at least one block.
 const BATCH_SIZE: u64 = 1000;
 const MIN_BLOCK_RUNS: u64 = 100;
 /// Maximum number of blocks of a count of up to [`LARGE_COUNT_RUNS`].
@@ -168,8 +168,8 @@ impl RatePlan {
     /// let certificate = plan.register_in(folder.path(), false).unwrap().certify(&Quiet).unwrap();
     /// println!("{}", crumple_verify::check(&certificate).unwrap());
     /// ```
-    pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig { controller, second_controller, space, seed, estimator, runs, confidence } = parts;
+    pub fn new(config: RateConfig) -> Result<Self, InvalidRate> {
+        let RateConfig { controller, second_controller, space, seed, estimator, runs, confidence } = config;
         if !(1..=MAX_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
@@ -179,13 +179,13 @@ impl RatePlan {
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
             return Err(InvalidRate::NoVehicleUnderTest { space: space.name().to_owned() });
         }
-        let drivers: Vec<NamedController> = std::iter::once(controller).chain(second_controller).collect();
-        if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
+        let controllers: Vec<NamedController> = std::iter::once(controller).chain(second_controller).collect();
+        if let Some(unknown) = controllers.iter().find(|driver| driver.kind.identity().is_none()) {
             return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
         }
         let space_text = file::to_toml(&space)?;
         let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
-        let failure = drivers.iter().map(NamedController::failure_description).max().unwrap_or_default();
+        let failure = controllers.iter().map(NamedController::failure_description).max().unwrap_or_default();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
@@ -195,20 +195,20 @@ impl RatePlan {
             ("space".to_owned(), space.name().to_owned()),
             ("space_sha256".to_owned(), sha256(&space_text)),
         ]);
-        for (place, driver) in ["controller", "against"].into_iter().zip(&drivers) {
-            configuration.insert(place.to_owned(), driver.name.clone());
+        for (role, driver) in ["controller", "against"].into_iter().zip(&controllers) {
+            configuration.insert(role.to_owned(), driver.name.clone());
             if let Some(identity) = driver.kind.identity() {
-                configuration.insert(format!("{place}_sha256"), identity);
+                configuration.insert(format!("{role}_sha256"), identity);
             }
             if let Some(policy) = driver.policy() {
-                configuration.insert(format!("{place}_policy_sha256"), policy.digest());
+                configuration.insert(format!("{role}_policy_sha256"), policy.digest());
             }
         }
         let blocks = if runs > LARGE_COUNT_RUNS { MAX_LARGE_COUNT_BLOCKS } else { MAX_BLOCKS };
         let block_runs = runs.div_ceil(blocks).max(MIN_BLOCK_RUNS);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
         let record = CountRecord { registration, space_text };
-        Ok(Self { controllers: drivers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
+        Ok(Self { controllers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
     }
 
     /// Sets the number of resamples of the episodes, and of runs in each. They do not affect the count and are not
@@ -231,7 +231,7 @@ impl RatePlan {
         self.record.registration()
     }
 
-    /// Returns the registration with the space.
+    /// Returns the registration and the text of the space.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
         &self.record
@@ -251,8 +251,8 @@ impl RatePlan {
         self.count_batch_in(&(0..self.block_count()), tally, &Quiet)
     }
 
-    /// Counts as [`Self::count_batch`], for a tally of consecutive blocks. `observer` receives the counts before this
-    /// call after every thousand runs.
+    /// Counts like [`Self::count_batch`], for a tally of the consecutive blocks `part`. After every thousand runs,
+    /// `observer` receives the counts that `tally` had before this call.
     ///
     /// # Errors
     /// [`RateError`] names the failed run, or is [`RateError::Stopped`]; `tally` is then unchanged.
@@ -309,7 +309,8 @@ impl RatePlan {
         Ok(self.count_runs(self.run_range(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
-    /// Counts runs from the start of a block, by block. Calls `keep_going` after every thousand runs.
+    /// Counts runs, the first of which starts a block, and returns the counts of each block. Calls `keep_going` after
+    /// every thousand runs.
     fn count_runs(
         &self,
         runs: Range<u64>,
@@ -318,8 +319,8 @@ impl RatePlan {
         let indices: Vec<u64> = runs.collect();
         let mut endings: Vec<Vec<RunFingerprint>> =
             self.controllers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
-        for some in indices.chunks(BATCH_SIZE as usize) {
-            for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, some)?) {
+        for batch in indices.chunks(BATCH_SIZE as usize) {
+            for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, batch)?) {
                 all.append(&mut more);
             }
             keep_going()?;
@@ -354,7 +355,7 @@ impl RatePlan {
         Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
     }
 
-    /// Counts the failures in those of the resamples to which a space could be fitted.
+    /// Counts the failures in the resamples `own`, numbered among those to which a space could be fitted.
     pub(super) fn count_resamples(
         &self,
         own: Range<u64>,
@@ -377,10 +378,10 @@ impl RatePlan {
     ) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
         let mut failed = 0;
-        for some in indices.chunks(BATCH_SIZE as usize) {
-            let endings = self.simulate_fingerprints(space, seed, some)?;
+        for batch in indices.chunks(BATCH_SIZE as usize) {
+            let endings = self.simulate_fingerprints(space, seed, batch)?;
             failed += endings.iter().flatten().filter(|ending| ending.is_failure()).count() as u64;
-            counter.add(some.len() as u64)?;
+            counter.add(batch.len() as u64)?;
         }
         Ok(failed)
     }

@@ -1,24 +1,26 @@
 //! Sets of egos, from one decision to the next.
 //!
-//! The controller decides every D steps and holds its command u. It is affine in the symbols plus a rest, which becomes
-//! a new symbol. After s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0,
-//! -w)²/(2|u|). The last term is at most max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most
-//! v s/2. The added uncertainty becomes new symbols too, so none is counted twice.
+//! The controller decides every D steps and holds its command u. The command is affine in the symbols plus a rest,
+//! which becomes a new symbol. After s seconds the free speed is w = v + u s, the speed is max(0, w), and the distance
+//! is v s + u s²/2 + max(0, -w)²/(2|u|). The last term is at most max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all
+//! members stop they cover at most v s/2. The added uncertainty becomes new symbols too, so that no uncertainty is
+//! counted twice.
 //!
 //! If some members stand at the beginning of the last step before the next decision and others move, the set is split
-//! into the two. Moving members observe u as their acceleration and have stopped, if at all, within one step; standing
-//! members observe 0. Either set keeps members of the other (a free speed below zero, for instance), which is sound.
+//! into the two. Moving members observe u as their acceleration; those of them that have stopped did so within the last
+//! step. Standing members observe 0. Either set keeps members of the other (a free speed below zero, for instance),
+//! which is sound.
 //!
 //! # Order reduction
-//! Old symbols act alike: old uncertainty shows as a distance and a speed in nearly constant proportion. So two symbols
-//! with vectors p and q (distance, speed, acceleration) become one with p + q: for any λ from 0 to 1
+//! Old symbols have similar effects: they change distance and speed in nearly constant proportion. So two symbols with
+//! vectors p and q (distance, speed, acceleration) become one with p + q: for any λ from 0 to 1
 //!
 //! ```text
 //! p ε + q ε' = (p + q) (λ ε + (1 - λ) ε') + (p - λ (p + q)) ε + (q - (1 - λ) (p + q)) ε',
 //! ```
 //!
-//! where the first factor is again in [-1, 1]. The rest, small if p and q are nearly parallel, becomes a symbol for
-//! each number.
+//! where the first factor is again in [-1, 1]. The rest, small if p and q are nearly parallel, becomes a new symbol for
+//! each quantity.
 
 use super::braking::VehicleState;
 use super::form::{AffineForm, round_up};
@@ -35,7 +37,7 @@ const REDUCED_SYMBOLS: usize = 120;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum MotionMode {
-    /// Not stopped, or for at most one step.
+    /// Moves, or has stood for at most one step.
     Moving,
     Standing,
     /// Stood before, and may have started again.
@@ -60,7 +62,7 @@ pub(super) struct EgoSet {
 }
 
 impl EgoSet {
-    /// Creates egos with a speed; `shared` symbols are shared with other sets.
+    /// Creates egos with a speed; the first `shared` symbols are shared with other sets.
     pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
         let mode = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
         let ego = VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
@@ -77,7 +79,7 @@ impl EgoSet {
         Self { mode: if may_move { MotionMode::Restarted } else { self.mode }, ego, ..self }
     }
 
-    /// Returns all egos `steps` steps into a decision interval; leaves their acceleration open.
+    /// Returns all egos `steps` steps into a decision interval; their acceleration is unspecified.
     pub(super) fn ego_after(&self, wanted: &AffineForm, step: Interval, steps: u32) -> VehicleState {
         if steps == 0 {
             return VehicleState { acceleration: AffineForm::default(), ..self.ego.clone() };
@@ -93,8 +95,8 @@ impl EgoSet {
             [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
         let half = Interval::point(0.5);
         let free = |time: Interval| speed.clone().plus(&wanted.scaled(time));
-        let (before_last, acts) = (free(until_last).range(), wanted.range());
-        let braking = (-acts).max(Interval::ZERO);
+        let (before_last, command) = (free(until_last).range(), wanted.range());
+        let braking = (-command).max(Interval::ZERO);
         if speed.is_zero() {
             let acceleration = relu(wanted);
             let mode = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
@@ -116,8 +118,8 @@ impl EgoSet {
             travelled.shift((speed_mps * until_last * half).hull(Interval::ZERO));
             self.with_state(MotionMode::Standing, travelled, AffineForm::default(), AffineForm::default())
         };
-        let may_move = before_last.high() > 0.0 || acts.high() > 0.0;
-        let may_stand = before_last.low() <= 0.0 && acts.low() <= 0.0;
+        let may_move = before_last.high() > 0.0 || command.high() > 0.0;
+        let may_stand = before_last.low() <= 0.0 && command.low() <= 0.0;
         [may_move.then(moving), may_stand.then(stopped)]
     }
 
@@ -149,8 +151,8 @@ impl EgoSet {
     fn with_rests_as_symbols(mut self) -> Self {
         let used = self.forms().map(|form| form.terms().len());
         let mut symbols = used.fold(self.next_symbol, usize::max);
-        for seen in [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten() {
-            for form in [&mut seen.distance, &mut seen.speed] {
+        for state in [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten() {
+            for form in [&mut state.distance, &mut state.speed] {
                 *form = std::mem::take(form).with_rest_as_symbol(symbols);
                 symbols = symbols.max(form.terms().len());
             }
@@ -159,8 +161,8 @@ impl EgoSet {
     }
 
     fn forms(&self) -> impl Iterator<Item = &AffineForm> {
-        let seen = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
-        seen.flat_map(|VehicleState { distance, speed, acceleration }| [distance, speed, acceleration])
+        let states = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
+        states.flat_map(|VehicleState { distance, speed, acceleration }| [distance, speed, acceleration])
     }
 
     fn reduce_order(mut self) -> Self {
@@ -186,8 +188,8 @@ impl EgoSet {
             beyond = std::array::from_fn(|i| round_up(beyond[i] + pair.excess[i]));
         }
         vectors.retain(|vector| *vector != Generator::default());
-        let seen = [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten();
-        let forms = seen.flat_map(|seen| [&mut seen.distance, &mut seen.speed, &mut seen.acceleration]);
+        let states = [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten();
+        let forms = states.flat_map(|state| [&mut state.distance, &mut state.speed, &mut state.acceleration]);
         for (i, form) in forms.enumerate() {
             form.replace_terms(self.first_own_symbol, vectors.iter().map(|vector| vector[i]), beyond[i]);
         }
@@ -196,7 +198,7 @@ impl EgoSet {
     }
 }
 
-/// Advances a vehicle that holds an acceleration until it stands; leaves its acceleration open.
+/// Advances a vehicle that holds an acceleration until it stands; the acceleration of the result is unspecified.
 pub(super) fn advance_vehicle(
     VehicleState { distance, speed, .. }: &VehicleState,
     wanted: &AffineForm,
@@ -234,10 +236,11 @@ fn normalize_sign(vector: Generator) -> Generator {
     if first.is_some_and(|first| first < 0.0) { vector.map(|number| -number) } else { vector }
 }
 
-/// Returns a sort key from -1 to 1 by the share of the ego's speed; generators of the follower alone come last.
-fn direction_key(upright: &Generator) -> f64 {
+/// Returns a sort key: the share of the ego's speed in its speed and distance, from -1 to 1. Generators of the follower
+/// alone come last, with keys from 2 to 4.
+fn direction_key(normalized: &Generator) -> f64 {
     let of = |distance: f64, speed: f64| if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) };
-    match *upright {
+    match *normalized {
         [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => 3.0 + of(distance, speed),
         [distance, speed, ..] => of(distance, speed),
     }
@@ -255,14 +258,14 @@ impl GeneratorPair {
         let sum: Generator = std::array::from_fn(|i| p[i] + q[i]);
         // At least a half, so that 1 - λ does not round.
         let share = (size(larger) / (size(larger) + size(smaller))).clamp(0.5, 1.0);
-        let beyond = std::array::from_fn(|i| {
+        let excess = std::array::from_fn(|i| {
             let off = |number: f64, share: f64| {
                 let part = share * sum[i];
                 (number - part).abs() + (number.abs() + part.abs()) * (4.0 * f64::EPSILON)
             };
             round_up(off(larger[i], share) + off(smaller[i], 1.0 - share))
         });
-        Self { sum, excess: beyond }
+        Self { sum, excess }
     }
 
     fn cost(&self) -> f64 {

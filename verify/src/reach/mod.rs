@@ -1,39 +1,42 @@
 //! Reachability of a closed loop with a learned policy, from every initial state of a box.
 //!
-//! Behind a leader that brakes drives an ego. A network decides its acceleration, or its residual over a base
-//! controller. Behind the ego there may be a follower with a latched emergency brake or a control law. A *reach*
-//! statement bisects a box of initial states repeatedly. It claims of some cells that no member ever collides, of
-//! others that they hold a member that does. The check derives both again from the network file and the cuts alone.
-//! [`form`] has the arithmetic, [`relax`] its functions, [`controller`] bounds the network, [`activation`] its
-//! activation functions, [`braking`], [`leader`] and [`propagate`] the vehicles. Uncertainty is always enlarged, never
-//! dropped. Enclosures and their losses:
+//! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration, or a residual that
+//! changes the command of a base controller. Behind the ego there may be a follower with a latched emergency brake or a
+//! control law. A *reach* statement bisects a box of initial states repeatedly. It claims that no member of some cells
+//! ever collides, and that other cells contain a member that collides. The check derives these claims again from the
+//! network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
+//! the network, with [`activation`] for its activation functions. [`braking`], [`leader`] and [`propagate`] bound the
+//! vehicles. Uncertainty is always enlarged, never dropped. Enclosures and their losses of tightness, with noise
+//! symbols as in [`form`]:
 //!
 //! - initial state: one symbol for each range, for the whole run; no loss;
-//! - ReLU that may be active or not: line and excess, a symbol within the decision; at most (h · -l)/(h - l);
-//! - other activation functions: likewise, with their own [line](activation); second order in the width if smooth;
+//! - ReLU that may be active or not on [l, h]: line and excess, a symbol within the decision; at most (h · -l)/(h - l);
+//! - other activation functions: likewise, with a [line](activation) for each; second order in the width if smooth;
 //! - tanh of the output: chord and its largest distance on either side; second order in the width;
 //! - clipping of inputs and of the acceleration: two ReLUs; no loss while no member is clipped;
-//! - single and double precision: bounds of each sum, from the weights; about 10⁻⁵ m/s²;
-//! - leader with bounded braking: two symbols per decision interval; its action within the last step, at each decision;
+//! - rounding in single and double precision: bounds of each sum, from the weights; about 10⁻⁵ m/s²;
+//! - leader with bounded braking: two symbols per decision interval; its observed acceleration is any allowed one at
+//!   each decision;
 //! - products (braking rate and time): product of the radii; second order;
 //! - moving or standing: one set each, joined at each decision; some centimetres;
 //! - follower with a law: the [law](follower), per step; second order in the width, more if its emergency brake may
 //!   fire;
 //! - residual policy: [law and residual](residual), per step; second order in the width, more at the edge of the dead
 //!   zone;
-//! - firing instant of the follower: a run for each decision interval in which it may fire, the instant a symbol;
-//!   little;
+//! - firing instant of the follower: a propagation for each decision interval in which it may fire, with a symbol for
+//!   the instant; a small loss;
 //! - old noise symbols: merged (Girard order reduction of the zonotope); almost nothing;
-//! - inside a decision interval: m (D h)²/8 off the smaller gap at its ends; about 2 cm.
+//! - inside a decision interval of D steps h: the smaller gap at its ends less m (D h)²/8, for a relative acceleration
+//!   of at most m; about 2 cm.
 //!
 //! # What is not covered
 //! - The estimator: observations are within stated errors of the true state, at each decision anew and in any
 //!   combination.
 //! - Noise on accelerations, delays and lags: the vehicles have none.
-//! - Agreement of the simulator with this semantics: tests compare.
+//! - Agreement of the simulator with this semantics: tests compare the two.
 //! - Agreement of an imported network with its source: an assumption; `crumple check --policy` reads the source again.
-//! - Feasibility of commanded accelerations: the certificate holds no limits of the vehicle; compared when the box is
-//!   made.
+//! - Feasibility of commanded accelerations: the certificate holds no limits of the vehicle; crumple compares them when
+//!   it creates the claim.
 //! - Rounding of a simulator: motion is that of real numbers. Observation errors of 10⁻⁹ cover double precision within
 //!   a kilometre of the origin, except if rounding decides which vehicle stands or brakes at an instant.
 
@@ -101,13 +104,15 @@ pub struct ReachClaim {
     pub step_s: f64,
     /// N, the number of steps.
     pub steps: u32,
-    /// θ of a follower with a latched emergency brake, in seconds; null for one with a law, or without a follower.
+    /// θ, the TTC threshold of a follower with a latched emergency brake, in seconds; null for one with a law, or
+    /// without a follower.
     pub follower_ttc_s: Option<f64>,
     /// Law of the follower, if it has one. `follower_brake_mps2` of the box is then its hardest braking.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub follower_law: Option<Box<FollowerLaw>>,
-    /// b of a leader with bounded braking, which holds any acceleration from -b to 0 over each step until it stands, in
-    /// m/s². `leader_brake_mps2` and `onset_steps` of the box are then 0. Absent for a leader that follows these two.
+    /// Brake limit b, in m/s², of a leader with bounded braking: over each step until it stands, it holds any
+    /// acceleration from -b to 0. `leader_brake_mps2` and `onset_steps` of the box are then 0. Absent for a leader that
+    /// follows these two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader_brakes_at_most_mps2: Option<f64>,
     /// Largest error of each observed number at a decision: gaps ahead and behind in metres, speeds ahead, own and
@@ -115,12 +120,13 @@ pub struct ReachClaim {
     pub observation_error: [f64; OBSERVATION_SIZE],
     /// The box.
     pub ranges: InitialRanges,
-    /// Partition of the box: a cut is followed by all of its lower half, then all of its upper half.
+    /// Partition of the box in preorder: a cut is followed by all cells of its lower half, then by those of its upper
+    /// half.
     #[serde(deserialize_with = "bounded::deserialize_list::<MAX_CELLS, _, _>")]
     pub partition: Vec<PartitionCell>,
-    /// Share of the box's volume without collisions. Version 1 took each cut for half of what was cut.
+    /// Share of the box's volume in verified cells. Version 1 assumed that each cut makes exact halves.
     pub verified_share_at_least: f64,
-    /// Share of the box's volume, likewise, in cells with a member that collides.
+    /// Share of the box's volume in falsified cells, with the same assumption in version 1.
     pub falsified_share_at_least: f64,
     /// Lower bound of the gaps of verified members, in metres.
     pub min_gap_m_at_least: f64,
@@ -134,8 +140,8 @@ pub enum PartitionCell {
     Cut(BoxDimension),
     /// No member ever collides.
     Verified,
-    /// The given member collides, in the order of the ranges; for a leader with bounded braking it has this rate and
-    /// onset.
+    /// The member with these values, in the order of the ranges, collides. A leader with bounded braking then brakes at
+    /// this rate from this onset.
     Falsified([f64; 8]),
     /// Nothing is claimed.
     Undecided,
@@ -161,7 +167,7 @@ pub enum Undecided {
     /// The bounds have become too wide.
     #[error("bounds are too wide at step {step}")]
     TooWide {
-        /// Step at which they did.
+        /// Step at which they became too wide.
         step: u32,
     },
     /// The follower may fire in too many intervals.
@@ -309,7 +315,8 @@ impl ReachClaim {
     }
 }
 
-/// Tolerance of version 1 shares above their volume: they counted cuts, and the middle of a range is rounded.
+/// Tolerance by which shares of version 1 may exceed their volume: they assume exact halves, but the middle of a range
+/// is rounded.
 const V1_SHARE_TOLERANCE: f64 = 1e-9;
 
 pub(crate) fn check(
@@ -330,10 +337,10 @@ pub(crate) fn check(
         let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
         smallest_gap_m = smallest_gap_m.min(gap_m);
     }
-    let spare = if is_old { V1_SHARE_TOLERANCE } else { 0.0 };
+    let tolerance = if is_old { V1_SHARE_TOLERANCE } else { 0.0 };
     let stated = [
-        ("verified_share_at_least", claim.verified_share_at_least, verified_share + spare),
-        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share + spare),
+        ("verified_share_at_least", claim.verified_share_at_least, verified_share + tolerance),
+        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share + tolerance),
         ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
     ];
     let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);
@@ -373,8 +380,8 @@ pub(crate) fn load_controller(
 
 /// Returns the name of a controller file in the certificate's folder.
 #[must_use]
-pub fn controller_file_name(digest: &str, is_from_outside: bool) -> String {
-    let kind = if is_from_outside { "network" } else { "policy" };
+pub fn controller_file_name(digest: &str, is_imported: bool) -> String {
+    let kind = if is_imported { "network" } else { "policy" };
     format!("{kind}-{}.safetensors", digest.get(..12).unwrap_or_default())
 }
 

@@ -1,9 +1,9 @@
 //! Fit of a scenario space to recorded braking episodes.
 //!
 //! [`EpisodeSample`] holds the features of each episode, [`FittedSpace`] the space with its goodness of fit. Each
-//! feature has the most likely family of [`DistributionFamily::ALL`]; all have two parameters, so AIC and BIC agree. A
-//! frequent value such as standstill has a point mass, and a vehicle size has two values. A Gaussian copula describes
-//! the dependence.
+//! feature has the most likely family of [`DistributionFamily::ALL`]; all have two parameters, so AIC and BIC would
+//! choose the same family. A frequent value such as standstill has a point mass. The size of a vehicle is one of two
+//! values, light or heavy. A Gaussian copula describes the dependence.
 
 mod base;
 mod dependence;

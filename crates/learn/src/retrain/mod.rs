@@ -3,17 +3,19 @@
 //! A round of [`RetrainingPlan::run`]:
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a fixed budget searches the present policy
-//!    for counterexamples; random scenarios of the space are simulated too. Without an avoidable one the retraining
-//!    ends.
+//!    for counterexamples; random scenarios of the space are simulated too. If neither contains an avoidable collision,
+//!    the retraining ends.
 //! 2. **Selection of cases.** Distinct counterexamples and random scenarios that ended in a collision become cases if
-//!    they are avoidable: a witness passes them, or [`crumple_search::worst_case::avoid()`] finds an escape.
+//!    they are avoidable: another controller (a witness) passes them, or [`crumple_search::worst_case::avoid()`] finds
+//!    an escape.
 //! 3. **Training.** The learner continues on a mixture of the paper's distribution, random scenarios of the space, and
 //!    all cases so far. Its best checkpoint on the selection set is the candidate.
 //! 4. **Acceptance.** The candidate is simulated in the paper's scenarios, its distribution, the validation set and the
 //!    regression spaces. [`decide_acceptance`] accepts it if it is not worse.
 //!
 //! The scenarios for training, selection of checkpoints, validation, regression and test are disjoint. The test set is
-//! drawn last and decides nothing. The learner continues after a rejection; the candidate does not.
+//! drawn last and decides nothing. After a rejection, the learner continues with its weights, and the policy stays the
+//! previous one.
 //!
 //! Files of a retraining:
 //!
@@ -21,12 +23,12 @@
 //! |---|---|
 //! | `retrain.toml` | everything that determines the results |
 //! | `policy.safetensors` | final policy |
-//! | `retrained-on.json` | cases of the training, without random scenarios |
+//! | `retrained-on.json` | cases of the training: counterexamples, and random scenarios by seed and index |
 //! | `kept-aside.json`, `selection.json` | validation set, and the set that selects checkpoints |
 //! | `judged-on.json` | test set, and the result of each controller |
 //! | `report.md`, `report.json`, `report.svg` | results of each round, with the hashes of all these files |
 //! | `rounds/NN/` | campaign, candidate and record of each round |
-//! | `work.json` | manifest ([`crumple_store::run_folder`]); names the build until the retraining is complete |
+//! | `work.json` | manifest ([`crumple_store::run_folder`]); records the build until the retraining is complete |
 //!
 //! One seed determines everything, on any number of threads and after any interruption.
 

@@ -4,8 +4,8 @@
 //! replay memory. The order of all arithmetic is fixed, so a seed gives the same policy file to the last byte on any
 //! number of threads, in parallel with others, and after a resume.
 //!
-//! [`Learner`] implements the update on the same products that a policy uses. The workspace member `oracle` compares it
-//! with a formulation on candle's automatic differentiation.
+//! [`Learner`] implements the update with the same matrix products as a policy. The workspace member `oracle` compares
+//! it with an implementation that uses candle's automatic differentiation.
 
 mod adam;
 mod backprop;

@@ -60,11 +60,11 @@ impl Envelope {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum AttackMethod {
-    /// Enumeration of the controller's firing: no profile on this grid does with less.
+    /// Enumeration of the steps at which the controller's brake fires: no milder profile on this grid collides.
     Exact,
-    /// Enumeration without noise and filter, with added braking until a collision: near the least, not proved.
+    /// Enumeration without noise and filter, then more braking until a collision: near the optimum, without proof.
     Widened,
-    /// Simulation of pulses and ramps, and sequential convex programming from the best: the best found.
+    /// Simulation of pulses and ramps, then sequential convex programming from the best: the best profile found.
     Sequential,
 }
 
@@ -172,7 +172,7 @@ pub const MAX_VEHICLE_STEPS: usize = 500_000;
 /// Maximum number of vehicles times steps of all simulations of an [`attack()`]: some minutes on one core.
 pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 
-/// Searches for a braking profile of the leader with a collision of the controller, in about `budget` simulations.
+/// Searches for a braking profile of the leader that makes the controller collide, in about `budget` simulations.
 ///
 /// The result is exact for the baseline, if the first vehicle under test answers without lag and noise and about 1500
 /// programs suffice. Otherwise it is the best of pulses, ramps and sequential convex programming.
@@ -216,13 +216,14 @@ pub fn attack(
     if vehicles.saturating_mul(steps).saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
         return Err(AttackError::TooManySimulations { budget, vehicles, steps });
     }
-    let asked_mps2 = envelope.max_brake_mps2;
-    let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));
-    if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
-        return Err(AttackError::EmptyEnvelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
+    let requested_mps2 = envelope.max_brake_mps2;
+    let max_brake_mps2 = requested_mps2.min(scenario.usable_brake_mps2(0));
+    if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || requested_mps2.is_nan() {
+        return Err(AttackError::EmptyEnvelope { max_brake_mps2: requested_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
     let mut bench = ProfileSimulator::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
-    // Full braking within half a cell needs no limit, and huge numbers would be ill-conditioned.
+    // A jerk limit that allows full braking within half a cell has no effect, and a huge one would make the program
+    // ill-conditioned.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
     let found = if aim != AttackObjective::Severest

@@ -1,4 +1,4 @@
-//! Decision if any driver could have avoided a collision.
+//! Decision whether any driver could have avoided a collision.
 
 use crumple_verify::{Certificate, ProvedClaim, Statement};
 
@@ -21,9 +21,9 @@ pub struct AvoidOptions {
     pub grid_s: Option<f64>,
     /// Kind of the escape to return.
     pub escape: EscapeKind,
-    /// True to certify, for an avoidable collision, that no profile exceeds the bound.
+    /// True to certify, for an avoidable collision, an upper bound of the smallest gap of any profile.
     pub certify_bound: bool,
-    /// Extent of the simulations if the programs do not model every driver.
+    /// Extent of the simulations if the convex programs do not model every driver.
     pub effort: SearchEffort,
 }
 
@@ -31,12 +31,13 @@ pub struct AvoidOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum EscapeKind {
-    /// The largest smallest gap on the grid.
+    /// Escape whose smallest gap is the largest on the grid.
     #[default]
     LargestGap,
-    /// The least ∫ a² with half of the largest smallest gap, if the brake behind fires no later than for that gap.
+    /// Escape with the least ∫ a² among those with at least half of that smallest gap in which the follower's brake
+    /// fires no later than in [`Self::LargestGap`].
     Gentlest,
-    /// The smallest changes of acceleration with half of the largest smallest gap, among escapes with the same firing.
+    /// Escape with the least sum of squared changes of acceleration among the same escapes.
     LeastJerk,
 }
 
@@ -93,8 +94,9 @@ pub const MAX_EGO_STEPS: usize = 50_000;
 
 const MAX_FINE_PROGRAMS: usize = 64;
 const MAX_COARSE_PROGRAMS: usize = 64;
-/// Maximum number of firings that their own program on the finest grid leaves open. One rules out a proof; others may
-/// yield an escape, but a program takes a third of a second, and with late egos no firing may close.
+/// Maximum number of firings (steps at which the follower's brake fires) that stay open after their own program on the
+/// finest grid. One open firing rules out a proof. More programs may find an escape, but each takes a third of a
+/// second, and with delayed vehicles under test all firings may stay open.
 const MAX_OPEN_FIRINGS: usize = 8;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
@@ -113,7 +115,8 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
     avoid_box(&ScenarioBox::point(scenario), options)
 }
 
-/// Decides for all scenarios of a box: avoidable if one escape fits all of them, unavoidable if none has an escape.
+/// Decides whether collisions are avoidable in a box of scenarios: avoidable if one escape fits all of them,
+/// unavoidable if none has an escape.
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
@@ -267,7 +270,8 @@ fn build_avoidance(
     }
 }
 
-/// Allowed excess of a certified bound over the computed one, in metres, so that short multipliers suffice.
+/// Allowed excess of a certified bound over the computed one, in metres, so that multipliers can be rounded to few
+/// digits.
 const CERTIFICATE_SLACK_M: f64 = 1e-4;
 
 /// Returns a bound that the checker accepts, and its certificate.
@@ -277,8 +281,8 @@ fn certify_bound(
     search: &FiringSearch<'_>,
     computed_m: f64,
 ) -> Option<(f64, Box<Certificate>)> {
-    let stating = |gap_m| certificate::gap_bound(family.centre(), problem, search, gap_m).ok()?;
-    let mut certificate = stating(computed_m + CERTIFICATE_SLACK_M)?;
+    let build = |gap_m| certificate::gap_bound(family.centre(), problem, search, gap_m).ok()?;
+    let mut certificate = build(computed_m + CERTIFICATE_SLACK_M)?;
     let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
     if let Statement::GapBound(claim) = &mut certificate.statement {
         claim.gap_m = gap_m;
@@ -287,7 +291,8 @@ fn certify_bound(
     Some((gap_m, Box::new(certificate)))
 }
 
-/// Returns the control grids to try, in steps, coarse (fast) before fine, and the index of the first that may decide.
+/// Returns the control grids to try, each as a number of steps, coarse (fast) before fine, and the index of the first
+/// that may decide.
 fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
     let step_s = scenario.spec().step_s;
     let coarse = (0.1 / step_s).round().max(1.0) as usize;
@@ -338,7 +343,7 @@ fn conclude(
         let late = problem.egos.iter().position(|ego| ego.dead_steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
-            // A proof covers drivers that answer at once, an escape drivers that answer late.
+            // With a delay neither decides: proofs assume egos that respond at once, and escapes assume the delay.
             (None, Some(ego)) => UndecidedReason::EgoResponse { vehicle: ego + 1 },
             (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
         });
@@ -354,7 +359,8 @@ fn conclude(
     }
 }
 
-/// Certifies that an escape is one from every scenario of a box, with the smallest gap that the checker confirms.
+/// Certifies that an escape avoids the collision in every scenario of a box. States the smallest gap that the checker
+/// confirms.
 ///
 /// # Errors
 /// [`UndecidedReason`] if there is no certificate.
@@ -363,13 +369,13 @@ pub fn certify(family: &ScenarioBox, escape: &Escape) -> Result<Certificate, Und
     if let Some(reason) = problem.escape_caveat.clone().or_else(|| problem.proof_caveat.clone()) {
         return Err(reason);
     }
-    let stating = |least_m| certificate::avoidable(family.centre(), &problem, &escape.acceleration_mps2, least_m);
+    let build = |least_m| certificate::avoidable(family.centre(), &problem, &escape.acceleration_mps2, least_m);
     let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected { why: rejection.to_string() };
-    let least_m = match crumple_verify::check(&stating(None)?).map_err(rejected)? {
+    let least_m = match crumple_verify::check(&build(None)?).map_err(rejected)? {
         ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } => Some(smallest_gap_m),
         _ => None,
     };
-    let certificate = stating(least_m)?;
+    let certificate = build(least_m)?;
     crumple_verify::check(&certificate).map_err(rejected)?;
     Ok(certificate)
 }

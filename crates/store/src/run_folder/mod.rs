@@ -1,11 +1,13 @@
-//! A resumable run folder with an integrity manifest: opening it finds every file as written, or names a damaged one.
+//! A resumable run folder with an integrity manifest. Opening it checks that every file is as it was written, and names
+//! a damaged one.
 //!
 //! The manifest `work.json` records the kind of the run, its program, its configuration, and the size and SHA-256 of
-//! every file. Files are written under temporary names and synced to disk. The manifest announces the renames, and the
-//! process that opens the folder next completes them. Every change is therefore atomic, however the process ends. One
-//! process uses a folder at a time.
+//! every file. Files are written under temporary names and synced to disk. The manifest announces the renames. If the
+//! process ends before them, the next one that opens the folder completes them. Every change is therefore atomic,
+//! however the process ends. One process uses a folder at a time.
 //!
-//! A run folder may include others ([`RunFolder::include`]). A damaged incomplete run starts again in another folder.
+//! A run folder may include others ([`RunFolder::include`]). A damaged incomplete run must be started again in another
+//! folder.
 //!
 //! The manifest protects integrity, not authenticity. It detects files that were truncated, edited, moved or left over.
 //! It does not detect an author who rewrites both files and manifest.
@@ -175,7 +177,7 @@ pub struct RunFolderOptions<'a> {
     pub configuration_file: &'a str,
     /// True to resume an existing run.
     pub resume: bool,
-    /// Names of the results, folders with a slash at the end. Nothing else may be at these paths at the start.
+    /// Names of the results, folders with a slash at the end. No files may be at these paths when a new run starts.
     pub outputs: &'a [&'a str],
 }
 
@@ -184,24 +186,24 @@ impl RunFolder {
     ///
     /// # Errors
     /// [`RunFolderError`] if the folder cannot be used, is in use, contains another run, or anything in it is damaged.
-    pub fn open(folder: &Path, asked: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
+    pub fn open(folder: &Path, options: RunFolderOptions<'_>) -> Result<Self, RunFolderError> {
         disk::make_folder(folder)?;
-        let kind = || asked.kind.to_owned();
+        let kind = || options.kind.to_owned();
         let lock = FolderLock::try_acquire(folder)?
             .ok_or_else(|| RunFolderError::InUse { folder: folder.to_owned(), kind: kind() })?;
-        let (path, configuration_sha256) = (folder.join(MANIFEST_FILE), sha256(asked.configuration));
+        let (path, configuration_sha256) = (folder.join(MANIFEST_FILE), sha256(options.configuration));
         let program = program::identity()?;
         let manifest = match Manifest::read(&path)? {
             // The first change writes the manifest, so that a run that cannot start leaves no file.
-            None => Manifest::new(asked.kind, program, &configuration_sha256, asked.outputs),
-            Some(found) if found.kind != asked.kind => {
+            None => Manifest::new(options.kind, program, &configuration_sha256, options.outputs),
+            Some(found) if found.kind != options.kind => {
                 return Err(RunFolderError::OtherKind { path, found: found.kind, kind: kind() });
             }
-            Some(_) if !asked.resume => {
+            Some(_) if !options.resume => {
                 return Err(RunFolderError::AlreadyExists { folder: folder.to_owned(), kind: kind() });
             }
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
-                let name = asked.configuration_file;
+                let name = options.configuration_file;
                 if found.check_file(folder, name).is_err() {
                     let problem = format!(
                         "the `{name}` in the same folder does not match it: one of them belongs to another run"
@@ -280,7 +282,8 @@ impl RunFolder {
     /// Includes the completed run in a subfolder, such as `rounds/01/search`: its files are checked from now on.
     ///
     /// # Errors
-    /// [`RunFolderError`] if there is no such run, its manifest cannot be read, or the own manifest cannot be written.
+    /// [`RunFolderError`] if there is no such run, its manifest cannot be read, or the manifest of this folder cannot
+    /// be written.
     pub fn include(&self, folder: &str) -> Result<(), RunFolderError> {
         let name = format!("{folder}/{MANIFEST_FILE}");
         let path = self.path(&name);
@@ -291,8 +294,8 @@ impl RunFolder {
         Ok(manifest.write(&self.folder)?)
     }
 
-    /// Records the synced prefix of an append-only file ([`FolderTransaction::append_only`]). Other bytes there are
-    /// damage.
+    /// Records the synced prefix of an append-only file ([`FolderTransaction::append_only`]). From now on the file must
+    /// begin with these bytes.
     ///
     /// # Errors
     /// [`RunFolderError::Disk`] if the manifest cannot be written.

@@ -4,7 +4,8 @@ use super::KnownChange;
 
 /// An ideal accelerometer. It measures changes of the vehicle's own motion, but neither speed nor position.
 ///
-/// A vehicle that stops within a step or is hit does not keep its acceleration over the step; the sensor measures that.
+/// A vehicle that stops within a step, or is hit, does not keep its acceleration over the step; the sensor measures
+/// this change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accelerometer {
     speed_mps: f64,

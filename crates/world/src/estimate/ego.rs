@@ -38,8 +38,8 @@ impl EgoTuning {
     ///
     /// `spans_mps2` are the widths of the ranges in which the own and the leader's acceleration vary. Noise is bounded
     /// by `deviations` steady-state standard deviations. Only the leader misleads a filter: the own acceleration is fed
-    /// forward. A vehicle that stops within a step counts with its mean acceleration; the omitted position error is
-    /// below a h²/8.
+    /// forward. For a vehicle that stops within a step, the bounds use its mean acceleration over the step; this omits
+    /// a position error below a h²/8.
     #[must_use]
     pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
@@ -96,8 +96,8 @@ pub struct EgoEstimator {
 }
 
 impl EgoEstimator {
-    /// Creates the sensors and filters of vehicle `vehicle`, in steady state at constant speed when the scenario starts
-    /// in `truth`.
+    /// Creates the sensors and filters of vehicle `vehicle` at the start of the scenario, whose state is `truth`. The
+    /// filters are in steady state, as after a drive at constant speed.
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
         let own = &truth.observation;
@@ -116,8 +116,8 @@ impl EgoEstimator {
         estimator
     }
 
-    /// Restarts the filters of the neighbours that `changed` ([ahead, behind]) in steady state: sensors also follow
-    /// vehicles beside the lane.
+    /// Restarts the filters of the neighbours that `changed` ([ahead, behind]). They start in steady state, because
+    /// sensors already track vehicles beside the lane.
     pub(crate) fn switch_neighbours(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
@@ -137,25 +137,28 @@ impl EgoEstimator {
     #[inline]
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
         let tuning = &*self.tuning;
-        let truly = &truth.observation;
-        let felt =
-            self.accelerometer.measure_change(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
+        let true_observation = &truth.observation;
+        let change = self.accelerometer.measure_change(
+            tuning.position.step_s(),
+            true_observation.speed_mps,
+            true_observation.acceleration_mps2,
+        );
         let (sensor, filter) = &mut self.position;
-        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&felt, 1.0));
+        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&change, 1.0));
         let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
             acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
         };
-        let seen = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign| {
+        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign| {
             let (filter, other) = filter.as_mut().zip(other)?;
-            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&felt, sign)))
+            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&change, sign)))
         };
         Observation {
             speed_mps: own.rate_mps.max(0.0),
             acceleration_mps2: own.acceleration_mps2,
-            ahead: seen(&mut self.ahead, truly.ahead, -1.0).map(|gap| neighbour(gap, 1.0)),
-            behind: seen(&mut self.behind, truly.behind, 1.0).map(|gap| neighbour(gap, -1.0)),
+            ahead: estimate_gap(&mut self.ahead, true_observation.ahead, -1.0).map(|gap| neighbour(gap, 1.0)),
+            behind: estimate_gap(&mut self.behind, true_observation.behind, 1.0).map(|gap| neighbour(gap, -1.0)),
         }
     }
 }
@@ -171,8 +174,8 @@ fn measure(
     (sensor, filter): (&mut Sensor, &mut Filter),
     tuning: &Tuning,
     distance_m: f64,
-    (felt, sign): (&KnownChange, f64),
+    (change, sign): (&KnownChange, f64),
 ) -> DistanceEstimate {
-    filter.feed_forward(tuning, felt, sign);
+    filter.feed_forward(tuning, change, sign);
     filter.update(tuning, sensor.measure(distance_m))
 }

@@ -26,7 +26,7 @@ pub struct Tuning {
     transition: Matrix3<f64>,
     process_noise: Matrix3<f64>,
     measurement_variance: f64,
-    /// Covariance before a measurement in steady state, with no measurement lost.
+    /// Covariance before a measurement in steady state, if no measurement is lost.
     steady_covariance: Matrix3<f64>,
     steady_gain: Vector3<f64>,
     steady_cholesky: Matrix3<f64>,

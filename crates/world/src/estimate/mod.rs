@@ -1,9 +1,9 @@
 //! Observations from noisy sensors and Kalman filters.
 //!
-//! The ego vehicle measures its position and the bumper gaps ahead and behind once a step, and knows its own
-//! acceleration. Speeds and accelerations are estimated (paper, section "Markov decision process", paragraph S). The
-//! alternative, [`EstimatorKind::Truth`](crate::observation::EstimatorKind::Truth), returns the true state. Every
-//! result names its estimator.
+//! Once a step, the ego vehicle measures its position and the bumper gaps ahead and behind with noise, and changes of
+//! its own motion exactly. Kalman filters estimate speeds and accelerations (paper, section "Markov decision process",
+//! paragraph S). The alternative, [`EstimatorKind::Truth`](crate::observation::EstimatorKind::Truth), returns the true
+//! state. Every result names its estimator.
 
 mod accelerometer;
 mod ego;

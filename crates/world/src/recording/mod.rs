@@ -4,7 +4,7 @@
 //! line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database of car-following
 //! experiments to study the properties of commercial ACC systems", Transportation Research Part C 125 (2021) 103047)
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
-//! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists what it dropped.
+//! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
 mod dropped;
 mod episode;
@@ -134,7 +134,7 @@ impl RecordedPlatoon {
     /// unknown. Empty for the first vehicle and for one that does not exist.
     #[must_use]
     pub fn gap_ahead_m(&self, index: usize) -> &[Option<f64>] {
-        index.checked_sub(1).and_then(|above| self.gaps_m.get(above)).map_or(&[], Vec::as_slice)
+        index.checked_sub(1).and_then(|pair| self.gaps_m.get(pair)).map_or(&[], Vec::as_slice)
     }
 
     /// Returns gap ahead and speed of vehicle `index` at one sample, if both are known.
@@ -176,7 +176,8 @@ impl RecordedVehicle {
     }
 }
 
-/// Reads a recording with any extension, by `map` or by the built-in map that matches its first line.
+/// Reads a recording file with any extension. The columns are those of `map`, or of the built-in map that matches the
+/// first line.
 ///
 /// # Errors
 /// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
@@ -189,8 +190,9 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 
 /// Reads a recording from a stream; `path` only names it.
 ///
-/// Memory is bounded: fails for lines above a mebibyte, and for more than 5 million rows, 20 million speeds and gaps,
-/// 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before line feeds.
+/// Memory is bounded: the function fails for lines above a mebibyte, and for more than 5 million rows, 20 million
+/// speeds and gaps, 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before
+/// line feeds.
 ///
 /// # Errors
 /// As [`load`].

@@ -16,7 +16,8 @@ use super::series::{Clock, ColumnQuantity, Series, interpolate_holes, round_to_m
 use super::table::{CsvColumn, CsvRow, MAX_ROWS, RowLimiter, RowReader, excerpt};
 use super::{Recording, RecordingFormat};
 
-/// Maximum number of followers in a scenario: a braking wave reaches later ones after the end of the episode.
+/// Maximum number of followers in a scenario. A braking wave reaches vehicles further behind only after the end of the
+/// episode.
 const MAX_FOLLOWERS: usize = 9;
 const MAX_LANES: usize = 10_000;
 
@@ -60,15 +61,15 @@ pub(super) fn read<R: Read>(
     let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
     let mut position = series(&tracks.position.column, tracks.position.unit.factor(), ColumnQuantity::Signed)?;
     let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor(), ColumnQuantity::SignedSpeed)?;
-    let (mut length, same_m) = match &tracks.length {
+    let (mut length, constant_m) = match &tracks.length {
         LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
         LengthSpec::Metres(metres) => (None, *metres),
     };
     let mut lanes = BTreeMap::new();
-    let mut extent = RowLimiter::new(&names.fields, 2);
-    let mut places = Vec::new();
+    let mut limiter = RowLimiter::new(&names.fields, 2);
+    let mut points = Vec::new();
     while let Some(row) = table.next_row()? {
-        extent.check_row(row)?;
+        limiter.check_row(row)?;
         let time_s = clock.read(row)?;
         let vehicle = read_whole_number(row, &vehicle)?;
         let lane = match &lane {
@@ -87,9 +88,10 @@ pub(super) fn read<R: Read>(
             None => 0,
         };
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
-        let length_m = length.as_mut().map_or(Ok(Some(same_m)), |series| series.read(row))?;
-        // Unknown vehicles stay in the list; without them, the follower would seem to follow their leader.
-        places.push(TrackPoint {
+        let length_m = length.as_mut().map_or(Ok(Some(constant_m)), |series| series.read(row))?;
+        // Points with unknown values stay in the list; without them, the next vehicle would seem to follow the wrong
+        // leader.
+        points.push(TrackPoint {
             vehicle,
             lane,
             time_ms: (time_s * 1000.0).round() as i64,
@@ -103,33 +105,33 @@ pub(super) fn read<R: Read>(
             behind: None,
         });
     }
-    if extent.rows == 0 {
+    if limiter.rows == 0 {
         return Err(table.cut_short_error("its first sample"));
     }
     let path = table.path();
     let mut dropped = Vec::new();
     for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
-        series.report(path, extent.rows, &mut dropped);
+        series.report(path, limiter.rows, &mut dropped);
     }
-    places.sort_unstable_by_key(|place: &TrackPoint| (place.vehicle, place.time_ms, place.line));
-    let what = |what, line| DroppedItem { path: path.to_owned(), line, omission: what };
-    if let Some((doubled, count)) = remove_duplicates(&mut places) {
-        dropped.push(what(Omission::DuplicateRows { vehicle: doubled.vehicle, count }, doubled.line));
+    points.sort_unstable_by_key(|point: &TrackPoint| (point.vehicle, point.time_ms, point.line));
+    let item = |omission, line| DroppedItem { path: path.to_owned(), line, omission };
+    if let Some((duplicate, count)) = remove_duplicates(&mut points) {
+        dropped.push(item(Omission::DuplicateRows { vehicle: duplicate.vehicle, count }, duplicate.line));
     }
-    let filled = fill_holes(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
+    let filled = fill_holes(&mut points, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
         path: path.to_owned(),
         line,
         limit: MAX_ROWS,
         what: "rows, with those that are filled",
     })?;
     if let Some((line, count)) = filled {
-        dropped.push(what(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
+        dropped.push(item(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
     }
-    orient(&mut places, tracks.position.of);
-    let LinkProblems { overlapping, unknown_position: unplaced } = link(&mut places);
-    dropped.extend(unplaced.map(|(line, count)| what(Omission::UnknownPosition { count }, line)));
-    dropped.extend(overlapping.map(|(line, count)| what(Omission::Overlapping { count }, line)));
-    let traffic = Some(RecordedTraffic { points: places });
+    orient(&mut points, tracks.position.of);
+    let LinkProblems { overlapping, unknown_position: unplaced } = link(&mut points);
+    dropped.extend(unplaced.map(|(line, count)| item(Omission::UnknownPosition { count }, line)));
+    dropped.extend(overlapping.map(|(line, count)| item(Omission::Overlapping { count }, line)));
+    let traffic = Some(RecordedTraffic { points });
     Ok(Recording {
         path: path.to_owned(),
         format: RecordingFormat::from_map(map),
@@ -148,27 +150,29 @@ fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, Record
     }
 }
 
-/// Keeps the first of several points of a vehicle at one time. Returns the first duplicate and their number.
-fn remove_duplicates(places: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    let mut doubled: Option<(TrackPoint, usize)> = None;
-    places.dedup_by(|later, first| {
+/// Keeps the first of several points of a vehicle at one time. Returns the first duplicate and the number of
+/// duplicates.
+fn remove_duplicates(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
+    let mut duplicate: Option<(TrackPoint, usize)> = None;
+    points.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
         if is_twice {
-            doubled.get_or_insert((*later, 0)).1 += 1;
+            duplicate.get_or_insert((*later, 0)).1 += 1;
         }
         is_twice
     });
-    doubled
+    duplicate
 }
 
 const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
-    [|place| &mut place.position_m, |place| &mut place.speed_mps, |place| &mut place.length_m];
+    [|point| &mut point.position_m, |point| &mut point.speed_mps, |point| &mut point.length_m];
 
-/// Interpolates holes of at most `longest_s`: missing numbers, and points between two of one vehicle in one lane.
-/// Returns the first line and the number of values. The error is the line at which there are too many.
-fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
+/// Fills holes of at most `longest_s` by interpolation: missing numbers, and missing points between two points of a
+/// vehicle in one lane. Returns the line of the first filled hole and the number of filled values. The error is the
+/// line at which there are too many points.
+fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
     let longest_ms = (longest_s * 1000.0).round() as i64;
-    let steps = places.windows(2).filter_map(|pair| match pair {
+    let steps = points.windows(2).filter_map(|pair| match pair {
         [a, b] if a.vehicle == b.vehicle && longest_ms > 0 => Some(b.time_ms - a.time_ms),
         _ => None,
     });
@@ -176,18 +180,18 @@ fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u6
     steps.sort_unstable();
     let Some(&step_ms) = steps.get(steps.len() / 2) else { return Ok(None) };
     let mut found: Option<(u64, usize)> = None;
-    for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
-        let time_s: Vec<f64> = track.iter().map(|place| place.time_ms as f64 / 1000.0).collect();
+    for track in points.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
+        let time_s: Vec<f64> = track.iter().map(|point| point.time_ms as f64 / 1000.0).collect();
         for number in OPTIONAL_FIELDS {
-            let mut values: Vec<Option<f64>> = track.iter_mut().map(|place| *number(place)).collect();
+            let mut values: Vec<Option<f64>> = track.iter_mut().map(|point| *number(point)).collect();
             if let Some((count, first)) = interpolate_holes(&mut values, &time_s, longest_s) {
-                track.iter_mut().zip(values).for_each(|(place, value)| *number(place) = value);
-                found.get_or_insert((track.get(first).map_or(0, |place| place.line), 0)).1 += count;
+                track.iter_mut().zip(values).for_each(|(point, value)| *number(point) = value);
+                found.get_or_insert((track.get(first).map_or(0, |point| point.line), 0)).1 += count;
             }
         }
     }
     let mut filled: Vec<TrackPoint> = Vec::new();
-    for pair in places.windows(2) {
+    for pair in points.windows(2) {
         let [a, b] = pair else { continue };
         let hole_ms = b.time_ms - a.time_ms;
         if (a.vehicle, a.lane) != (b.vehicle, b.lane) || hole_ms > longest_ms {
@@ -206,41 +210,41 @@ fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u6
                 ..*a
             });
         }
-        if places.len() + filled.len() > MAX_ROWS {
+        if points.len() + filled.len() > MAX_ROWS {
             return Err(a.line);
         }
     }
     if let Some(TrackPoint { line, .. }) = filled.first() {
         found.get_or_insert((*line, 0)).1 += filled.len();
     }
-    places.append(&mut filled);
-    places.sort_unstable_by_key(|place| (place.vehicle, place.time_ms));
+    points.append(&mut filled);
+    points.sort_unstable_by_key(|point| (point.vehicle, point.time_ms));
     Ok(found)
 }
 
 /// Determines the direction of each vehicle and its front bumper.
-fn orient(places: &mut [TrackPoint], of: ReferencePoint) {
-    for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
-        let mut known_m = track.iter().filter_map(|place| place.position_m);
+fn orient(points: &mut [TrackPoint], reference: ReferencePoint) {
+    for track in points.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
+        let mut known_m = track.iter().filter_map(|point| point.position_m);
         let first_m = known_m.next().unwrap_or(0.0);
         let moved_m = known_m.next_back().unwrap_or(first_m) - first_m;
-        let falls = match moved_m.partial_cmp(&0.0) {
-            Some(Ordering::Equal) | None => track.iter().filter_map(|place| place.speed_mps).sum::<f64>() < 0.0,
+        let decreases = match moved_m.partial_cmp(&0.0) {
+            Some(Ordering::Equal) | None => track.iter().filter_map(|point| point.speed_mps).sum::<f64>() < 0.0,
             Some(order) => order == Ordering::Less,
         };
-        for place in track {
+        for point in track {
             // Vehicles do not overlap, so a point without length still sorts correctly in its lane.
-            let (position_m, length_m) = (place.position_m.unwrap_or(0.0), place.length_m.unwrap_or(0.0));
-            let ahead_m = match of {
+            let (position_m, length_m) = (point.position_m.unwrap_or(0.0), point.length_m.unwrap_or(0.0));
+            let to_front_m = match reference {
                 ReferencePoint::Front => 0.0,
                 ReferencePoint::Centre => length_m / 2.0,
                 ReferencePoint::Rear => length_m,
-                ReferencePoint::LowEnd if falls => 0.0,
+                ReferencePoint::LowEnd if decreases => 0.0,
                 ReferencePoint::LowEnd => length_m,
             };
-            place.position_decreases = falls;
-            place.front_m = ahead_m + if falls { -position_m } else { position_m };
-            place.speed_mps = place.speed_mps.map(f64::abs);
+            point.position_decreases = decreases;
+            point.front_m = to_front_m + if decreases { -position_m } else { position_m };
+            point.speed_mps = point.speed_mps.map(f64::abs);
         }
     }
 }
@@ -254,33 +258,33 @@ struct LinkProblems {
 }
 
 /// Links each point with its leader and follower. A vehicle with unknown position may be anywhere in its lane, so no
-/// point of that lane is linked; one with unknown length is not linked.
-fn link(places: &mut [TrackPoint]) -> LinkProblems {
-    let mut order: Vec<u32> = (0..places.len() as u32).collect();
-    let at = |places: &[TrackPoint], index: u32| places.get(index as usize).copied();
-    let row = |place: &TrackPoint| (place.time_ms, place.lane, place.position_decreases);
-    let unplaced = || places.iter().filter(|place| place.position_m.is_none() || place.length_m.is_none());
-    let unplaced = unplaced().map(|place| place.line).min().map(|first| (first, unplaced().count()));
-    let torn: BTreeSet<_> = places.iter().filter(|place| place.position_m.is_none()).map(row).collect();
-    order.sort_by(|&a, &b| match (at(places, a), at(places, b)) {
+/// point of that lane at that time is linked. A vehicle with unknown length is not linked.
+fn link(points: &mut [TrackPoint]) -> LinkProblems {
+    let mut order: Vec<u32> = (0..points.len() as u32).collect();
+    let at = |points: &[TrackPoint], index: u32| points.get(index as usize).copied();
+    let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
+    let unplaced = || points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none());
+    let unplaced = unplaced().map(|point| point.line).min().map(|first| (first, unplaced().count()));
+    let unlinkable: BTreeSet<_> = points.iter().filter(|point| point.position_m.is_none()).map(row).collect();
+    order.sort_by(|&a, &b| match (at(points, a), at(points, b)) {
         (Some(a), Some(b)) => row(&a).cmp(&row(&b)).then(b.front_m.total_cmp(&a.front_m)),
         _ => Ordering::Equal,
     });
     let mut overlapping: Option<(u64, usize)> = None;
     for pair in order.windows(2) {
         let &[front, rear] = pair else { continue };
-        let (Some(ahead), Some(behind)) = (at(places, front), at(places, rear)) else { continue };
-        if row(&ahead) != row(&behind) || torn.contains(&row(&ahead)) {
+        let (Some(ahead), Some(behind)) = (at(points, front), at(points, rear)) else { continue };
+        if row(&ahead) != row(&behind) || unlinkable.contains(&row(&ahead)) {
             continue;
         }
         let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else { continue };
         let gap_m = ahead.front_m - length_m - behind.front_m;
         if ColumnQuantity::Gap.allows(gap_m) {
-            if let Some(place) = places.get_mut(rear as usize) {
-                place.ahead = Some((gap_m, front));
+            if let Some(point) = points.get_mut(rear as usize) {
+                point.ahead = Some((gap_m, front));
             }
-            if let Some(place) = places.get_mut(front as usize) {
-                place.behind = Some(rear);
+            if let Some(point) = points.get_mut(front as usize) {
+                point.behind = Some(rear);
             }
         } else if round_to_milli(gap_m) <= 0.0 {
             overlapping.get_or_insert((behind.line, 0)).1 += 1;
@@ -314,19 +318,19 @@ struct TrafficLead<'a> {
 
 impl LeadVehicle for TrafficLead<'_> {
     fn segments(&self) -> Vec<Vec<SpeedSample>> {
-        let sample = |(index, place): (usize, &TrackPoint)| {
+        let sample = |(index, point): (usize, &TrackPoint)| {
             Some(SpeedSample {
                 index: self.first + index,
-                time_ms: place.time_ms,
-                speed_mps: round_to_milli(place.speed_mps?),
+                time_ms: point.time_ms,
+                speed_mps: round_to_milli(point.speed_mps?),
             })
         };
         split_at_holes(self.track.iter().enumerate().filter_map(sample))
     }
 
     fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle {
-        let number = self.track.first().map_or(0, |place| place.vehicle as usize);
-        let length_m = self.track.iter().find_map(|place| place.length_m).map(round_to_milli);
+        let number = self.track.first().map_or(0, |point| point.vehicle as usize);
+        let length_m = self.track.iter().find_map(|point| point.length_m).map(round_to_milli);
         EpisodeVehicle { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m }
     }
 
@@ -356,7 +360,7 @@ impl LeadVehicle for TrafficLead<'_> {
     }
 
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead {
-        let ahead = self.traffic.point(sample.index).and_then(|place| self.traffic.point(place.ahead?.1 as usize));
+        let ahead = self.traffic.point(sample.index).and_then(|point| self.traffic.point(point.ahead?.1 as usize));
         match ahead {
             None => VehicleAhead::None,
             Some(ahead) if ahead.speed_mps.is_some() => VehicleAhead::Recorded(ahead.vehicle as usize),
@@ -365,7 +369,7 @@ impl LeadVehicle for TrafficLead<'_> {
     }
 
     fn line_of(&self, sample: &SpeedSample) -> u64 {
-        self.traffic.point(sample.index).map_or(0, |place| place.line)
+        self.traffic.point(sample.index).map_or(0, |point| point.line)
     }
 
     fn event(&self) -> Option<&str> {

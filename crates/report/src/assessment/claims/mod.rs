@@ -236,7 +236,7 @@ impl Property {
 }
 
 impl Domain {
-    /// Describes the domain, to follow the description of the property.
+    /// Describes the domain, as a phrase after the description of the property.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
@@ -274,7 +274,7 @@ impl Domain {
 }
 
 impl AssuranceClaim {
-    /// Describes the domain, to follow the description of the property.
+    /// Describes the domain, as a phrase after the description of the property.
     #[must_use]
     pub fn describe_domain(&self) -> String {
         match (&self.property, &self.domain) {

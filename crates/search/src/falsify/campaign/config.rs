@@ -60,11 +60,11 @@ pub struct Campaign {
 pub struct CampaignOptions {
     /// Record of the evaluations.
     pub log: EvaluationLog,
-    /// Continue the campaign that the folder holds, if there is one. Without it such a folder is refused.
+    /// True to continue the campaign that the folder holds, if there is one. If false, such a folder is refused.
     pub resume: bool,
 }
 
-/// Amount of evaluations that a campaign records.
+/// Record of the evaluations of a campaign: all or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -72,7 +72,7 @@ pub enum EvaluationLog {
     /// Every evaluation, as a row of a compressed CSV file.
     #[default]
     Full,
-    /// None: the summary and the counterexamples alone.
+    /// No evaluations, only the summary and the counterexamples.
     Summary,
 }
 
@@ -82,19 +82,19 @@ impl EvaluationLog {
     }
 }
 
-/// Division of a campaign that was merged from shards, if it differs from the undivided campaign.
+/// Division of a campaign that was merged from shards, if they are several searches or evaluations are missing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sharding {
     /// Number of searches by the method, each with its own seed; 1 for a reference search.
     pub searches: u64,
-    /// Number of shards; `None` if the shards are of several divisions.
+    /// Number of shards; `None` if no evaluations are missing, or if the shards are of several divisions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub of_shards: Option<u32>,
     /// Missing shards, if all are of one division.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing_shards: Vec<u32>,
-    /// Missing evaluations of each method: ranges of the first and the last number, from 1.
+    /// Missing evaluations of each method: ranges, each by its first and its last number, from 1.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing_evaluations: Vec<[u64; 2]>,
 }
@@ -179,9 +179,9 @@ impl CampaignRecord {
     }
 }
 
-pub(in crate::falsify) fn with_reference_methods(asked_for: &Method) -> Vec<Method> {
-    let mut methods = vec![asked_for.clone()];
-    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != asked_for));
+pub(in crate::falsify) fn with_reference_methods(requested: &Method) -> Vec<Method> {
+    let mut methods = vec![requested.clone()];
+    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != requested));
     methods
 }
 

@@ -8,10 +8,12 @@ use super::{FailureCandidate, FailureKind};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 
-/// Maximum number of failures on the front. Random points give about ten, but memory must not grow with the budget.
+/// Maximum number of failures on the front. Random points give about ten failures; the limit keeps memory independent
+/// of the budget.
 const MAX_FAILURES: usize = 1000;
 
-/// The Pareto front of severity and likelihood, the severest first; ties in likelihood by distance from nominal.
+/// The Pareto front of severity and likelihood, the severest failure first. Of two failures with equal likelihood, the
+/// one nearer to nominal counts as likelier.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ParetoFront {
     failures: Vec<FailureCandidate>,
@@ -55,7 +57,8 @@ impl ParetoFront {
         self.insert(candidate, MAX_FAILURES);
     }
 
-    /// Adds a failure of another front. The result does not depend on the order; of equal failures the earlier stays.
+    /// Adds a failure of another front. The result does not depend on the order; of equal failures that of the earlier
+    /// evaluation stays.
     pub(super) fn merge(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
         let is_equal = |known: &&mut FailureCandidate| {
             known.verdict.robustness.total_cmp(&candidate.verdict.robustness) == Ordering::Equal
@@ -84,8 +87,9 @@ impl ParetoFront {
         &self.failures
     }
 
-    fn insert(&mut self, candidate: &FailureCandidate, most: usize) {
-        // Sorted by severity, so likelihood increases. A failure that dominates the new one is at its index or before.
+    fn insert(&mut self, candidate: &FailureCandidate, max_failures: usize) {
+        // The front is sorted by severity, so likelihood increases along it. A failure that dominates the new one is at
+        // the index of the new one or before.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
         let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
@@ -93,12 +97,12 @@ impl ParetoFront {
         if likeliest_before.is_some_and(|known| compare_likelihood(known, candidate) != Ordering::Less) {
             return;
         }
-        let beaten = self.failures.iter().skip(place);
-        let beaten = beaten.take_while(|known| compare_likelihood(known, candidate) != Ordering::Greater).count();
-        if beaten == 0 && self.failures.len() >= most {
+        let dominated = self.failures.iter().skip(place);
+        let dominated = dominated.take_while(|known| compare_likelihood(known, candidate) != Ordering::Greater).count();
+        if dominated == 0 && self.failures.len() >= max_failures {
             return;
         }
-        self.failures.splice(place..place + beaten, [candidate.clone()]);
+        self.failures.splice(place..place + dominated, [candidate.clone()]);
     }
 
     pub(super) fn points(&self, specification: &Specification, nominal: &Scenario) -> Vec<FrontPoint> {

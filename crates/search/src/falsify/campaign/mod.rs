@@ -11,14 +11,14 @@
 //! | `counterexamples/escapes/` | for avoidable failures: a scenario that avoids them |
 //! | `counterexamples/expected.verdicts` | their recorded verdicts, in TOML |
 //! | `summary.json`, `summary.txt` | results of each method |
-//! | `evaluations.journal` | evaluations of a running campaign, which survive `kill -9`; for one build |
+//! | `evaluations.journal` | evaluations of a running campaign; survive `kill -9`; readable by the same build only |
 //! | `work.json`, `work.lock` | manifest and lock (see [`crumple_store::run_folder`]) |
 //!
 //! The reference searches (uniform points and a Halton sequence) always run with the budget of the requested method, to
 //! show if it is better than random. Results depend neither on the number of threads nor on interruptions.
 //!
-//! Apart from the state of the search itself, memory does not grow with the budget. Evaluations are written to disk, 65
-//! 536 at a time. Memory holds a few failures of each kind and those on the Pareto front.
+//! Apart from the state of the search itself, memory does not grow with the budget. Parts of 65 536 evaluations are
+//! written to disk. Memory holds a few failures of each kind and those on the Pareto front.
 
 mod config;
 mod coverage;
@@ -73,7 +73,7 @@ pub struct EvaluatedPoint {
     pub values: Vec<f64>,
     /// Logarithm of the density under the space's distribution, relative to the uniform density.
     pub ln_likelihood: f64,
-    /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
+    /// Distance from the nominal scenario in the unit cube, from 0 to 1: mean distance over the parameters.
     pub distance_from_nominal: f64,
     /// Verdict of the simulation.
     pub verdict: RunVerdict,

@@ -17,14 +17,15 @@ pub struct ShieldState<R = f64> {
 }
 
 impl<R: Real> ShieldParams<R> {
-    /// Returns the response of the actuator, in m/s², when a command within the vehicle's limits becomes due.
+    /// Returns the response of the actuator, in m/s², over the step in which the command `due_mps2` takes effect. The
+    /// command is within the vehicle's limits.
     #[must_use]
     #[inline]
     pub fn response_mps2(&self, response_mps2: R, due_mps2: R) -> R {
         response_mps2 + self.response_fraction * (due_mps2 - response_mps2)
     }
 
-    /// Returns the maximum acceleration over a step. A standing vehicle without a positive response is held.
+    /// Returns the maximum acceleration over a step. A standing vehicle stays at rest unless the response is positive.
     fn acceleration_mps2(&self, state: ShieldState<R>, response_mps2: R) -> R {
         let zero = R::from_f64(0.0);
         let is_held = zero.at_least(state.speed_mps) & zero.at_least(response_mps2);
@@ -42,8 +43,8 @@ impl<R: Real> ShieldParams<R> {
         ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
     }
 
-    /// Returns z, the speed that the kernel uses, in m/s: own speed plus effect of [lag](ShieldParams::lag_s); 0 at
-    /// rest.
+    /// Returns z, the speed that the kernel uses, in m/s: own speed plus the effect of [lag](ShieldParams::lag_s). It
+    /// is 0 for a standing vehicle without a positive response.
     #[must_use]
     #[inline]
     pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
@@ -53,7 +54,7 @@ impl<R: Real> ShieldParams<R> {
         R::select(stands, || zero, || state.speed_mps + by_lag_mps())
     }
 
-    /// Returns the gap beyond the kernel's demand, in metres. Full braking never decreases it.
+    /// Returns the spare gap g - D, in metres. Full braking never decreases it.
     #[must_use]
     #[inline]
     pub fn spare_m(&self, state: ShieldState<R>) -> R {

@@ -1,4 +1,4 @@
-//! Minimum gap of a vehicle that brakes fully behind a vehicle that brakes fully.
+//! Gap that a fully braking vehicle needs behind another fully braking vehicle.
 //!
 //! The mathematics, and a check of the closed form in exact arithmetic, are in `crumple_verify::kernel`. Certificates
 //! and proof obligations evaluate these functions with other number types ([`Real`]).
@@ -15,12 +15,12 @@ pub struct ViabilityKernel<R = f64> {
 }
 
 impl<R: Real> ViabilityKernel<R> {
-    /// Returns D(v, w), in metres. The rear vehicle at `speed_mps` can avoid a collision with the leader at
-    /// `ahead_mps`, for any behaviour of the leader, exactly if the gap is larger.
+    /// Returns the demanded gap D(v, w), in metres. The rear vehicle at `speed_mps` can avoid a collision with the
+    /// leader at `ahead_mps`, for any behaviour of the leader, exactly if the gap is larger.
     ///
-    /// D = max(0, v²/2b - w²/2c) if b <= c or v/b >= w/c, and max(0, v - w)²/2(b - c) otherwise. The first is the
-    /// distance of Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time). If the
-    /// rear vehicle brakes harder and stops first, the two are closest while both move.
+    /// D = max(0, v²/2b - w²/2c) if b <= c or v/b >= w/c, and max(0, v - w)²/2(b - c) otherwise. The first expression
+    /// is the distance of Shalev-Shwartz, Shammah and Shashua (arXiv:1708.06374, definition 1, without response time).
+    /// If the rear vehicle brakes harder and stops first, the two are closest while both move.
     #[must_use]
     #[inline]
     pub fn demanded_gap_m(&self, speed_mps: R, ahead_mps: R) -> R {

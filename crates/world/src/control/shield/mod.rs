@@ -8,14 +8,16 @@
 //! - the gap stays open at every instant of the step.
 //!
 //! The first does not imply the second: a vehicle that brakes harder than its leader can be closest within the step. A
-//! test of step ends alone could miss a gap that is negative by up to 0.046 (b - c) h², seven micrometres for a car
-//! behind a truck at 0.01 s. Full braking needs no test: it keeps the state in K at every instant.
+//! test of step ends alone could miss an overlap of up to 0.046 (b - c) h², with the brake limits b and c of the two
+//! vehicles and the step h: seven micrometres for a car behind a truck at 0.01 s. Full braking needs no test: it keeps
+//! the state in K at every instant.
 //!
 //! The shield also handles:
 //!
 //! - *Estimation error*: the test uses the worst gap and speeds within the bounds. A true state in K stays there.
 //! - *Delay*: the test uses the state after all pending commands, with a leader that brakes at its limit.
-//! - *Lag*: v in the kernel becomes v + τ' (r + b), see [`ShieldParams::lag_s`].
+//! - *Lag*: the kernel uses v + τ' (r + b) in place of v, with the response r of the actuator and the effective lag τ'
+//!   ([`ShieldParams::lag_s`]).
 //! - *Noise* on accelerations: six standard deviations (exceeded once in 10⁹ steps) reduce the own brake limit and
 //!   raise the leader's.
 //!
@@ -25,8 +27,9 @@
 //! quotients, terms of `verify/obligations`). A margin covers rounding ([`MotionBounds::margin_m`]).
 //!
 //! - Proved in Coq, of the formulas, for all limits: kernel and lag (`docs/kernel-theorems.md`).
-//! - Proved of these functions, for the shipped limits: kernel, motion, the test at every instant of the step, and lag.
-//!   Also proved: with errors within the bounds and with noise, the predicted state is the worst possible.
+//! - Proved by SMT solvers, of these functions, for the limits of each pair of vehicle classes (`verify/obligations`):
+//!   kernel, motion, the test at every instant of the step, and lag. Also proved: with errors within the bounds and
+//!   with noise, the predicted state is the worst possible.
 //! - Proved in Coq of these functions in double precision: effects of rounding on gaps in full braking and on spare
 //!   gaps.
 //! - Derived on paper from these: the margin.
@@ -58,7 +61,7 @@ pub(crate) struct Override {
     pub last_step: usize,
     /// True if the state was outside the kernel in one of them: a collision could no longer be excluded.
     pub outside_kernel: bool,
-    /// True if in one of them the follower could not avoid the braking vehicle: no command was safe for both.
+    /// True if in one of them the follower could not avoid the fully braking ego vehicle: no command was safe for both.
     pub rear_conflict: bool,
 }
 
@@ -75,11 +78,11 @@ pub(crate) struct ShieldedController {
 
 impl ShieldedController {
     #[must_use]
-    pub(crate) fn new(controller: AnyController, frame: ShieldParams) -> Self {
+    pub(crate) fn new(controller: AnyController, params: ShieldParams) -> Self {
         Self {
             controller: Box::new(controller),
-            pending_mps2: VecDeque::from(vec![0.0; frame.delay_steps]),
-            params: frame,
+            pending_mps2: VecDeque::from(vec![0.0; params.delay_steps]),
+            params,
             response_mps2: 0.0,
             step: 0,
             overrides: Vec::new(),
@@ -92,12 +95,12 @@ impl ShieldedController {
     }
 
     /// Returns the worst possible state in which a command given now takes effect; `None` without a leader.
-    fn worst_state(&self, seen: &Observation) -> Option<ShieldState> {
-        let ahead = seen.ahead?;
+    fn worst_state(&self, observation: &Observation) -> Option<ShieldState> {
+        let ahead = observation.ahead?;
         let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.params.errors;
         let mut state = ShieldState {
             gap_m: ahead.gap_m - gap_m,
-            speed_mps: seen.speed_mps + speed_mps,
+            speed_mps: observation.speed_mps + speed_mps,
             ahead_mps: (ahead.speed_mps - ahead_speed_mps).max(0.0),
             response_mps2: self.response_mps2,
         };
@@ -123,17 +126,18 @@ impl ShieldedController {
 }
 
 impl Controller for ShieldedController {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let wanted_mps2 = clamp_command(self.controller.decide(seen)?, self.params.brake_mps2, self.params.accel_mps2);
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
+        let wanted_mps2 =
+            clamp_command(self.controller.decide(observation)?, self.params.brake_mps2, self.params.accel_mps2);
         let mut command_mps2 = wanted_mps2;
-        if let Some(state) = self.worst_state(seen)
+        if let Some(state) = self.worst_state(observation)
             && !self.params.admits(state, wanted_mps2)
         {
             command_mps2 = -self.params.brake_mps2;
             let outside_kernel = self.params.spare_m(state) < 0.5 * self.params.margin_m;
             // Full braking by the controller is no override, but is recorded outside the kernel.
             if wanted_mps2 > command_mps2 || outside_kernel {
-                self.record_override(outside_kernel, self.params.endangers_rear(seen));
+                self.record_override(outside_kernel, self.params.endangers_rear(observation));
             }
         }
         self.pending_mps2.push_back(command_mps2);
@@ -147,12 +151,13 @@ impl Controller for ShieldedController {
 impl ShieldParams {
     /// True if the follower, which holds its speed until it reacts, would collide if the ego vehicle brakes fully.
     ///
-    /// The gap behind is concave until the follower reacts, so that it is smallest at an end of that time.
-    fn endangers_rear(&self, seen: &Observation) -> bool {
-        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (seen.behind, self.behind) else {
+    /// Until the follower reacts, the gap behind is a concave function of time, so it is smallest at the begin or the
+    /// end of the reaction time.
+    fn endangers_rear(&self, observation: &Observation) -> bool {
+        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (observation.behind, self.behind) else {
             return false;
         };
-        let [covered_m, speed_mps] = distance_and_speed_after(seen.speed_mps, -self.brake_mps2, reaction_s);
+        let [covered_m, speed_mps] = distance_and_speed_after(observation.speed_mps, -self.brake_mps2, reaction_s);
         let kernel = ViabilityKernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
         let gap_m = rear.gap_m + covered_m - rear.speed_mps * reaction_s;
         gap_m <= kernel.demanded_gap_m(rear.speed_mps, speed_mps)

@@ -18,7 +18,8 @@ pub struct ErrorBounds {
 pub struct ShieldSettings {
     /// Assumed maximum deceleration of the leader on a dry road, in m/s²; `None` for its true limit.
     pub ahead_brake_mps2: Option<f64>,
-    /// Error bounds of observations. `None` for bounds that follow from the estimator; 0 with the true state.
+    /// Error bounds of observations. `None` for bounds that follow from the estimator; they are 0 if it returns the
+    /// true state.
     pub errors: Option<ErrorBounds>,
 }
 
@@ -65,8 +66,8 @@ pub struct ShieldParams<R = f64> {
     pub errors: ErrorBounds,
     /// The follower, if there is one.
     pub behind: Option<RearVehicleParams>,
-    /// Distance beyond the kernel's gap, in metres: covers rounding and keeps the gap above zero. Half of it is for the
-    /// time after a command was admitted, see `MotionBounds::margin_m`.
+    /// Distance beyond the kernel's gap, in metres: covers rounding and keeps the gap above zero. Half of it covers
+    /// rounding after a command was admitted, see `MotionBounds::margin_m`.
     pub margin_m: R,
 }
 
@@ -78,11 +79,12 @@ impl<R: Real> ShieldParams<R> {
         ViabilityKernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
     }
 
-    /// Returns τ' = h (1 - σ)/σ for an actuator that covers the share σ of its difference in a step h.
+    /// Returns the effective lag τ' = h (1 - σ)/σ of an actuator that in a step h covers the share σ of the difference
+    /// between command and response.
     ///
     /// For a lag τ this is h/(exp(h/τ) - 1), slightly less than τ. For response r let z = v + τ' (r + b). A step of
-    /// full braking decreases z by exactly b h, since r + b decreases to its share 1 - σ; and z is at least the speed.
-    /// Braking fully, the vehicle is never faster or further than one without lag that starts at z.
+    /// full braking decreases z by exactly b h, since it multiplies r + b by 1 - σ. z is at least the speed. Braking
+    /// fully, the vehicle is never faster or further than one without lag that starts at z.
     #[must_use]
     #[inline]
     pub fn lag_s(&self) -> R {

@@ -4,7 +4,7 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
 /// A number type for the kernel and the test of the shield; `f64` in simulations.
 ///
-/// Certificates are checked with exact quotients. Proof obligations are written with terms of a logic.
+/// Certificates are checked with exact quotients. Proof obligations are written with symbolic terms.
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
@@ -20,7 +20,7 @@ pub trait Real:
     /// Returns true if this is not less than `other`.
     fn at_least(self, other: Self) -> Self::Truth;
 
-    /// Evaluates `then` or `otherwise`.
+    /// Returns `then` if `truth` holds, and `otherwise` if not.
     fn select(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
 
     /// Returns the larger of two.

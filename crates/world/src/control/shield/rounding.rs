@@ -11,7 +11,7 @@ pub(crate) const MAX_MARGIN_M: f64 = 0.1;
 /// Unit roundoff u: maximum relative error of one operation.
 const UNIT_ROUNDOFF: f64 = 0.5 * f64::EPSILON;
 
-/// Factor by which rounding in at most five million steps may exceed bounds of real numbers.
+/// Factor by which rounded numbers may exceed bounds that hold for real numbers, after at most five million steps.
 const PAD: f64 = 1.0 + 1e-8;
 
 /// Bounds of the motion of a vehicle and its leader over a whole run.
@@ -38,11 +38,11 @@ impl MotionBounds {
     /// # Rounding errors
     ///
     /// The relative error of an operation is at most u = 2⁻⁵³ (`an_operation_is_off_by_u`). With V as in
-    /// [`MotionBounds`], the shield's step h, the integration step h/k, d steps of delay and τ' for the lag
-    /// ([`ShieldParams::lag_s`]), let
+    /// [`MotionBounds`], the maximum acceleration a of the vehicle, the brake limit c of the leader, the shield's step
+    /// h, the integration step h/k, d steps of delay and τ' for the lag ([`ShieldParams::lag_s`]), let
     ///
     /// ```text
-    /// b   the own brake less noise               P = a + full brake + noise, bounds the difference of two responses
+    /// b   own brake limit less noise             P = a + full brake + noise, bounds the difference of two responses
     /// A = P + c + the acceleration of the leader, a bound of any acceleration
     /// Z = V + (τ' + h) P   a bound of the speed that the kernel uses
     /// T = Z/b      maximum time to standstill           R = T + (d + 1) h   maximum time from a command to standstill
@@ -55,8 +55,8 @@ impl MotionBounds {
     /// *A step of motion.* In real numbers, full braking does not decrease the spare gap g - D. The computed step
     /// differs by
     ///
-    /// - 4 u X for each position: x + v t + a t²/2 is two sums of at most 1.3 X, and products of at most X/4; the sum
-    ///   of the k parts of a step is k h/k, with an error of u h;
+    /// - 4 u X for each position: x + v t + a t²/2 is two sums of at most 1.3 X, and products of at most X/4; the k
+    ///   parts h/k of a step add up to h with an error of u h;
     /// - u (V + 5.2 A h) for the own speed and u (V + 3.2 A h) for the leader's, each times T: a product, a sum, the
     ///   parts of the step and, for the own speed, a sum with noise and the rest of the brake
     ///   (`the_own_vehicle_in_a_step`, `the_vehicle_ahead_in_a_step`, `motion_takes_at_most`);
@@ -66,37 +66,38 @@ impl MotionBounds {
     /// ε = u (8 X + 2 R (V + 6 A h) + 5 τ' R P)
     /// ```
     ///
-    /// with T in place of R exceeds the sum of these (`a_step_of_full_braking_takes_at_most`). R > T, because an error
-    /// of speed while a command is pending lasts until the command takes effect.
+    /// exceeds the sum of these, even with T in place of R (`a_step_of_full_braking_takes_at_most`). It has R > T,
+    /// because an error of speed while a command is pending lasts until the command takes effect.
     ///
-    /// *The spare gap*, computed from the stored numbers, has an error of u (6 X + 28 S) and some u τ' T P, which ε
-    /// covers: 3.1 u X of the observed gap (X - length) - x, 12 u S of D, and 7 u Z of the speed that the kernel uses
-    /// (`the_gap_is_seen_rounded`, `the_demand_is_rounded`, `the_speed_to_lose_is_rounded`,
+    /// *The spare gap*, computed from the stored numbers, has an error of u (6 X + 28 S) and a few u τ' T P, which ε
+    /// covers: 3.1 u X of the observed gap (position ahead - length) - own position, 12 u S of D, and 7 u Z of the
+    /// speed that the kernel uses (`the_gap_is_seen_rounded`, `the_demand_is_rounded`, `the_speed_to_lose_is_rounded`,
     /// `the_spare_gap_is_rounded`).
     ///
     /// *A test.* Each of the d + 1 predicted steps adds two numbers of at most X/2 to a gap of at most 3 X, and
     /// computes two distances while the vehicles move: 24 u X. Without division of a step into parts, predicted speeds
     /// are at least as bad as the real ones, to the bit, because rounding is monotonic
     /// (`a_predicted_step_is_no_better`, `predicted_steps_are_no_better`, `what_passes_the_test_is_spare`). With parts,
-    /// or if an actuator without lag and delay gives the bits that the shield computes as r + (a - r), they have the
-    /// error ε of a step of motion. The closing inside the step adds one difference.
+    /// or for an actuator without lag and delay, whose response the shield computes as r + (a - r), predicted speeds
+    /// have the error ε of a step of motion. The closing inside the step adds one difference.
     ///
     /// ```text
     /// η = (d + 1) (ε + 16 u X) + u (8 X + 32 S)
     /// ```
     ///
-    /// *Collision.* In real numbers no collision occurs inside a step from the stored numbers
+    /// *Collision.* In real numbers no collision occurs inside a step that starts at the stored numbers
     /// (`inside_a_step_nobody_touches`). The simulation solves g + r t + a t²/2 = 0 with a gap error of 11 u X and
     /// speed errors of a few u V over at most h. If the sign of the discriminant is wrong, the gap is at most 5 u times
-    /// the previous one: 16 u X.
+    /// the gap at the begin of the step: 16 u X.
     ///
     /// # Sufficiency of the margin
     ///
     /// A command is admitted if the computed spare gap is at least the margin m. Let it take effect, followed by full
     /// braking. After n steps, including pending ones, the spare gap is at least m - η - n ε
-    /// (`braking_on_takes_at_most`). Computed again, to test if the state is outside the kernel, it is at least
-    /// m - 2 η - n ε. A vehicle at rest loses nothing more: it has D = 0, and the leader does not reverse. So n is at
-    /// most Z/(b h/k) + 1 plus the k (d + 1) parts of predicted steps, and at most the number of steps of the run, and
+    /// (`braking_on_takes_at_most`). The shield computes it again to test if the state is outside the kernel; the
+    /// result is at least m - 2 η - n ε. A vehicle at rest loses nothing more: it has D = 0, and the leader does not
+    /// reverse. So n is at most Z/(b h/k) + 1 plus the k (d + 1) parts of predicted steps, and at most the number of
+    /// steps of the run, and
     ///
     /// ```text
     /// m/2 = (n + 2) ε + 2 η + 16 u X
@@ -112,25 +113,25 @@ impl MotionBounds {
     ///
     /// Not included are estimator errors beyond the bounds, and products below 10⁻³⁰⁸, which are irrelevant for a gap.
     #[must_use]
-    pub(crate) fn margin_m(&self, frame: &ShieldParams) -> f64 {
+    pub(crate) fn margin_m(&self, params: &ShieldParams) -> f64 {
         let Self { steps, substeps, .. } = *self;
         let speed_mps = PAD * self.speed_mps;
-        let brake_mps2 = frame.kernel().own_brake_mps2;
-        let response_span_mps2 = frame.accel_mps2 + frame.brake_mps2 + frame.noise_mps2;
-        let any_mps2 = response_span_mps2 + frame.ahead_brake_mps2 + self.ahead_accel_mps2;
-        let position_m = (PAD * self.position_m).max(4.0 * frame.step_s * (speed_mps + any_mps2 * frame.step_s));
-        let lag_s = frame.lag_s();
-        let replaced_mps = speed_mps + (lag_s + frame.step_s) * response_span_mps2;
+        let brake_mps2 = params.kernel().own_brake_mps2;
+        let response_span_mps2 = params.accel_mps2 + params.brake_mps2 + params.noise_mps2;
+        let any_mps2 = response_span_mps2 + params.ahead_brake_mps2 + self.ahead_accel_mps2;
+        let position_m = (PAD * self.position_m).max(4.0 * params.step_s * (speed_mps + any_mps2 * params.step_s));
+        let lag_s = params.lag_s();
+        let replaced_mps = speed_mps + (lag_s + params.step_s) * response_span_mps2;
         let (stop_s, stop_m) = (replaced_mps / brake_mps2, 0.5 * replaced_mps * replaced_mps / brake_mps2);
-        let predicted = frame.delay_steps as f64 + 1.0;
-        let reach_s = stop_s + predicted * frame.step_s;
+        let predicted = params.delay_steps as f64 + 1.0;
+        let reach_s = stop_s + predicted * params.step_s;
         let step_m = UNIT_ROUNDOFF
             * (8.0 * position_m
-                + 2.0 * reach_s * (speed_mps + 6.0 * any_mps2 * frame.step_s)
+                + 2.0 * reach_s * (speed_mps + 6.0 * any_mps2 * params.step_s)
                 + 5.0 * lag_s * reach_s * response_span_mps2);
         let test_m = predicted * (step_m + 16.0 * UNIT_ROUNDOFF * position_m)
             + UNIT_ROUNDOFF * (8.0 * position_m + 32.0 * stop_m);
-        let braking = (stop_s / frame.step_s + predicted) * substeps as f64 + 1.0;
+        let braking = (stop_s / params.step_s + predicted) * substeps as f64 + 1.0;
         let needed_m = (braking.min(steps as f64) + 2.0) * step_m + 2.0 * test_m + 16.0 * UNIT_ROUNDOFF * position_m;
         (2.0 * needed_m).max(MIN_MARGIN_M)
     }

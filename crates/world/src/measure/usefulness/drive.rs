@@ -10,7 +10,7 @@ pub(super) struct DriveStep {
     pub(super) duration_s: f64,
     pub(super) speed_mps: f64,
     pub(super) acceleration_mps2: f64,
-    /// State towards the leader at the start; `None` without a leader.
+    /// State relative to the leader at the start of the step; `None` without a leader.
     pub(super) ahead: Option<PairState>,
 }
 

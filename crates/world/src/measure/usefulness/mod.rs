@@ -1,7 +1,7 @@
 //! Usability of a vehicle in traffic: progress, distance, and no unnecessary braking.
 //!
-//! A vehicle that stands still never hits its leader. Contacts evaluate a controller in critical scenarios, these
-//! measures in uncritical ones.
+//! Collisions alone are not enough, because a vehicle that stands still never hits its leader. They evaluate a
+//! controller in critical scenarios, and these measures do so in uncritical ones.
 
 mod amplification;
 mod drive;
@@ -21,7 +21,8 @@ use super::demand::InducedBraking;
 use super::proximity::time_gap_s;
 use crate::sim::{Impact, Trace};
 
-/// Speed above which a vehicle moves, in m/s. Below it a time gap has no meaning, and a vehicle may fall behind.
+/// Speed above which a vehicle moves, in m/s. Below it a time gap has no meaning, and falling behind a leader does not
+/// count.
 pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
 /// Usability measures of a vehicle before its first impact.
@@ -40,8 +41,8 @@ pub struct UsefulnessMeasures {
     pub following: Option<FollowingMeasures>,
     /// Root mean square of acceleration, in m/s²; `None` for less than two samples.
     pub rms_acceleration_mps2: Option<f64>,
-    /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; `None` for a
-    /// shorter drive.
+    /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by that time, in m/s³; `None`
+    /// for a shorter drive.
     pub rms_jerk_mps3: Option<f64>,
     /// Braking induced in the follower, until their contact; `None` for the last vehicle.
     #[serde(rename = "imposed")]
@@ -115,10 +116,10 @@ fn time_weighted_mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     (held_s > 0.0).then_some(sum / held_s)
 }
 
-/// Returns the root mean square of the changes of which [`peak_jerk_mps3`](super::peak_jerk_mps3) is the largest, for
-/// steps that start a window apart.
+/// Returns the root mean square of jerk, in m/s³: the change of acceleration between steps that start a window apart,
+/// divided by the window. [`peak_jerk_mps3`](super::peak_jerk_mps3) returns the largest change within a window.
 fn rms_jerk_mps3(steps: &[DriveStep]) -> Option<f64> {
-    // Times are sums of steps.
+    // The tolerance is for rounding, because times are sums of steps.
     let window_s = JERK_WINDOW_S * (1.0 - 1e-6);
     let mut earlier = steps.iter().peekable();
     let first_s = steps.first()?.time_s;

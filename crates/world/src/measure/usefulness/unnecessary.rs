@@ -12,8 +12,8 @@ use crate::sim::{Impact, Trace};
 
 /// Deceleration beyond the justified one that makes braking unnecessary, in m/s².
 ///
-/// Project-specific: about the braking of drivers in everyday traffic, so that a vehicle may brake as the reference
-/// driver and as any driver would besides.
+/// Project-specific: about as hard as drivers brake in everyday traffic. A vehicle may thus add everyday braking to
+/// that of the reference driver.
 pub const UNNECESSARY_MARGIN_MPS2: f64 = 2.0;
 
 /// Smallest duration of braking that counts, in seconds. Shorter pauses do not end it, so that braking in bursts
@@ -35,8 +35,8 @@ pub const MAX_FOLLOWING_TIME_GAP_S: f64 = 3.0;
 
 /// Speed below which braking does not count, in m/s.
 ///
-/// Project-specific: a justified stop holds the brake to the end. The last 3 m/s of full braking take 0.4 s, in which
-/// the reference driver would have rolled on to a smaller gap.
+/// Project-specific: a vehicle that stops with cause brakes until it stands, but near the end the reference driver
+/// would roll on to a smaller gap. At full braking the last 3 m/s take 0.4 s.
 pub const MIN_BRAKING_SPEED_MPS: f64 = 3.0;
 
 /// Deceleration above which braking is hard, in m/s²; drivers do not reach it in everyday traffic.
@@ -47,18 +47,20 @@ pub const EASY_BRAKE_MPS2: f64 = 3.0;
 
 /// Unnecessary braking: harder than any vehicle ahead requires, at the expense of passengers and followers.
 ///
-/// The justified deceleration at any instant is the largest one that, within the last [`CAUSE_LASTS_S`],
-/// - the Intelligent Driver Model with default settings demanded of the true state, without its free-road term: a
-///   (s*/s)²;
-/// - was required to avoid the leader if that held its braking to standstill ([`required_brake_mps2`]);
-/// - the leader applied, within [`MAX_FOLLOWING_TIME_GAP_S`]: braking like the leader counts as following it, even if
-///   softer braking to a smaller gap would suffice;
+/// The justified deceleration at any instant is the largest of these within the last [`CAUSE_LASTS_S`]:
+/// - the deceleration of the Intelligent Driver Model with default settings in the true state, without its free-road
+///   term: a (s*/s)²;
+/// - the deceleration required to avoid the leader if the leader holds its braking to standstill
+///   ([`required_brake_mps2`]);
+/// - the deceleration of the leader, within [`MAX_FOLLOWING_TIME_GAP_S`]: braking like the leader counts as following
+///   it, even if softer braking to a smaller gap would suffice;
 ///
-/// and 0 without a leader. The first two are unbounded as the gap closes: they justify any braking in an emergency, and
-/// at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which collisions were preventable.
+/// It is 0 without a leader. The first two are unbounded as the gap closes: they justify any braking in an emergency,
+/// and at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which collisions were
+/// preventable.
 ///
-/// Counts only before the first impact and from [`MIN_BRAKING_SPEED_MPS`] on. Source of the model: Treiber, Hennecke
-/// and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are project-specific.
+/// Braking counts only before the first impact and from [`MIN_BRAKING_SPEED_MPS`] on. Source of the model: Treiber,
+/// Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are project-specific.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -93,9 +95,9 @@ impl UnnecessaryBraking {
         drive_steps(trace, impacts, index).map(Self::from_steps)
     }
 
-    /// Measures braking of vehicle `index` above a limit, in m/s², that was justified only up to the limit; `None` if
-    /// there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`] without a margin: 2.1 m/s² where 1.9 m/s²
-    /// was justified exceeds a limit of 2 m/s².
+    /// Measures braking of vehicle `index` above a limit, in m/s², at instants at which no more than the limit was
+    /// justified; `None` if there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`], it has no margin: 2.1
+    /// m/s² where 1.9 m/s² was justified exceeds a limit of 2 m/s².
     #[must_use]
     pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let exceeds_limit = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
@@ -119,8 +121,9 @@ impl UnnecessaryBraking {
         self.count == 0
     }
 
-    /// Returns the margin to unnecessary braking of vehicle `index`, in m/s²: the smallest one before it, or the
-    /// negative excess; `None` if there is no such vehicle, or it never drives at [`MIN_BRAKING_SPEED_MPS`].
+    /// Returns the margin of vehicle `index` to unnecessary braking, in m/s²: the smallest one of the drive, or the
+    /// negative of the largest excess if it brakes unnecessarily; `None` if there is no such vehicle, or it never
+    /// drives at [`MIN_BRAKING_SPEED_MPS`].
     pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
         let margin = |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
         if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {
@@ -151,7 +154,7 @@ impl UnnecessaryBraking {
     }
 
     fn add(&mut self, braking: Option<OpenBraking>) {
-        // Times are sums of steps.
+        // The tolerance is for rounding, because times are sums of steps.
         let Some(braking) = braking.filter(|braking| braking.lasted_s >= MIN_BRAKING_S * (1.0 - 1e-6)) else {
             return;
         };
