@@ -55,9 +55,9 @@ pub const EASY_BRAKE_MPS2: f64 = 3.0;
 /// - the deceleration of the leader, within [`MAX_FOLLOWING_TIME_GAP_S`]: braking like the leader counts as following
 ///   it, even if softer braking to a smaller gap would suffice;
 ///
-/// It is 0 without a leader. The first two are unbounded as the gap closes: they justify any braking in an emergency,
-/// and at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which collisions were
-/// preventable.
+/// The justified deceleration is 0 without a leader. The first two are unbounded as the gap closes: they justify any
+/// braking in an emergency, and at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which
+/// collisions were preventable.
 ///
 /// Braking counts only before the first impact and from [`MIN_BRAKING_SPEED_MPS`] on. Source of the model: Treiber,
 /// Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are project-specific.
