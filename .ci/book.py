@@ -89,10 +89,9 @@ def help_text(program, *arguments):
 
 
 def subcommands(text):
-    """Returns the names under `Commands:`."""
-    listed = re.search(r"^Commands:\n((?:  .*\n|\n)+)", text, re.MULTILINE)
-    names = re.findall(r"^  ([a-z][\w-]*)", listed[1], re.MULTILINE) if listed else []
-    return [name for name in names if name != "help"]
+    """Returns the subcommands that a help text lists before its options."""
+    listed = text.split("\nOptions:")[0].split("Usage:")[-1]
+    return [name for name in re.findall(r"^  ([a-z][\w-]*) ", listed, re.MULTILINE) if name != "help"]
 
 
 def commands(program):

@@ -70,8 +70,8 @@ Exit codes:
 const TASKS: &[(&str, &[&str])] = &[
     ("Report on controllers", &["assess", "suite", "benchmark"]),
     ("Simulate and view", &["simulate", "explore", "export"]),
-    ("Search for collisions", &["falsify", "worst-case", "avoid", "check"]),
-    ("Prove", &["verify"]),
+    ("Search for collisions", &["falsify", "worst-case", "avoid"]),
+    ("Prove", &["verify", "check"]),
     ("Train", &["train", "retrain"]),
     ("Use recorded data", &["import", "fit"]),
     ("Divide work among machines", &["plan", "merge", "fsck"]),

@@ -323,10 +323,7 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
     let message = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
     assert!(
         message.contains("its data shows that it was trained with VecNormalize")
-            && message.contains(
-                "`normalised \
-        = true`"
-            ),
+            && message.contains("`normalised = true`"),
         "{message}"
     );
     let identity = find(&described).unwrap();

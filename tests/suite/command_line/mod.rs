@@ -16,6 +16,7 @@ mod train;
 mod verify;
 mod worst_case;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::thread::sleep;
@@ -24,6 +25,15 @@ use std::time::Duration;
 use crumple_world::control::ControllerSpec;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
+
+/// Returns the subcommands that a `--help` output lists between usage and options.
+pub(crate) fn listed_subcommands(help: &Output) -> BTreeSet<String> {
+    let text = stdout(help);
+    let listed = text.split("\nOptions:").next().and_then(|before| before.split("Usage:").nth(1)).unwrap();
+    let lines = listed.lines().filter_map(|line| line.strip_prefix("  "));
+    let names = lines.filter(|line| line.starts_with(|first: char| first.is_ascii_lowercase()));
+    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
+}
 
 pub(crate) fn run_crumple(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().expect("starts")

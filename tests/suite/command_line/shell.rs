@@ -1,21 +1,13 @@
 //! Shell completions, manual pages and `doctor`.
 
-use std::collections::BTreeSet;
 use std::fs;
 
 use super::*;
 
-fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
-    let help = run_crumple(folder, &["--help"]);
-    let commands = stdout(&help).split("Commands:").nth(1).unwrap().split("Options:").next().unwrap().to_owned();
-    let names = commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
-    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
-}
-
 #[test]
 fn pages_and_completions_know_every_command() {
     let folder = temp_folder();
-    let commands = listed_subcommands(folder.path());
+    let commands = listed_subcommands(&run_crumple(folder.path(), &["--help"]));
     assert!(commands.len() > 15, "{commands:?}");
     run_ok(folder.path(), &["man", "--out", "man"]);
     for command in &commands {

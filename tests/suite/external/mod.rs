@@ -7,7 +7,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{exit_code, listed_subcommands, run_crumple, temp_folder};
 use inputs::{EXEC_CONTROLLER, InputFolder, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
@@ -95,12 +95,11 @@ const CASES: &[(&str, &[&str], StartExpectation)] = &[
 
 fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
     let words: Vec<&str> = of.split_whitespace().chain(["--help"]).collect();
-    let help = String::from_utf8(run_crumple(folder, &words).stdout).unwrap();
-    let Some((_, list)) = help.split_once("\nCommands:\n") else { return BTreeSet::from([of.to_owned()]) };
-    let lines = list.lines().take_while(|line| !line.is_empty());
-    let names = lines.filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')));
-    let names = names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help");
-    names.flat_map(|name| subcommands(folder, format!("{of} {name}").trim())).collect()
+    let names = listed_subcommands(&run_crumple(folder, &words));
+    if names.is_empty() {
+        return BTreeSet::from([of.to_owned()]);
+    }
+    names.iter().flat_map(|name| subcommands(folder, format!("{of} {name}").trim())).collect()
 }
 
 #[test]

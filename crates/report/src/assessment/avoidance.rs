@@ -152,4 +152,4 @@ pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a simulate
     vehicles under test \
     from convex programming with knowledge of the future, on steps of 0.1 s or finer. The bound holds for every \
     driver, and the \
-    checker has accepted its proof where the text says so; `crumple avoid --bound-certificate` also writes it.";
+    checker has accepted its proof where the text says so; `avoid --bound-certificate` also writes it.";

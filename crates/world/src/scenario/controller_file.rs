@@ -238,7 +238,7 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
     match (trace, beside) {
         (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
-            "its data shows that it was trained with VecNormalize (`{beside}` seems to have the statistics)"
+            "its data shows that it was trained with VecNormalize (`{beside}` seems to contain the statistics)"
         )),
         (VecNormalizeUse::Behind, None) => Some("its data shows that it was trained with VecNormalize".to_owned()),
         (_, Some(beside)) => {
@@ -273,8 +273,7 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             {
                 let problem = format!(
                     "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the \
-                     deviations as scales, or \
-                     `false` if observations were left alone (docs/controllers.md)",
+                     deviations as scales, or `false` if observations were left alone (docs/controllers.md)",
                     place.display()
                 );
                 return Err(wrong(InvalidMapping::new("normalised", problem)).into());
