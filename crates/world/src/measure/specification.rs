@@ -21,7 +21,7 @@ use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOption
 /// let scenario = built_in_scenario("paper-1").unwrap();
 /// let headway = Specification::parse("always v1.time_gap_s > 0.3", &scenario).unwrap();
 /// let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
-/// assert!(!headway.judge_scenario(&scenario, options).unwrap().is_violation());
+/// assert!(!headway.evaluate_scenario(&scenario, options).unwrap().is_violation());
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum Specification {
