@@ -2,9 +2,9 @@
 # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.
 cd "$(dirname "$0")" || exit 2
 crumple=${CRUMPLE:-crumple}
-"$crumple" --version > /dev/null || { echo "no program: CRUMPLE=/path/to/crumple sh replay.sh" >&2; exit 2; }
+"$crumple" --version > /dev/null || { echo "crumple not found; use CRUMPLE=/path/to/crumple sh replay.sh" >&2; exit 2; }
 failed=0
-run() { "$crumple" "$@" || { echo "did not end as reported: crumple $*" >&2; failed=1; }; }
+run() { "$crumple" "$@" || { echo "result differs from the report: crumple $*" >&2; failed=1; }; }
 run fsck .
 run check --rerun certificates/*.json
 run simulate counterexamples/paper/baseline/01-2-hits-1.toml --controller baseline --expect collision
