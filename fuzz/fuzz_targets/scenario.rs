@@ -12,10 +12,10 @@ use libfuzzer_sys::{Corpus, fuzz_target};
 /// Counters that libFuzzer reads in addition to the code coverage. It zeroes them before each run, a word at a time. No
 /// Rust code reads them, hence `#[used]`.
 #[repr(align(8))]
-struct Counters([AtomicU8; behaviour::FEATURES.next_multiple_of(8)]);
+struct Counters([AtomicU8; behaviour::FEATURE_COUNT.next_multiple_of(8)]);
 #[used]
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
-static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURES.next_multiple_of(8)]);
+static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURE_COUNT.next_multiple_of(8)]);
 
 /// The search; a failure ends the program with exit code 2. Created before the first input, since libFuzzer reports a
 /// later exit as a crash of that input.
@@ -35,7 +35,7 @@ fuzz_target!(init: LazyLock::force(&SEARCH), |bytes: &[u8]| -> Corpus {
     if bytes.len() > TEST_CASE_BYTES {
         return Corpus::Reject;
     }
-    let features = SEARCH.take(bytes).unwrap_or_else(|error| panic!("{error}"));
+    let features = SEARCH.run_input(bytes).unwrap_or_else(|error| panic!("{error}"));
     for feature in features.into_iter().filter(|_| *FEEDBACK) {
         BEHAVIOUR.0[feature].store(1, Ordering::Relaxed);
     }
