@@ -185,7 +185,7 @@ const UNSEEN_SEED: u64 = 0;
 /// Counts collisions in [`UNSEEN_DRAWS`] scenarios of the paper's distribution, unused before.
 ///
 /// # Errors
-/// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
+/// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
 pub fn count_unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
     let draws = PaperDistribution { seed: UNSEEN_SEED };
     let scenarios: Vec<_> = (0..UNSEEN_DRAWS).filter_map(|index| draws.draw(index).ok()).collect();
