@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use super::{Failure, feature};
+use super::{CliError, feature};
 
 /// Edit scenarios and follow campaigns in the browser (this build lacks the feature `explore`)
 #[derive(Args)]
@@ -12,8 +12,8 @@ pub(super) struct Explore {
 }
 
 impl Explore {
-    pub(super) fn run(self, _quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, _quiet: bool) -> Result<(), CliError> {
         drop(self.ignored);
-        feature::EXPLORE.require().map_err(Failure::Input)
+        feature::EXPLORE.require().map_err(CliError::Input)
     }
 }

@@ -66,8 +66,8 @@ pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
 }
 
 #[cfg(not(feature = "png"))]
-pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, Failure> {
-    PNG.require().map_err(Failure::Input).map(|()| Vec::new())
+pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, CliError> {
+    PNG.require().map_err(CliError::Input).map(|()| Vec::new())
 }
 
 /// Encodes a trace as Parquet.
@@ -80,6 +80,6 @@ pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
 }
 
 #[cfg(not(feature = "parquet"))]
-pub(super) fn encode_parquet(_: &Trace) -> Result<Vec<u8>, Failure> {
-    PARQUET.require().map_err(Failure::Input).map(|()| Vec::new())
+pub(super) fn encode_parquet(_: &Trace) -> Result<Vec<u8>, CliError> {
+    PARQUET.require().map_err(CliError::Input).map(|()| Vec::new())
 }
