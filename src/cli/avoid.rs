@@ -183,8 +183,7 @@ impl Avoid {
                 FoundBy::Programs => self.escape.optimality_description().to_owned(),
                 FoundBy::ClosedLoop { simulations } => format!(
                     "the largest smallest gap with the drivers of all other vehicles in the loop, best of \
-                     {simulations} \
-                     simulated profiles"
+                     {simulations} simulated profiles"
                 ),
             }),
             escape_found_by: escape.map(|escape| escape.found_by.name()),

@@ -208,8 +208,7 @@ fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
     writeln!(
         out,
         "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} \
-         {unit} ({} in the \
-         highest)",
+         {unit} ({} in the highest)",
         digits::format_rounded(tails.below_smallest, 3),
         sorted.len() as u64 - point_mass.map_or(0, |point| point.count),
         tails.smallest,

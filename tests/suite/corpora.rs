@@ -20,8 +20,7 @@ fn every_kept_scenario_still_ends_as_recorded() {
             *expected = expected.renew(&scenario_corpus()).unwrap();
         }
         let about = "# How each scenario ends under which controller. `tests/suite/corpora.rs` replays every entry; \
-            with \
-                     UPDATE_CORPORA=1 it\n# renews them.\n";
+            with UPDATE_CORPORA=1 it\n# renews them.\n";
         fs::write(&path, format!("{about}{}", toml::to_string(&index).unwrap())).unwrap();
     }
     assert!(index.expected.len() >= 4, "a handful at least");

@@ -55,4 +55,5 @@ mod suites;
 mod test_cases;
 mod tiny;
 mod training_schema;
+mod versions;
 mod worst_case;

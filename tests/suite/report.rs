@@ -41,10 +41,13 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
 fn assert_current(name: &str, now: &[u8]) {
     let now = without_build_info(name, std::str::from_utf8(now).expect("text"));
     let then = without_build_info(name, &read_committed(name));
-    let changed = then.lines().zip(now.lines()).find(|(then, now)| then != now);
+    let same = then.chars().zip(now.chars()).take_while(|(then, now)| then == now).count();
+    let around = |text: &str| text.chars().skip(same.saturating_sub(100)).take(300).collect::<String>();
     assert!(
         then == now,
-        "reports/{name} is out of date, first at {changed:#?}; see CONTRIBUTING.md for the command that renews it"
+        "reports/{name} is out of date; CONTRIBUTING.md has the command that renews it. The first change is in\n{}\n{}",
+        around(&then),
+        around(&now)
     );
 }
 

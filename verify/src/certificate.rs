@@ -106,7 +106,7 @@ impl std::fmt::Display for Assumption {
             Self::ExactMotion => {
                 "accelerations are held over each step, and a vehicle that has stopped does not reverse"
             }
-            Self::ScriptedLeader => "the leader moves as scripted and reacts to nobody",
+            Self::ScriptedLeader => "the leader moves as scripted and reacts to no vehicle",
             Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
             Self::FollowerByLaw => "the follower does at once, at each step, what the stated law asks for",
             Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",

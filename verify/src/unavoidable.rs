@@ -1,32 +1,35 @@
-//! Proof of unavoidability: a weighted sum of the conditions of an escape cannot be satisfied.
+//! Proof that a collision is unavoidable: a weighted sum of the conditions of an escape is a contradiction.
 //!
 //! # Conditions of an escape
-//! Let a be the egos' accelerations, any measurable functions of time within [-b, A]. Fix a member of the box and
-//! suppose that no collision occurs. The follower's brake first fires at some instant τ (N: never), which lies in
-//! exactly one branch [τ1, τ2]. Firing later moves it no further back, so it is at least at R_k, its position if it
-//! fired at τ1. With x_k, v_k for position and speed of an ego at instant k, L its length, F_k for the leader's rear
-//! bumper, and r_k = r_0 + v_r k h for the coasting follower, each of these *rows* is at most zero:
+//! Let a be the egos' accelerations, any measurable functions of time within [-b, A]. Fix a member of the box (a value
+//! in each interval of the scene) and suppose that no collision occurs. The follower's brake first fires at some
+//! instant τ (N: never), which lies in exactly one branch [τ1, τ2]. A follower that brakes later is never further back.
+//! So at instant k the follower is at R_k or ahead of it, where R_k is its position if the brake fires at τ1.
+//!
+//! An ego of length ℓ has position x_k and speed v_k at instant k. The leader's rear bumper is at F_k. Before braking,
+//! the follower is at r_k = r_0 + v_r k h. Its brake has TTC threshold θ. Each of these *rows* is at most zero:
 //!
 //! ```text
 //! front    x¹_k - F_k                               the first ego
-//! between  xⁱ⁺¹_k - xⁱ_k + Lⁱ                       each ego and the next
-//! rear     R_k + L - x_k                            the last ego
+//! between  xⁱ⁺¹_k - xⁱ_k + ℓⁱ                       each ego and the next
+//! rear     R_k + ℓ - x_k                            the last ego
 //! speed    -v_k                                     each ego
-//! unfired  -[(x_k - L - r_k) - θ (v_r - v_k)]       the last ego, k < τ1: the brake has not fired
-//! fired    +[(x_τ - L - r_τ) - θ (v_r - v_τ)]       the last ego, only if τ1 = τ2 = τ < N
+//! unfired  -[(x_k - ℓ - r_k) - θ (v_r - v_k)]       the last ego, k < τ1: the brake has not fired
+//! fired    +[(x_τ - ℓ - r_τ) - θ (v_r - v_τ)]       the last ego, only if τ1 = τ2 = τ < N
 //! ```
 //!
 //! # Contradiction
-//! The sum of the rows, multiplied by numbers that are not negative, is at most zero. Ego by ego it is
+//! The sum of the rows, multiplied by numbers that are not negative, is at most zero. It splits into one expression for
+//! each ego, where w_k and s_k are the total weights of its position and speed at t_k = k h:
 //!
 //! ```text
 //! constant + Σ_k (w_k x_k + s_k v_k),   x_k = x_0 + v_0 t_k + ∫ (t_k - t)⁺ a dt,   v_k = v_0 + ∫ [t < t_k] a dt
 //! = constant + x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ q(t) a(t) dt,   q(t) = Σ over t_k > t of (w_k (t_k - t) + s_k).
 //! ```
 //!
-//! q is linear inside each step, and q a ≥ φ(q) = min(-b q, A q). So the sum is at least L, which replaces the
-//! integrand by φ(q). If L > 0 over the whole box, this branch has no escape; if this holds in every branch, none
-//! exists. The multipliers need not solve any equation: any multipliers prove something or nothing.
+//! q is linear inside each step, and q a ≥ φ(q) = min(-b q, A q). Let L be the sum with φ(q) instead of the integrand
+//! q a. The sum is at least L. If L > 0 over the whole box, this branch has no escape; if this holds in every branch,
+//! no escape exists. The multipliers need not solve any equation: with unsuitable ones, L is valid but proves nothing.
 //!
 //! Let the collision multipliers (front, between, rear) of a branch with sum L add up to Y. Then some collision row is
 //! at least L / Y: two vehicles would overlap by that many metres if they could pass through each other.
@@ -34,11 +37,11 @@
 //! # Gap bound
 //! Let G not be negative, and suppose that every gap stays larger than G. Then each collision row is less than -G, and
 //! the sum is less than -G Y, for Y > 0. This contradicts L >= -G Y over the whole box. If L >= -G Y in every branch
-//! that is not empty as above, some gap gets as small as G.
+//! with Y > 0, and L > 0 in every other branch, some gap gets as small as G.
 //!
 //! # Application to the simulator and to vehicles
-//! Every ego behaviour is a measurable acceleration within [-b, A]: held over steps, zero at standstill, delayed,
-//! lagging, limited in jerk, with any observation. Delay, lag and sensor noise only remove freedom.
+//! Every ego behaviour is a measurable acceleration within [-b, A], for any observation. It may be held over steps,
+//! zero at standstill, delayed, lagging or limited in jerk. Delay, lag and sensor noise only restrict the behaviour.
 
 use crate::certificate::{Branch, GapBoundClaim, MultiplierRows, UnavoidableClaim};
 use crate::claim::{Scene, SceneEgo};
@@ -85,7 +88,7 @@ fn min_overlap_m(
     overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))
 }
 
-/// Returns the proved overlap of branch `index`, in metres; infinite if no profile fires there at all.
+/// Returns the proved overlap of branch `index`, in metres; infinite if the brake cannot first fire there.
 ///
 /// # Errors
 /// [`Rejection`] if the scene or the branch is invalid, or the branch proves nothing.
@@ -119,7 +122,7 @@ fn branch_overlap_and_sum(scene: &Scene, branch: &Branch, index: usize) -> Resul
     Ok((overlap_m, sum_m))
 }
 
-/// Checks that the branches cover 0 to N in order, each instant once; one branch without a follower.
+/// Checks that the branches cover 0 to N in order, each instant once. A scene without a follower must have one branch.
 fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
     let mut next = Some(0);
     for (index, &Branch { first, last, .. }) in branches.iter().enumerate() {
@@ -232,8 +235,8 @@ fn nonzero_multipliers(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Inte
 
 /// Bounds x_0 Σ w_k + v_0 Σ (w_k t_k + s_k) + ∫ φ(q) from below; only the lower end is meaningful.
 ///
-/// Backwards from the last instant, `slope` sums the w so far, and `q` is the value of q just before the instant; at
-/// the start they are the factors of x_0 and v_0.
+/// The loop runs backwards from the last instant. `slope` is the sum of the w so far, and `q` is the value of q just
+/// before the instant. At time 0 they are the factors of x_0 and v_0.
 fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
     let Some(end) = weights.iter().rposition(|weight| *weight != [Interval::ZERO; 2]) else {
         return Interval::ZERO;
@@ -253,9 +256,9 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
 
 /// Bounds ∫ φ(q) from below over a step in which q is linear from `begin` to `end`.
 ///
-/// If q surely changes sign, two triangles are integrated: p² b / (p + n) and n² A / (p + n) times -h/2, for the values
-/// p > 0 and -n < 0. Otherwise φ(q(t)) is concave, so its integral is at least the trapezoid's, with equality without a
-/// change of sign.
+/// If q surely changes sign, between the values p > 0 and -n < 0, the integral is that of two triangles:
+/// p² b / (p + n) and n² A / (p + n), times -h/2. Otherwise the trapezoid is a lower bound, because φ(q(t)) is concave.
+/// It is exact if q does not change sign.
 fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
     let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
     let half = step_s * Interval::point(0.5);
@@ -293,7 +296,7 @@ mod tests {
 
     fn integral(ego: &SceneEgo, [begin, end]: [f64; 2], step_s: f64) -> BigRational {
         let (q, two) = ([rational(begin), rational(end)], rational(2.0));
-        // For the part of q with one sign, zero at an end: its share of the step times half of its value.
+        // Returns the integral of the part of q with one sign, over a step of length 1.
         let part = |sign: f64| {
             let [a, b] = [&q[0], &q[1]].map(|q| q * rational(sign));
             match (a.is_positive(), b.is_positive()) {

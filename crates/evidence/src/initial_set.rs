@@ -16,7 +16,7 @@ pub(super) struct InitialSet {
     pub(super) steps: u32,
     pub(super) follower_ttc_s: Option<f64>,
     pub(super) follower_law: Option<FollowerLaw>,
-    /// Limit of the leader's free braking; the ranges then have 0 for its deceleration and onset.
+    /// Limit of the leader's free braking. If given, `ranges` has 0 for the leader's deceleration and onset.
     pub(super) leader_brakes_at_most_mps2: Option<f64>,
     pub(super) ranges: InitialRanges,
     /// Limits of the vehicle under test: largest deceleration, negative, and acceleration, in m/s².
@@ -57,8 +57,7 @@ impl InitialSet {
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
                 "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, \
-                 and all must \
-                 stay in the lane",
+                 and all must stay in the lane",
             ));
         }
         let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
@@ -125,8 +124,8 @@ impl InitialSet {
     }
 }
 
-/// Returns the model of a follower, replaced by `in_place` if given: θ of its latched emergency brake, or a control
-/// law.
+/// Returns the model of a follower, with `in_place` instead of its controller if given: the TTC threshold of its
+/// latched emergency brake, or a control law.
 fn follower_model(
     follower: &VehicleSpec,
     in_place: Option<&Driver>,

@@ -33,8 +33,7 @@ pub enum CollisionSearchError {
     /// The controller runs in a separate process, which this search does not start.
     #[error(
         "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in \
-         controllers, \
-         policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
+         controllers, policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
     )]
     OtherProcess {
         /// Name of the controller.

@@ -126,8 +126,7 @@ fn arguments_that_make_no_sense_are_named() {
         (&["simulate", "paper-1", "--plot", "p.svg", "--trace", "t.txt"], "error: invalid value 't.txt' for '--trace"),
         (
             &["simulate", "paper-1", "paper-1", "--trace", "t.csv"],
-            "error: t-paper-1.csv: two results would have this \
-            path",
+            "error: t-paper-1.csv: two results would have this path",
         ),
         (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
         (&["simulate"], "error: the following required arguments were not provided"),

@@ -328,10 +328,7 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
     };
     let (begins_otherwise, shorter) = (
         format!("its first {known} bytes have changed since they were written"),
-        format!(
-            "shorter than the {known} \
-            bytes"
-        ),
+        format!("shorter than the {known} bytes"),
     );
     let mut damages = vec![
         (changed(0), begins_otherwise.as_str()),

@@ -152,8 +152,7 @@ fn shards_of_a_search_are_one_campaign() {
     assert_refused(&part, "the campaign there has a different `divided`");
     assert_refused(
         &run_crumple(folder, &["merge", "1", "2", "--partial", "--out=part"]),
-        "the campaign there has a \
-        different `divided.missing_",
+        "the campaign there has a different `divided.missing_",
     );
     assert_refused(
         &run_crumple(folder, &[&SEARCH_ARGS[..], &["--shard=1/2", "--log=full"]].concat()),
@@ -202,8 +201,7 @@ fn shards_of_a_suite_give_the_result_of_one_machine() {
     fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
     assert_refused(
         &run_crumple(folder, &["merge", "1", "2", "--out=x"]),
-        "2/results.json: has changed since it was \
-        written: it is longer",
+        "2/results.json: has changed since it was written: it is longer",
     );
     assert_refused(&run_crumple(folder, &[&run[..], &["--shard=13/13"]].concat()), "which make 12 shards at most");
 }

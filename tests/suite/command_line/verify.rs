@@ -252,8 +252,7 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
         let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
         assert_refused(
             &run_crumple(folder.path(), &other),
-            "the rare-failure estimate there has a different \
-            configuration",
+            "the rare-failure estimate there has a different configuration",
         );
         let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
         assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));

@@ -287,8 +287,7 @@ fn damaged_fmus_are_refused() {
         (model("<CoSimulation", "<ModelExchange"), "does not support co-simulation"),
         (
             model("fmiVersion=\"2.0\"", "fmiVersion=\"1.0\""),
-            "FMI version \"1.0\" is not supported; crumple reads FMI \
-            2.0 and 3.0",
+            "FMI version \"1.0\" is not supported; crumple reads FMI 2.0 and 3.0",
         ),
         (model("modelIdentifier=\"follower\"", "modelIdentifier=\"../follower\""), "is no identifier of C"),
         (model("modelIdentifier=\"follower\"", "modelIdentifier=\"other\""), "has no library for this platform"),

@@ -105,8 +105,7 @@ impl fmt::Display for IdmLaw {
         write!(
             out,
             "drives idm towards {desired_speed_mps} m/s with a time headway of {time_headway_s} s, {standstill_gap_m} \
-             m at standstill, \
-             {accel_mps2} and {comfortable_brake_mps2} m/s²"
+             m at standstill, {accel_mps2} and {comfortable_brake_mps2} m/s²"
         )
     }
 }
@@ -117,9 +116,8 @@ impl fmt::Display for FollowerLaw {
             Self::Idm(law) => law.fmt(out),
             Self::AccAeb(law) => write!(
                 out,
-                "drives acc-aeb with a time headway of {} s, {} m at standstill, gains {} and {}, from -{} to {} \
-                 m/s², and full braking while its \
-                 time to collision is below {} s",
+                "drives acc-aeb with a time headway of {} s, {} m at standstill, gains {} and {}, from -{} to {} m/s², \
+                 and full braking while its time to collision is below {} s",
                 law.time_headway_s,
                 law.standstill_gap_m,
                 law.gap_gain_per_s2,

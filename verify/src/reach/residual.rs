@@ -58,8 +58,7 @@ impl fmt::Display for ResidualPolicy {
         write!(
             out,
             "it {idm}, at every step and at up to {most_mps2} m/s², and departs from that where the network's action \
-             is beyond {dead_zone}; \
-             departures come and go at {rate_per_s} 1/s"
+             is beyond {dead_zone}; departures come and go at {rate_per_s} 1/s"
         )
     }
 }

@@ -307,7 +307,7 @@ fn assumptions_are_printed_in_words() {
     use Assumption::*;
     for (assumption, said) in [
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
-        (ScriptedLeader, "the leader moves as scripted and reacts to nobody"),
+        (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
         (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
         (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
@@ -347,8 +347,7 @@ fn results_are_printed_in_words() {
     assert_eq!(
         reach(0.999_99, true, None),
         "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 \
-         % of it is in \
-         cells with an initial state that ends in a collision"
+         % of it is in cells with an initial state that ends in a collision"
     );
     assert_eq!(
         reach(1e-9, false, Some(7.5)),

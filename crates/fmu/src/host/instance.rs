@@ -196,8 +196,7 @@ pub(super) fn load_error_message(error: &libloading::Error, folder: &Path) -> St
     let reason = reason.replace(&folder.join("").to_string_lossy().into_owned(), "");
     format!(
         "its library cannot be loaded: {reason}; install the libraries that it needs (`ldd` lists those that are \
-         missing), or build \
-         the FMU for this system"
+         missing), or build the FMU for this system"
     )
 }
 

@@ -6,17 +6,19 @@ use crumple_world::scenario::ScenarioSpec;
 use crumple_world::sim::{Impact, RecordingLevel, Run, SimulationResult, Trace};
 
 const REFINEMENT: usize = 10;
-/// Tolerance of equal positions, in metres: rounding over some hundred steps.
+/// Tolerance for equal positions, in metres. It covers rounding over some hundred steps.
 const TOLERANCE_M: f64 = 1e-7;
 /// Disturbances, in metres and m/s: far above rounding, far below the resolution of sensors.
 const DISTURBANCES: [f64; 2] = [1e-8, -1e-8];
-/// Fraction of a difference that a disturbance must cause to explain the difference.
+/// A disturbance explains a difference if its effect is at least this fraction of it.
 const EXPLAINED_SHARE: f64 = 0.01;
 
 /// Checks that a ten times finer integration gives the same motion, and that accelerations are held between decisions.
-/// Controllers, sensors and noise act at the same times in both. A threshold that is met within rounding may be crossed
-/// at one step size and not at the other, and a policy rounds to single precision. The difference is therefore compared
-/// with the effect of a disturbance of 10 nm: a run that the disturbance changes as well decides nothing.
+/// Controllers, sensors and noise act at the same times in both runs.
+///
+/// Rounding may cross a threshold at one step size and not at the other, and a policy rounds to single precision. The
+/// check therefore compares the difference with the effect of a disturbance of 10 nm. If the disturbance explains the
+/// difference, the outcome is undecided.
 ///
 /// # Errors
 /// [`Invariant::StepSize`].
@@ -72,7 +74,7 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usi
     }
     let impacts = coarse.impacts.iter().zip(&fine.impacts).map(|(coarse, fine)| {
         let apart_s = (coarse.contact.time_s - fine.contact.time_s).abs();
-        // Times are roots of a gap, so a slow impact may have a large error in time with a small one in distance.
+        // The impact time is a root of the gap: at low speed, a small error in distance is a large error in time.
         if apart_s < 1e-9 { 0.0 } else { 10.0 * apart_s * coarse.contact.impact_speed_mps.abs() }
     });
     let impacts_m = impacts.fold(0.0, f64::max);
@@ -86,8 +88,8 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usi
     samples.map(|(x, y)| (x - y).abs()).fold(impacts_m, f64::max)
 }
 
-/// True if the first vehicle to move differently stood and has noise. A standing vehicle that wants no motion is held,
-/// noise included. If it wants as little motion as rounding causes, noise decides.
+/// True if the vehicle whose motion differs first was at rest and has noise. A vehicle at rest gets no noise unless it
+/// commands motion. A command as small as a rounding error is enough, so rounding can decide whether noise moves it.
 fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
     let Some(coarse) = &question.result.trace else { return false };
     let first_differences =
@@ -127,7 +129,7 @@ fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
 }
 
 /// Checks that two runs have the same impacts, except for a shift of vehicle indices and of time. Rounding moves
-/// positions by about 1e-11 m; times may differ accordingly, given the impact speed.
+/// positions by about 1e-11 m, so the tolerance of impact times is larger at lower impact speeds.
 ///
 /// # Errors
 /// The first difference.

@@ -41,7 +41,7 @@ pub(crate) trait TrainingRecorder<E> {
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), E>;
 }
 
-/// Evaluations between checkpoints; keeps their cost negligible, and the loss of an interruption below a minute.
+/// Number of evaluations between checkpoints. Checkpoints cost little, and an interruption loses less than a minute.
 const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
 
 struct ForwardingRecorder<'a>(&'a dyn Observer<TrainingEvent>);
@@ -88,7 +88,7 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     held_out: &EvaluationSet,
     recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
-    // The untrained policy is the reference for the value of the training.
+    // The untrained policy is the reference for the improvement by training.
     if trainer.episode() == 0 {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
@@ -104,7 +104,8 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
         }
     }
     recorder.checkpoint(trainer)?;
-    // A longer training has no evaluation here, and resumes from the checkpoint above.
+    // This evaluation takes place only because the training ends. It comes after the checkpoint, so that a longer
+    // training can resume without it.
     if trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
@@ -124,7 +125,8 @@ fn evaluate_and_record<E: From<TrainingError>>(
 
 /// Applies `work` to each item on `threads` threads and returns the results in order.
 ///
-/// Each item has its own thread pool, so that none waits for another. Idle threads join other pools.
+/// Several items run at once, each in its own pool of some of the threads, so that none waits for another. A pool that
+/// is done takes the next item.
 pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let at_once = threads.clamp(1, items.len().max(1));
     let next = AtomicUsize::new(0);

@@ -54,7 +54,7 @@ impl TrainingShard {
     /// Creates a shard of a training with the seeds 0 to `seeds` - 1.
     ///
     /// # Errors
-    /// [`TrainingError`] in principle, if the configuration cannot be encoded.
+    /// [`TrainingError`] if the configuration cannot be encoded.
     pub fn new(shard: ShardId, seeds: u64, config: &TrainingConfig) -> Result<Self, TrainingError> {
         let whole = Self { version: VERSION, shard, seeds, configuration: config_toml(config)?, sha256: String::new() };
         Ok(Self { sha256: sha256(whole.to_json()?), ..whole })
@@ -120,7 +120,7 @@ impl TrainingShard {
     }
 }
 
-/// Shards of one training with several seeds. Reads all of them before it writes anything.
+/// Shards of one training with several seeds. All shards are read before the first file is written.
 #[derive(Debug)]
 pub struct MergedTrainings {
     reference: TrainingShard,
@@ -193,7 +193,7 @@ impl MergedTrainings {
         self.reference.seeds
     }
 
-    /// Returns the missing shards. A present shard may still lack seeds.
+    /// Returns the missing shards. An added shard may still have unfinished seeds.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         self.shards.missing_shards()
@@ -218,7 +218,7 @@ impl MergedTrainings {
     }
 }
 
-/// True if a folder holds trainings: by its `shard.json`, or by folders of seeds.
+/// True if a folder holds trainings: it has no manifest, but a `shard.json` with seeds, or folders of seeds.
 #[must_use]
 pub fn is_trainings_folder(folder: &Path) -> bool {
     let is_seed = |path: PathBuf| {

@@ -148,8 +148,7 @@ impl CertifiedAvoidance {
     }
 }
 
-pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a simulated acceleration profile of the \
-    vehicles under test \
-    from convex programming with knowledge of the future, on steps of 0.1 s or finer. The bound holds for every \
-    driver, and the \
-    checker has accepted its proof where the text says so; `avoid --bound-certificate` also writes it.";
+pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a simulated acceleration profile of the vehicles \
+    under test from convex programming with knowledge of the future, on steps of 0.1 s or finer. The bound holds for \
+    every driver, and the checker has accepted its proof where the text says so; `avoid --bound-certificate` also \
+    writes it.";

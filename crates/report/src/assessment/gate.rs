@@ -105,10 +105,9 @@ pub enum AssessmentGate {
 
 fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::Error> {
     Err(D::Error::custom(
-        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, because it evaluates only \
-         `scenarios` and \
-         `recordings`; for random scenarios of the space `traffic`, use `no-collision-in-space` with `space \
-         = \"traffic\"`",
+        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, because it evaluates only `scenarios` \
+         and `recordings`; for random scenarios of the space `traffic`, use `no-collision-in-space` with `space = \
+         \"traffic\"`",
     ))
 }
 

@@ -128,9 +128,8 @@ impl LaneView<'_> {
             }
             (self.draw_scale_bar((self.width - 8.0, bottom + below - 6.0)))
         };
-        let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and \
-            gaps are to \
-            scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
+        let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps \
+            are to scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
         Svg::new(prefix, (self.width, bottom + below), title, description, content)
     }
 

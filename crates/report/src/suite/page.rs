@@ -193,9 +193,8 @@ impl Page<'_> {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
             }
             p { "Reference drivers, who observe the true state, and a search for an escape with knowledge of the \
-                future show if a failure is \
-                 preventable, for the first three points of a test and controller. The points that passed prove \
-                 nothing about others." }
+                future show if a failure is preventable, for the first three points of a test and controller. The \
+                points that passed prove nothing about others." }
         }
     }
 }

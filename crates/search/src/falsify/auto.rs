@@ -12,20 +12,20 @@ use super::surrogate::{MetricSelection, Surrogate};
 use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Number of simple points at the start; they solve problems with extreme inputs.
+/// Number of initial points with few pieces and many extreme values; they solve problems with extreme inputs.
 const INITIAL_POINTS: usize = 16;
 const DESCENT_PIECES: usize = 10;
-/// Step size of a descent from one of the best points, and the number of these points.
+/// Initial step size of a descent that starts at a good point, and the number of best points to choose from.
 const LOCAL_SIGMA: f64 = 0.15;
 const START_CANDIDATES: usize = 5;
 /// A descent is on a plateau after `PATIENCE` generations without a gain of `MIN_RELATIVE_GAIN` of its best value.
 const PATIENCE: usize = 4;
 const MIN_RELATIVE_GAIN: f64 = 0.1;
-/// Maximum exploration per evaluation of the last descent: descents get at least a quarter of the budget.
+/// Maximum ratio of exploration to the last descent's evaluations: descents get at least a quarter of the budget.
 const MAX_EXPLORATION_RATIO: usize = 3;
-/// Below this spread a descent runs without the surrogate, which is useful only at a distance.
+/// A descent with less spread does not use the surrogate, which helps only while the points are far apart.
 const FINE_SPREAD: f64 = 0.1;
-/// Minimum population of a descent, which has half the usual population because its points are screened.
+/// Minimum population of a descent. The population is half the usual one, because a surrogate screens the points.
 const MIN_POPULATION: usize = 4;
 const SCREENING_CANDIDATES: usize = 16;
 /// Number of recent points for the surrogate, whose cost is cubic.
@@ -33,7 +33,7 @@ const MAX_SURROGATE_POINTS: usize = 150;
 const MAX_PAUSED_DESCENTS: usize = 200;
 /// Maximum number of good points, to limit memory. Descents start at the best few.
 const MAX_GOOD_POINTS: usize = 2000;
-/// Other evaluations per evaluation of a descent of the leader's script.
+/// Number of other evaluations for each evaluation of a leader descent.
 const OTHER_EVALUATIONS_PER_LEADER_EVALUATION: usize = 3;
 const PLAN_DURING_DESCENT: BatchPlan = BatchPlan { screened: 2, simple: 0, edges: 0 };
 const EXPLORATION_PLAN: BatchPlan = BatchPlan { screened: 1, simple: 4, edges: 7 };
@@ -45,15 +45,17 @@ struct BatchPlan {
     edges: usize,
 }
 
-/// Portfolio that uses only the cube and the values.
+/// A portfolio of methods that uses only the unit cube and the values of its points.
 ///
 /// The search starts with a few simple points, and then alternates:
 ///
-/// - A *descent* runs CMA-ES on signals of at most ten pieces, screened by a surrogate, while the best value falls.
-/// - *Exploration* samples simple points and bisects segments to the edges of plateaus; without a plateau, it climbs.
+/// - A *descent* runs CMA-ES on signals of at most ten pieces while the best value falls. A surrogate screens points.
+/// - *Exploration* samples points with few pieces and extreme values, and bisects segments to find the edges of
+///   plateaus (many points of equal value). Without a plateau it runs hill climbs.
 ///
-/// After the first descent, sequential convex programming also worsens the script of a leader from the best point.
-/// After the k-th descent, exploration lasts k times as long, up to three times: descents solve easy problems early.
+/// After the first descent, sequential convex programming also reduces the robustness from the best point, first over
+/// the leader's script (a leader descent). Exploration after the k-th descent has min(k, 3) times the evaluations of
+/// that descent: few at first, because descents solve easy problems early.
 #[derive(Debug)]
 pub(super) struct Auto {
     cube: UnitCube,
@@ -67,9 +69,9 @@ pub(super) struct Auto {
     descents: usize,
     paused: Vec<CmaDescent>,
     exploration_left: usize,
-    /// Recent coarse points and their values, in the order of evaluation.
+    /// Recent points of the cube `coarse` and their values, in the order of evaluation.
     surrogate_data: Vec<(Vec<f64>, f64)>,
-    /// Number of all coarse points, forgotten ones included.
+    /// Number of all such points so far, including those no longer stored.
     surrogate_data_count: usize,
     surrogate: Option<Surrogate>,
     metric_selection: MetricSelection,
@@ -77,14 +79,14 @@ pub(super) struct Auto {
     pending: Vec<PortfolioProposal>,
 }
 
-/// A series of descents of the leader's script.
+/// A series of leader descents.
 #[derive(Debug, Default)]
 struct LeaderSearch {
     descent: Option<LeaderDescent>,
     best: Option<(f64, Vec<f64>)>,
     /// Best value at the start of the last descent.
     started_at_value: Option<f64>,
-    /// Evaluations of the descents, and all evaluations.
+    /// Number of evaluations by leader descents, and of all evaluations.
     evaluations: [usize; 2],
 }
 
@@ -167,7 +169,8 @@ impl Auto {
         PortfolioProposal::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
 
-    /// Starts two descents at the centre; then, in turns, resumes the best one or starts near the best points.
+    /// Returns the next descent. The first two start at the centre. Later ones alternate between a new one from a good
+    /// point and the best paused one, resumed.
     fn next_descent(&mut self) -> CmaDescent {
         self.descents += 1;
         let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
@@ -279,7 +282,7 @@ impl SearchAlgorithm for Auto {
             self.descent = Some(descent);
             self.propose_batch(PLAN_DURING_DESCENT);
         }
-        // The first descent solves easy problems, so start after its plateau.
+        // The first descent solves easy problems, so leader descents start after it ends.
         if self.descents > 1 || self.exploration_left > 0 {
             self.pending.extend(self.leader_search.ask(&self.cube).into_iter().map(PortfolioProposal::Leader));
         }

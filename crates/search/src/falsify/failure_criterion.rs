@@ -1,7 +1,7 @@
 //! Relative falsification: a failure counts only if a partner simulation passes.
 //!
-//! The robustness is max(r, -r of the partner): negative only if the run fails and the partner passes. If the partner's
-//! controller gave no answer, the run does not count and is reported separately.
+//! With robustness r of the run and p of the partner, the result is max(r, -p): negative only if the run fails and the
+//! partner passes. If the partner's controller gave no answer, the run does not count and is reported separately.
 
 use std::fmt;
 use std::path::Path;
@@ -13,17 +13,18 @@ use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{NamedController, UnknownController};
 
-/// A condition on a partner simulation for a failure to count.
+/// A condition that a partner simulation must satisfy for a failure to count.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum FailureCriterion {
     /// Another controller passes the same scenario.
     Differential(NamedController),
-    /// This controller passes a partner scenario that should not be easier.
+    /// The controller under test passes a partner scenario that should not be easier.
     Metamorphic(MetamorphicRelation),
 }
 
-/// A change that should make no scenario worse: a scenario fails it that fails although the one with less of it passes.
+/// A change that should make no scenario worse. A scenario violates the relation if it fails, although its partner with
+/// less of the change passes.
 ///
 /// Based on metamorphic testing, which needs no oracle (Chen, Cheung and Yiu 1998, HKUST-CS98-01).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -137,8 +138,8 @@ impl FailureCriterion {
         }
     }
 
-    /// Combines a verdict with that of the partner; infinite without a partner. A failure of the partner's controller
-    /// is recorded in `failure`, with a robustness that is not negative.
+    /// Combines a verdict with that of the partner. Without a partner, the robustness is infinite. If the partner's
+    /// controller fails, `failure` records it, and the robustness is infinite.
     pub(super) fn combine_verdicts(own: RunVerdict, partner: Option<RunVerdict>) -> RunVerdict {
         if let Some(failed) = partner.and_then(|partner| partner.failure) {
             return RunVerdict { failure: Some(failed), ..RunVerdict::new(f64::INFINITY) };
@@ -162,7 +163,7 @@ pub enum FailureCriterionRecord {
     Differential {
         /// Name of the other controller, or its file.
         controller: String,
-        /// Hash of its policy; `None` for other controllers.
+        /// Hash of its policy; `None` if the controller is not a policy.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         policy_sha256: Option<String>,
         /// Identity of the controller, if its name does not determine it.

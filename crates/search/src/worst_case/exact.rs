@@ -1,16 +1,21 @@
-//! Mildest braking of the leader that makes the baseline collide, exact on the grid.
+//! Mildest braking of the leader that makes the baseline collide, exact for accelerations that are constant per cell.
 //!
-//! Until its brake fires, the first vehicle under test coasts; after that the motion of it and of all vehicles behind
-//! it is known. A collision is therefore one of two cases, each a convex program of the leader's motion:
+//! The first vehicle under test coasts until its brake fires. The firing step determines its further motion and that of
+//! all vehicles behind it. A collision is therefore one of two cases, each a convex program in the leader's motion:
 //!
-//! - the brake fires at a step σ for which the vehicles behind collide by themselves;
+//! - the brake fires at a step σ after which the vehicles behind collide, whatever the leader does;
 //! - the brake fires at σ, and at a step k the leader's rear bumper is not ahead of the braking vehicle.
 //!
-//! The guard d + θ w is linear and, while the leader brakes, decreases once it is negative: a brake that has fired by
-//! σ₂ has a negative guard there. The position of the braking vehicle grows with σ, and the leader's displacement d
-//! only decreases. For σ in [σ₁, σ₂] and k in [k₁, k₂], this relaxation is therefore valid: the guard has not fired
-//! before σ₁ and has fired by σ₂; d at k₂ is at most the largest distance, over k, of the vehicle braking from σ₂
-//! beyond the rear bumper of a coasting leader. Best-first search over such boxes ends with the cheapest profile.
+//! The brake fires when its guard, the gap minus θ times the closing speed, is negative; θ is the TTC threshold. The
+//! leader's displacement d and change of speed w from coasting enter the guard as d + θ w. While the leader brakes, a
+//! negative guard decreases further, so a brake that has fired by σ₂ has a negative guard at σ₂. A vehicle that brakes
+//! later is further ahead, and d only decreases. For σ in [σ₁, σ₂] and k in [k₁, k₂] this relaxation is thus valid:
+//!
+//! - the guard has not fired before σ₁ and has fired by σ₂;
+//! - d at k₂ is at most the largest distance, over k, by which a vehicle that brakes from σ₂ is ahead of the rear
+//!   bumper of a coasting leader.
+//!
+//! Best-first search over such boxes of σ and k ends with the cheapest profile.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -37,7 +42,7 @@ pub(super) fn is_applicable(scenario: &Scenario) -> bool {
 /// Maximum number of programs; after that a local search takes over.
 const MAX_PROGRAMS: usize = 1500;
 
-/// Distances beyond the bounds, in metres: first as little as rounding needs, then as much as a filter may need.
+/// Margins beyond the bounds of the programs, in metres. The first covers rounding, the others the error of a filter.
 const MARGINS_BEYOND_BOUND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
 
 /// Returns the cheapest profile that makes the baseline collide; `None` if there is none.
@@ -59,7 +64,7 @@ pub(super) fn find_mildest(
     let mut node = None;
     for (widened, beyond_m) in MARGINS_BEYOND_BOUND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
-        // The first margin selects the firing; later ones only ensure that a filter detects it, too.
+        // The first margin selects the box. Larger margins in that box only make the brake fire with a filter, too.
         let found = match node {
             None => search.find_cheapest()?,
             Some(node) => match search.solve_relaxation(node) {
@@ -76,7 +81,7 @@ pub(super) fn find_mildest(
             return Ok(Some(attack));
         }
     }
-    // Too many boxes, or a filter with another observation.
+    // A local search takes over if there were too many boxes, or if a filter changes the observation.
     if search.bench.programs < MAX_PROGRAMS && options_see_truth {
         Ok(None)
     } else {
@@ -84,7 +89,7 @@ pub(super) fn find_mildest(
     }
 }
 
-/// Returns true for each firing step of the first vehicle under test at which the vehicles behind collide.
+/// Returns, for each step, true if the vehicles behind collide when the first vehicle under test fires its brake there.
 fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
     let scenario = bench.scenario;
     let step_s = scenario.spec().step_s;
@@ -119,7 +124,7 @@ fn ego_delay_steps(scenario: &Scenario) -> usize {
     (delay_s / scenario.spec().step_s).round() as usize
 }
 
-/// A box of firings and, except for rear collisions, of collision steps.
+/// A range of firing steps and a range of collision steps. Collisions of the vehicles behind have only the first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct FiringBox {
     firing_steps: [usize; 2],
@@ -134,7 +139,7 @@ struct RankedBox {
 
 impl Ord for RankedBox {
     fn cmp(&self, other: &Self) -> Ordering {
-        // The heap yields the greatest: the cheapest, and of equals the one with the latest first step.
+        // The heap yields the greatest element: the cheapest box, or among equals the one with the latest first step.
         other.cost.total_cmp(&self.cost).then(self.firing_box.firing_steps[0].cmp(&other.firing_box.firing_steps[0]))
     }
 }
@@ -170,7 +175,7 @@ impl Enumeration<'_, '_> {
             open.extend(self.solve_relaxation(FiringBox { firing_steps: all, contact_steps: touches }));
         }
         while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MAX_PROGRAMS) {
-            // A profile that costs no more than any relaxation and collides is optimal, whatever its box.
+            // No open relaxation costs less, so this profile is optimal if it collides, even outside its box.
             let Some(halves) = split_box(cheapest.firing_box) else { return Ok(Some(cheapest)) };
             let tried = self.bench.simulate(std::slice::from_ref(&cheapest.profile))?;
             if tried.iter().any(ProfileOutcome::collides) {
@@ -183,7 +188,7 @@ impl Enumeration<'_, '_> {
         Ok(None)
     }
 
-    /// Returns the cheapest profile of a relaxed box; `None` if it is empty.
+    /// Returns the cheapest profile of a relaxed box; `None` if the box contains no profile.
     fn solve_relaxation(&mut self, node: FiringBox) -> Option<RankedBox> {
         let [first, last] = node.firing_steps;
         let mut asked = Vec::new();

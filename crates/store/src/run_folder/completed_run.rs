@@ -1,4 +1,4 @@
-//! Reading a completed run. Takes no lock and writes nothing, so that a read-only folder works.
+//! Reading a completed run, without a lock and without writing to its folder, which may thus be read-only.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use crumple_core::digest::sha256;
 /// State of a folder.
 #[derive(Debug)]
 pub enum RunState {
-    /// No run, but perhaps temporary files of a process that ended before its first file.
+    /// No run; perhaps temporary files of a process that ended before it wrote its first file.
     Missing,
     /// An incomplete run of this kind.
     InProgress(String),
@@ -30,7 +30,7 @@ pub struct CompletedRun {
 /// Reads the state of a folder.
 ///
 /// # Errors
-/// [`RunFolderError`] if there is no such folder, it contains anything else, or its manifest is damaged.
+/// [`RunFolderError`] if there is no such folder, it contains files that belong to no run, or its manifest is damaged.
 pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
     if !folder.is_dir() {
         return Err(RunFolderError::damaged(folder, "there is no such folder"));

@@ -42,10 +42,10 @@ fn another_folders_work_is_refused() {
     assert!(
         open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the folder holds a count, not a training")
     );
-    assert!(open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS }).contains(
-        "the count there has a different \
-        configuration"
-    ));
+    assert!(
+        open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS })
+            .contains("the count there has a different configuration")
+    );
 }
 
 /// Tests changes of a bit in every byte, every shorter length, removal, and swapped files: all are detected.
@@ -171,11 +171,7 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
     }
     for (damaged, text) in [
         ("firs", "shorter than the 5 bytes"),
-        (
-            "First, second",
-            "its first 5 bytes have changed \
-        since they were written",
-        ),
+        ("First, second", "its first 5 bytes have changed since they were written"),
     ] {
         fs::write(&path, damaged).unwrap();
         let error = open().err().unwrap().to_string();

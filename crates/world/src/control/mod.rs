@@ -3,10 +3,11 @@
 //! A controller maps an [`Observation`] to a commanded acceleration. The simulation applies limits, lag and friction.
 //!
 //! To add a built-in controller, implement [`BuiltIn`] in a new file, and add a module and a row of the table here. The
-//! command line, scenario files, their schema, spaces, lists, the lockstep engine and the fuzzing strategies follow.
+//! controller is then part of the command line, scenario files, their schema, spaces, lists, the lockstep engine and
+//! the fuzzing strategies.
 
-/// Passes the table to a macro. Rows of rules have the name of the controller type. Rows of policies have a name and
-/// the type that provides the policy. The documentation of a row describes its name in scenario files.
+/// Passes the table to a macro. A row of `rules` is a controller type. A row of `policies` is a name and the type that
+/// provides the policy. The documentation of a row is the description of its name in the schema of scenario files.
 macro_rules! with_controllers {
     ($then:ident) => {
         $then! {
@@ -177,7 +178,7 @@ impl Controller for Box<dyn Controller> {
 
 /// Clips a command to the limits of the vehicle; NaN counts as 0.
 ///
-/// Plain comparisons: of 0 and -0, `f64::max` may return either, so that separately compiled engines could differ.
+/// Uses plain comparisons, as `f64::max` of 0 and -0 may return either, and separately compiled engines could differ.
 #[inline]
 pub(crate) fn clamp_command(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
     let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
@@ -199,7 +200,7 @@ pub(crate) mod tests {
         Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
     }
 
-    /// Returns the distance from `speed_mps` to standstill of a driver that observes `seen` at each speed.
+    /// Returns the stopping distance from `speed_mps` of a driver that observes `seen` at each speed.
     pub(crate) fn stopping_distance_m(
         mut driver: impl Controller,
         speed_mps: f64,

@@ -54,16 +54,16 @@ pub fn required_brake_mps2(
 }
 
 impl Approach {
-    /// Returns the largest DRAC of all samples, in m/s²; `None` if the gap never closed, and after a contact: there
-    /// DRAC is unbounded, and its largest sample would measure the step.
+    /// Returns the largest DRAC of all samples, in m/s²; `None` if the gap never closed, or if there was a contact.
+    /// Near a contact DRAC is unbounded, and its largest sample would depend only on the step.
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
         let dracs = self.states().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
         dracs.reduce(f64::max).filter(|_| !self.has_contact())
     }
 
-    /// Returns the largest required deceleration of all samples, in m/s², if the leader held its acceleration to
-    /// standstill; `None` after a contact, as for [`Approach::max_drac_mps2`].
+    /// Returns the largest required deceleration of all samples, in m/s², for a leader that keeps its acceleration
+    /// until standstill; `None` if there was a contact, as for [`Approach::max_drac_mps2`].
     #[must_use]
     pub fn max_required_brake_mps2(&self) -> Option<f64> {
         let required = self.states().filter_map(|state| {
@@ -80,18 +80,18 @@ impl Approach {
 
 /// Braking that a vehicle induces in its follower.
 ///
-/// A controller that brakes late and hard may protect itself at its follower's expense. Actual and required braking of
-/// the follower differ if it was slow or could brake no harder.
+/// A controller that brakes late and hard may protect itself at its follower's expense. The follower's actual braking
+/// differs from the required one if the follower reacts late or cannot brake harder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InducedBraking {
     /// Hardest deceleration of the follower before contact, in m/s², positive; `None` for less than two samples.
     pub peak_brake_mps2: Option<f64>,
-    /// Largest DRAC of the follower, in m/s²; `None` if the gap never closed, and after a contact.
+    /// Largest DRAC of the follower, in m/s²; `None` if the gap never closed, or if there was a contact.
     pub max_drac_mps2: Option<f64>,
-    /// Largest required deceleration of the follower if this vehicle held its braking to standstill, in m/s²; `None`
-    /// after a contact.
+    /// Largest required deceleration of the follower, in m/s², for a vehicle ahead that keeps its braking until
+    /// standstill; `None` if there was a contact.
     pub max_required_brake_mps2: Option<f64>,
 }
 
@@ -138,11 +138,12 @@ mod tests {
     #[test]
     fn the_braking_a_vehicle_imposes_by_hand() {
         // Gap 10 m, both at 20 m/s; the leader brakes at 8 m/s² and stops after 25 m. The follower brakes 0.5 s later
-        // at 10 m/s²: 10 m and 20 m, so it stops 5 m short.
+        // at 10 m/s². It coasts 10 m and brakes over 20 m, so it stops 5 m behind the leader.
         // Required at t = 0: 20² / (2 * (10 + 25)) = 40 / 7. At t = 0.5: speeds 16 and 20, gap 10 - 1 = 9: 20² / (2 *
         // (9 + 16)) = 8. DRAC then: 4² / (2 * 9) = 8 / 9.
-        // From then on the follower brakes harder than required, and required deceleration falls. DRAC: speeds 16 - 8 s
-        // and 20 - 10 s, closing 4 - 2 s, gap 9 - 4 s + s², at s = 1.5: 1² / (2 * 5.25); at s = 0 largest.
+        // From then on the follower brakes harder than required, and required deceleration falls. A time s later the
+        // speeds are 16 - 8 s and 20 - 10 s, the closing speed is 4 - 2 s and the gap 9 - 4 s + s². At s = 1.5 DRAC is
+        // 1² / (2 * 5.25); it is largest at s = 0.
         let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
         let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
         let mut trace = trace(vec![front, rear], 0.5);

@@ -70,8 +70,7 @@ pub enum Omission {
     },
     /// Spacings of 0 or less, or beyond any view.
     #[error(
-        "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, \
-         the worst {} m",
+        "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, the worst {} m",
         format_compact(*worst_m)
     )]
     ImpossibleSpacings {
@@ -86,8 +85,7 @@ pub enum Omission {
     },
     /// Lengths below 0.1 m or above 100 m.
     #[error(
-        "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, \
-         the worst {} m",
+        "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, the worst {} m",
         format_compact(*worst_m)
     )]
     ImpossibleLengths {
@@ -102,8 +100,7 @@ pub enum Omission {
     },
     /// Speeds above 100 m/s, or negative where the sign has no meaning.
     #[error(
-        "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, \
-         the worst {} m/s",
+        "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, the worst {} m/s",
         format_compact(*worst_mps)
     )]
     ImpossibleSpeeds {

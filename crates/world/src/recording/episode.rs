@@ -129,9 +129,8 @@ impl BrakingEpisode {
         let event = self.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
         let leader = self.vehicles.first().map(EpisodeVehicle::to_string).unwrap_or_default();
         let mut about = format!(
-            "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within \
-             {:.1} s, \
-             by {:.2} m/s in its hardest second.",
+            "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within {:.1} \
+             s, by {:.2} m/s in its hardest second.",
             self.start_s,
             self.line,
             self.onset_speed_mps,

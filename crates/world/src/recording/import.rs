@@ -1,4 +1,4 @@
-//! Import of recordings as scenario files, all or nothing.
+//! Import of recordings as scenario files. A recording that cannot be read stops the import.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -37,7 +37,7 @@ pub struct ImportResult {
 /// A scenario and its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportedScenario {
-    /// Name of the file: the scenario's with `.toml`; lower-case letters, digits, `-` and `.` only.
+    /// Name of the file: the scenario's name and `.toml`, with only lower-case letters, digits, `-` and `.`.
     pub file_name: String,
     /// Text of the file.
     pub toml: String,
@@ -54,14 +54,14 @@ pub struct ImportedRecording {
     pub format: RecordingFormat,
     /// Number of scenarios.
     pub scenarios: usize,
-    /// Hardest braking, with or without a scenario.
+    /// Hardest braking of the recording, even if it makes no scenario.
     pub hardest: HardestBrakingResult,
 }
 
 /// Reads recordings, with a map if there is one, and renders a scenario file for each braking episode. Writes nothing.
 ///
-/// Names consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`; equal file names in
-/// different folders continue the numbers.
+/// Names consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`. Files with the same name
+/// in different folders share one sequence of numbers.
 ///
 /// # Errors
 /// [`RecordingError`] for the first recording that cannot be read, see [`load`].

@@ -118,8 +118,7 @@ fn unusable_files_name_line_and_column() {
         (named.replace("Speed2", "Speed1"), "a.csv:6: Speed1: named twice"),
         (
             named.replace("Speed2", "Speed3"),
-            "a.csv:6: IVS1: no such column is between two `Speed` columns of \
-            successive numbers",
+            "a.csv:6: IVS1: no such column is between two `Speed` columns of successive numbers",
         ),
         (format!("{named}0.0,1,2,3\n0.1,1\n"), "a.csv:8: Speed2: 2 fields in a row of 4"),
         (format!("{named}0.0,1,2,3,4\n"), "a.csv:7: IVS1: 5 fields in a row of 4"),

@@ -126,8 +126,7 @@ pub enum ControllerFileError {
     /// A model with normalised observations whose normalisation is not stated.
     #[error(
         "{path}: {reason}: write a controller file whose inputs have the means as offsets and the deviations as \
-         scales, and that says \
-         `normalised = true`, or `false` if observations were left alone (docs/controllers.md)"
+         scales, and that says `normalised = true`, or `false` if observations were left alone (docs/controllers.md)"
     )]
     Normalised {
         /// File of the model.

@@ -299,8 +299,7 @@ fn a_follower_model_is_printed_with_all_numbers() {
         max_accel_mps2: 2.5,
     };
     let of_acc = "drives acc-aeb with a time headway of 1.25 s, 3 m at standstill, gains 0.25 and 0.5, from -3.5 to 2 \
-        m/s², and full braking while its \
-                  time to collision is below 1.4 s";
+        m/s², and full braking while its time to collision is below 1.4 s";
     assert_eq!(FollowerLaw::AccAeb(acc).to_string(), of_acc);
 }
 

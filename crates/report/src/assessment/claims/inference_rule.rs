@@ -38,8 +38,7 @@ impl InferenceRule {
             }
             Self::RefutedInPart => {
                 "A run that refutes a claim about every run of a part (random scenarios, points of a search, some of \
-                 the \
-                 scenarios) refutes the claim about the whole."
+                 the scenarios) refutes the claim about the whole."
             }
             Self::RefutedByWeaker => "A collision with the leader also refutes \"no collision\".",
             Self::ProofCovers => {
@@ -47,11 +46,9 @@ impl InferenceRule {
             }
             Self::ProofsOfParts => "Proofs for each of several scenarios prove the claim about all of them.",
             Self::BoundsDecide => {
-                "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of \
-                 several counts, the one \
-                 with the highest confidence level decides, then the one with the most runs, because both were fixed \
-                 before \
-                 counting. A count that refutes the claim is always shown."
+                "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of several \
+                 counts, the one with the highest confidence level decides, then the one with the most runs, because \
+                 both were fixed before counting. A count that refutes the claim is always shown."
             }
         }
     }

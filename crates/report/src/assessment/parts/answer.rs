@@ -4,7 +4,6 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
-use super::controller_comparison::compare_controllers;
 use super::{AssessmentLimits, ClaimSummary, GatheredEvidence, ScenarioCases};
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Domain, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
@@ -118,7 +117,7 @@ impl FirstPage {
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             // Filled in later, because gates evaluate all other parts.
             gates: Vec::new(),
-            comparison: compare_controllers(plan, summary, found),
+            comparison: summary.comparison_table(plan.subject_index),
             worst_failures: found.searches.worst_failures(subject, MAX_FAILURES_SHOWN),
             both_sides_figure: found.usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
@@ -217,8 +216,7 @@ impl SafetyAnswer {
                     assured.map(|(words, _, status)| format!("{words} ({})", status.strength.describe())).collect();
                 format!(
                     "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
-                     known \
-                     about other situations.{}",
+                     known about other situations.{}",
                     assured.join("; "),
                     besides()
                 )
@@ -281,9 +279,8 @@ impl FirstPage {
     }
 }
 
-const COMPARISON_NOTE: &str = "A cell counts the runs that fail, or gives a bound of the rate with its confidence \
-    level. All \
-    controllers run the same scenarios.";
+const COMPARISON_NOTE: &str = "A cell counts the runs that fail or the distinct failures of a search, or bounds a rate \
+    with a confidence level. All controllers run the same scenarios.";
 
 const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
 

@@ -317,10 +317,8 @@ impl GsnElement {
 }
 
 const INTRODUCTION: &str = "The goals of the safety case in Goal Structuring Notation, each with its evidence: ✗ a \
-    goal that a \
-    counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. assessment.gsn.yaml has the \
-    complete \
-    argument, with strategies, contexts and assumptions.";
+    goal that a counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. \
+    assessment.gsn.yaml has the complete argument, with strategies, contexts and assumptions.";
 
 impl ReportPart for Argument {
     fn anchor_and_title(&self) -> (&'static str, String) {

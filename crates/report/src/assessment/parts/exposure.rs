@@ -27,8 +27,7 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
     let (_, first) = rates.first()?;
     let mut words = format!(
         "Exposure: the recordings have {} episodes in {} waves in {:.3} h and {:.1} km of following{}. Intervals are \
-         joint ones \
-         at {} %, for the number of episodes and the probability of a failure (Bonferroni).",
+         joint ones at {} %, for the number of episodes and the probability of a failure (Bonferroni).",
         first.episodes,
         first.clusters,
         first.hours,

@@ -153,10 +153,9 @@ impl FailureMaps {
             self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
         format!(
             "Scenarios of the space {} over {} and {}; other parameters are nominal ({}). Each of the {} cells is one \
-             scenario, run \
-             for every controller. If every controller of this report collides ({} cells), a convex program searches \
-             for an escape \
-             or a proof that there is none. Percentages are shares of cells, not of traffic.",
+             scenario, run for every controller. If every controller of this report collides ({} cells), a convex \
+             program searches for an escape or a proof that there is none. Percentages are shares of cells, not of \
+             traffic.",
             self.space,
             self.across.parameter,
             self.up.parameter,

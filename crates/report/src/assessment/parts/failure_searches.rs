@@ -464,14 +464,10 @@ fn read_file(path: &Path) -> Result<String, AssessError> {
 }
 
 const INTRODUCTION: &str = "A search looks for collisions; uniform points and a Halton sequence get the same budget. \
-    Each failure is \
-    simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: avoidable with the \
-    smallest gap \
-    of the best escape found, unavoidable if the checker accepted a proof, or undecided. A counterexample shows that \
-    a failure is \
-    possible, not how often it occurs; its values may be unlikely. If no uniform point fails, the share has an upper \
-    bound at \
-    95 % confidence.";
+    Each failure is simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: \
+    avoidable with the smallest gap of the best escape found, unavoidable if the checker accepted a proof, or \
+    undecided. A counterexample shows that a failure is possible, not how often it occurs; its values may be unlikely. \
+    If no uniform point fails, the share has an upper bound at 95 % confidence.";
 
 const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
     commands that show \

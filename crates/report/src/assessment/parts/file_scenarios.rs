@@ -129,10 +129,8 @@ fn format_case(case: &CaseResult) -> String {
 }
 
 const INTRODUCTION: &str = "Each scenario of the configuration, and each braking episode of its recordings, under \
-    every controller: \
-    the smallest gap ahead of or behind a vehicle under test, or the first collision. \"closing\" marks a run that \
-    ended while two \
-    vehicles approached each other.";
+    every controller: the smallest gap ahead of or behind a vehicle under test, or the first collision. \"closing\" \
+    marks a run that ended while two vehicles approached each other.";
 
 impl ReportPart for FileScenarios {
     fn anchor_and_title(&self) -> (&'static str, String) {

@@ -47,8 +47,7 @@ const TERMS: [(&str, &str); 24] = [
     (
         "unnecessary braking",
         "for 0.2 s, braking 2 m/s² harder than the Intelligent Driver Model at the true state, than the collision \
-         avoidance \
-         required, and than the leader braked",
+         avoidance required, and than the leader braked",
     ),
 ];
 

@@ -193,19 +193,15 @@ fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
 }
 
 const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which triggers the \
-    follower's emergency \
-    brake in time, and that it may accelerate again at the end. The table shows when each policy first brakes, its \
-    braking in the \
-    second before the follower's emergency brake, and its acceleration afterwards. A policy that brakes before its \
-    leader has \
-    overfitted to the paper's scenarios, whose reward has no cost of braking.";
+    follower's emergency brake in time, and that it may accelerate again at the end. The table shows when each policy \
+    first brakes, its braking in the second before the follower's emergency brake, and its acceleration afterwards. A \
+    policy that brakes before its leader has overfitted to the paper's scenarios, whose reward has no cost of braking.";
 
 fn describe_learning_curve(curve: &LearningCurve) -> String {
     let reward = |point: Option<&CurvePoint>| point.map_or(0.0, |point| point.mean_reward);
     format!(
         "{} seeds of preset {} have a mean reward of {} before training and {} at the end; 22500 is no collision in \
-         any run. A seed \
-         that has finished keeps its best reward in the curve.",
+         any run. A seed that has finished keeps its best reward in the curve.",
         curve.seeds,
         curve.preset,
         reward(curve.points.first()),

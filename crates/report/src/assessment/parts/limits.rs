@@ -35,19 +35,15 @@ impl AssessmentLimits {
             limit(
                 "Vehicles are point masses in one lane",
                 "Acceleration is constant over each step (0.01 s unless a scenario states another). There is no \
-                 steering, lane \
-                 change, road grade or load transfer.",
+                 steering, lane change, road grade or load transfer.",
             ),
             match plan.config.estimator {
                 EstimatorKind::Kalman => limit(
                     "Sensor noise is white and normal, and a Kalman filter estimates the state",
                     "Range noise is 0.03 m and position noise 0.02 m unless a scenario states others. Real sensors \
-                     also have \
-                     biases, false targets and correlated errors. The filter knows the acceleration of its own \
-                     vehicle exactly. \
-                     For neighbours it assumes white jerk: when one brakes suddenly, the filter lags for about a \
-                     second and \
-                     underestimates its own error.",
+                     also have biases, false targets and correlated errors. The filter knows the acceleration of its \
+                     own vehicle exactly. For neighbours it assumes white jerk: when one brakes suddenly, the filter \
+                     lags for about a second and underestimates its own error.",
                 ),
                 EstimatorKind::Truth => limit(
                     "Vehicles under test observe the true state",
@@ -67,8 +63,7 @@ impl AssessmentLimits {
             limit(
                 "A tested claim may fail in other runs",
                 "A run ends with its scenario: \"no collision\" holds until then, and the report marks runs that end \
-                 while \
-                 vehicles approach each other.",
+                 while vehicles approach each other.",
             ),
             limit(
                 "Vehicles stick together after a collision, with common momentum",
@@ -85,18 +80,15 @@ impl AssessmentLimits {
             assumptions.push(limit(
                 "Counts in given certificates are correct",
                 "The checker only verifies what follows from the counts. `crumple check --rerun` repeats the runs. \
-                 Counts of \
-                 this report are its own.",
+                 Counts of this report are its own.",
             ));
         }
         if plan.config.paper {
             assumptions.push(limit(
                 "The paper leaves some values open",
                 "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three \
-                 middle \
-                 vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking is \
-                 normal about \
-                 the class value with 0.2 m/s²; heavy and light followers are equally likely.",
+                 middle vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking \
+                 is normal about the class value with 0.2 m/s²; heavy and light followers are equally likely.",
             ));
         }
         Self { assumptions }

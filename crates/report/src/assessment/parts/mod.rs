@@ -4,7 +4,6 @@ mod answer;
 mod argument;
 mod certificates;
 mod comparison;
-mod controller_comparison;
 mod distinct_failure;
 mod exposure;
 mod failure_maps;

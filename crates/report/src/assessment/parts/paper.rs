@@ -102,11 +102,9 @@ impl PaperScenarios {
     }
 }
 
-const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s². The vehicles under test follow at 16 m; behind \
-    them, a vehicle brakes \
-    fully at TTC < 1.4 s, like the baseline. Measures are the worst among the vehicles under test, until the first \
-    collision; the \
-    pile-up is simulated further. The glossary explains the measures.";
+const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s². The vehicles under test follow at 16 m; behind them, \
+    a vehicle brakes fully at TTC < 1.4 s, like the baseline. Measures are the worst among the vehicles under test, \
+    until the first collision; the pile-up is simulated further. The glossary explains the measures.";
 
 impl ReportPart for PaperScenarios {
     fn anchor_and_title(&self) -> (&'static str, String) {

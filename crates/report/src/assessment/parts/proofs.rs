@@ -46,8 +46,7 @@ pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
 const CONDITIONS: [&str; 4] = [
     "the vehicle starts inside the kernel; outside it, a shield brakes fully and reports that a collision is possible",
     "the estimation error stays within the bounds of the shield: zero with the true state, six standard deviations of \
-     the \
-     noise with the Kalman filter, or the values that the user states",
+     the noise with the Kalman filter, or the values that the user states",
     "the leader has the assumed class, and the shield knows the friction of the road",
     "the code of the shield implements the kernel; this is tested, not proved",
 ];

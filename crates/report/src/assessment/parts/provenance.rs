@@ -113,10 +113,8 @@ impl RunInfo {
 }
 
 const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which the same program wrote for the same \
-    inputs. Its hashes detect \
-    damaged and edited files, but not a forger who also writes new hashes. Certificates were checked in this run. \
-    `--fresh` \
-    gathers all evidence again.";
+    inputs. Its hashes detect damaged and edited files, but not a forger who also writes new hashes. Certificates were \
+    checked in this run. `--fresh` gathers all evidence again.";
 
 impl ReportPart for AssessmentProvenance {
     fn anchor_and_title(&self) -> (&'static str, String) {

@@ -267,9 +267,8 @@ impl SpaceSample {
 
     fn introduction(&self) -> String {
         format!(
-            "All controllers run the same {} random scenarios of `{}` (seed {}). Bounds are exact (Clopper–Pearson, \
-             {} %, each \
-             controller separately) and rounded outwards.",
+            "All controllers run the same {} random scenarios of `{}` (seed {}). Bounds are exact (Clopper–Pearson, {} \
+             %, each controller separately) and rounded outwards.",
             self.random_scenarios,
             self.space.name,
             self.seed,

@@ -70,9 +70,8 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     Domain::Scenarios { about: UncomparedText(about.to_owned()), all: scenarios.iter().map(known).collect() }
 }
 
-pub(super) const FURTHER_MEASURES_NOTE: &str = "assessment.html and assessment.json also have headway, time gap, \
-    DRAC, required \
-    brake, TET, TIT, jerk and the gaps at standstill.";
+pub(super) const FURTHER_MEASURES_NOTE: &str = "assessment.html and assessment.json also have headway, time gap, DRAC, \
+    required brake, TET, TIT, jerk and the gaps at standstill.";
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(scenario: &Scenario, replay: CrumpleCommand, cases: Vec<CaseResult>) -> Self {

@@ -99,9 +99,8 @@ impl SpaceDescription {
 }
 
 const INTRODUCTION: &str = "Random scenarios follow the distribution; a search covers the whole range. Fields are \
-    those of scenario files: \
-    vehicle 0 is the leader, and parameters that are not listed are fixed. Each certificate of a rate contains its \
-    whole space.";
+    those of scenario files: vehicle 0 is the leader, and parameters that are not listed are fixed. Each certificate \
+    of a rate contains its whole space.";
 
 impl ReportPart for SpaceDescriptions {
     fn anchor_and_title(&self) -> (&'static str, String) {

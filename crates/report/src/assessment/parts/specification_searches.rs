@@ -298,11 +298,9 @@ impl SpaceSpecificationSearches {
     }
 }
 
-const INTRODUCTION: &str = "A controller without collisions may still drive badly. A search and two reference \
-    searches look for \
-    violations of each specification; the worst one is shrunk and stored. Robustness is the signed distance from a \
-    violation, \
-    negative if the specification is violated.";
+const INTRODUCTION: &str = "A controller without collisions may still drive badly. A search and two reference searches \
+    look for violations of each specification; the worst one is shrunk and stored. Robustness is the signed distance \
+    from a violation, negative if the specification is violated.";
 
 impl ReportPart for SpecificationSearches {
     fn anchor_and_title(&self) -> (&'static str, String) {

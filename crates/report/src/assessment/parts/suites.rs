@@ -421,9 +421,8 @@ impl SuiteFindings {
     }
 }
 
-const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no vehicle collides before its end. A \
-    cell gives the passed \
-    scenarios and the fastest impact. Other requirements of the documents are outside the model.";
+const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no vehicle collides before its end. A cell \
+    gives the passed scenarios and the fastest impact. Other requirements of the documents are outside the model.";
 
 impl ReportPart for Suites {
     fn anchor_and_title(&self) -> (&'static str, String) {

@@ -117,11 +117,25 @@ impl ClaimSummary {
     /// Returns the table of all claims: the main controllers first, then the others.
     fn table(&self) -> ReportTable {
         let (main, others) = self.split_columns();
-        let columns = [main, others].concat();
+        self.table_of(&[main, others].concat(), |_| true)
+    }
+
+    /// Returns the measured claims about the first controller and the subject.
+    pub(super) fn comparison_table(&self, subject_index: usize) -> ReportTable {
+        let is_measured = |claim: &AssuranceClaim| match (&claim.property, &claim.domain) {
+            (Property::FailsLessOften { .. }, _) => false,
+            (Property::RateAtMost { .. }, _) => true,
+            (_, domain) => matches!(domain, Domain::Scenarios { .. } | Domain::Draws { .. } | Domain::Search { .. }),
+        };
+        let columns = if subject_index == 0 { vec![0] } else { vec![0, subject_index] };
+        self.table_of(&columns, is_measured)
+    }
+
+    fn table_of(&self, columns: &[usize], is_shown: impl Fn(&AssuranceClaim) -> bool) -> ReportTable {
         let names = columns.iter().filter_map(|&index| self.controllers.get(index).map(String::as_str));
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
         let mut table = ReportTable::new(&header);
-        for claim in &self.claims {
+        for claim in self.claims.iter().filter(|row| row.claims.iter().flatten().any(&is_shown)) {
             let of = |&index: &usize| Some((claim.claims.get(index)?.as_ref(), claim.statuses.get(index)?));
             let cells = columns.iter().filter_map(of).map(|(claim, status)| match claim {
                 Some(_) => ReportCell::with_mark(status.strength.table_text(), status.strength.mark()),
@@ -310,8 +324,6 @@ impl ReportPart for ClaimSummary {
 }
 
 const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
-    failures of both \
-    controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level (`≤ 0.24 % (99.9 \
-    %)`), the \
-    distinct failures of a search, or the hardest braking of a leader that causes a collision (m/s²). \
-    A proof holds under the assumptions in the section \"Proofs\".";
+    failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
+    (`≤ 0.24 % (99.9 %)`), the distinct failures of a search, or the hardest braking of a leader that causes a \
+    collision (m/s²). A proof holds under the assumptions in the section \"Proofs\".";

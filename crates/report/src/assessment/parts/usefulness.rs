@@ -243,18 +243,12 @@ impl UsefulnessReport {
     fn introduction(&self) -> String {
         format!(
             "A controller that stands still never collides, so the report also measures usefulness. Every controller \
-             drives the \
-             same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as many of \
-             `high-risk`. \
-             Columns without a space are about `traffic`. Braking is unnecessary if it is more than \
-             {UNNECESSARY_MARGIN_MPS2} \
-             m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than the \
-             collision \
-             avoidance required, and than the leader braked. Gain: {FOLLOWERS} vehicles with the controller follow a \
-             leader that \
-             slows down by 4 m/s and recovers; the change of speed of the last one, relative to the leader's. Bounds \
-             are exact \
-             (Clopper–Pearson, {} %).",
+             drives the same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as \
+             many of `high-risk`. Columns without a space are about `traffic`. Braking is unnecessary if it is more \
+             than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at \
+             the true state, than the collision avoidance required, and than the leader braked. Gain: {FOLLOWERS} \
+             vehicles with the controller follow a leader that slows down by 4 m/s and recovers; the change of speed \
+             of the last one, relative to the leader's. Bounds are exact (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,
             100.0 * self.confidence
@@ -262,13 +256,9 @@ impl UsefulnessReport {
     }
 
     fn table(&self) -> ReportTable {
-        let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
-        let columns: [ReportColumn<'_, &ControllerUsefulness>; 17] = [
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 14] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("failures", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
-            ("no answer (traffic, high-risk)", &|one| {
-                ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
-            }),
             ("unnecessary braking (%)", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
                 // A drive without an answer is no evidence for the absence of unnecessary braking.
                 (0, [unanswered, _]) if unanswered > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
@@ -287,11 +277,23 @@ impl UsefulnessReport {
             ("induced braking (m/s²)", &|one| ReportCell::optional(one.induced_brake_mps2)),
             ("gain", &|one| one.string_stability.table_cell()),
             ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
+        ];
+        ReportTable::from_items(&self.controllers, &columns)
+    }
+
+    /// The failures of both spaces by their kind.
+    fn failure_table(&self) -> ReportTable {
+        let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
+            ("controller", &|one| ReportCell::text(&one.controller)),
+            ("no answer (traffic, high-risk)", &|one| {
+                ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])
+            }),
             ("hits leader (traffic, high-risk)", &|one| ReportCell::number(pair(one.hit))),
             ("hit from behind (traffic, high-risk)", &|one| ReportCell::number(pair(one.was_hit))),
         ];
         let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
-        ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
+        ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(1))
     }
 
     fn unanswered_notes(&self) -> Vec<String> {
@@ -462,6 +464,7 @@ impl ReportPart for UsefulnessReport {
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
         out.table(&self.table());
+        out.table(&self.failure_table());
         self.unanswered_notes().iter().for_each(|line| out.paragraph(line));
         out.figure(self.figure(ANCHOR));
     }

@@ -172,14 +172,11 @@ impl WorstProfiles {
 
     fn introduction(&self) -> String {
         format!(
-            "The mildest braking of the leader of {} that makes each controller collide: up to {} m/s², with a jerk \
-             of at most {} \
-             m/s³, and the smallest ∫a². For the baseline the search enumerates the times at which its brake fires. \
-             For the \
-             others it simulates pulses and ramps and improves the best by convex programs, so a milder braking may \
-             exist. The \
-             margin is the smallest gap, or minus v²/10 after a collision at v m/s; a program aims slightly beyond a \
-             collision.",
+            "The mildest braking of the leader of {} that makes each controller collide: up to {} m/s², with a jerk of \
+             at most {} m/s³, and the smallest ∫a². For the baseline the search enumerates the times at which its \
+             brake fires. For the others it simulates pulses and ramps and improves the best by convex programs, so a \
+             milder braking may exist. The margin is the smallest gap, or minus v²/10 after a collision at v m/s; a \
+             program aims slightly beyond a collision.",
             self.scenario, self.max_brake_mps2, self.max_jerk_mps3
         )
     }

@@ -33,10 +33,10 @@ pub struct ExpectedVerdict {
     pub scenario: String,
     /// Controller under test: a built-in name, or a policy file beside this one.
     pub controller: String,
-    /// Hash of the policy; another policy of that name is another controller.
+    /// Hash of the policy. A policy of the same name with another hash is another controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policy_sha256: Option<String>,
-    /// Identity of the controller, if name and policy do not determine it: of a network, a controller file or an FMU.
+    /// Hash of a controller that its name and policy do not identify, such as a network, a controller file or an FMU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controller_sha256: Option<String>,
     /// Estimator of the vehicles under test.
@@ -68,7 +68,7 @@ pub struct ExpectedVerdict {
     /// Reason, if undecided.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub undecided_because: Option<String>,
-    /// Additional condition for a violation to count and for the robustness to be negative.
+    /// Additional condition. Without it a violation does not count, and the robustness is not negative.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
     pub failure_criterion: Option<FailureCriterionRecord>,
@@ -81,7 +81,8 @@ pub struct ReplayResult {
     pub nominal: RunVerdict,
     /// Verdict at a tenth of the step.
     pub finer: RunVerdict,
-    /// True if both verdicts are as recorded (violation and vehicles), and the contact time within a millisecond.
+    /// True if the nominal verdict has the recorded violation, vehicles and contact time (within a millisecond), and
+    /// the finer verdict has that violation and those vehicles, or differs if the record is `dt_fragile`.
     pub as_recorded: bool,
 }
 
@@ -116,7 +117,7 @@ pub enum ReplayError {
 }
 
 impl ExpectedFile {
-    /// Reads the recorded verdicts of a folder, also under the earlier file name.
+    /// Reads the recorded verdicts of a folder, from the file with the earlier name if there is no other.
     ///
     /// # Errors
     /// [`FileError`] for a file that cannot be read or parsed.
@@ -146,7 +147,8 @@ impl ExpectedVerdict {
     /// Replays the scenario from its file, which is in `folder`.
     ///
     /// # Errors
-    /// [`ReplayError`] if a named file or controller does not exist or does not fit.
+    /// [`ReplayError`] if a file cannot be read, a controller is unknown or not the recorded one, or the simulation or
+    /// the specification fails.
     pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
@@ -182,10 +184,10 @@ impl ExpectedVerdict {
         Ok(ReplayResult { nominal, finer, as_recorded })
     }
 
-    /// Finds the controller of the verdict. A path starts at `folder`.
+    /// Finds the controller of the verdict. Relative paths start at `folder`.
     ///
     /// # Errors
-    /// [`ReplayError`] if there is none, or if another controller has that name.
+    /// [`ReplayError`] if the controller is unknown or not the recorded one.
     pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
         let found = NamedController::find(&self.controller, folder)?;
         self.check_identity(&found, self.policy_sha256.as_ref(), self.controller_sha256.as_ref())?;
@@ -217,10 +219,10 @@ impl ExpectedVerdict {
 }
 
 impl ExpectedVerdict {
-    /// Returns a new record of this scenario and controller. Analyses the avoidability again if it fails.
+    /// Returns a new record of this scenario and controller, with a new avoidability analysis of a collision.
     ///
     /// # Errors
-    /// [`ReplayError`] if a named file or controller does not exist or does not fit.
+    /// [`ReplayError`] if a file cannot be read, a controller is unknown, or the simulation or the specification fails.
     pub fn renew(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let found = NamedController::find(&self.controller, folder)?;
@@ -245,13 +247,13 @@ impl ExpectedVerdict {
             undecided_because: class.undecided_because().map(str::to_owned),
             ..renewed
         };
-        // All other fields are set, so a replay deviates only at the finer step.
+        // All other fields agree with the replay by now, so `as_recorded` is false only if the finer step differs.
         renewed.dt_fragile = !renewed.replay(folder)?.as_recorded;
         Ok(renewed)
     }
 }
 
-/// Divisor of the step at which a failure must survive.
+/// Divisor of the scenario's step. A failure that disappears at this finer step is `dt_fragile`.
 pub(super) const FINER_STEP_DIVISOR: u32 = 10;
 
 impl ExpectedFile {

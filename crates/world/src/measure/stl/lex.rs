@@ -53,7 +53,7 @@ impl Symbol {
         )
     }
 
-    /// Returns true if the symbol begins an operand, or a window before one.
+    /// Returns true if the symbol begins an operand, or the time window before an operand.
     pub(super) fn begins_operand(self) -> bool {
         matches!(self, Self::Not | Self::Always | Self::Eventually | Self::Open | Self::WindowOpen)
     }

@@ -14,7 +14,7 @@ const LEAD_SIGNALS: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "
 /// | signal of vehicle i | meaning |
 /// |---|---|
 /// | `vi.position_m`, `vi.speed_mps`, `vi.accel_mps2` | front bumper, speed, acceleration held from the sample on |
-/// | `vi.jerk_mps3` | change of that acceleration since the sample before, over the step |
+/// | `vi.jerk_mps3` | change of that acceleration since the previous sample, divided by the step |
 /// | `vi.gap_m`, `vi.closing_mps` | bumper gap to the leader, own speed minus leader speed |
 /// | `vi.ttc_s` | time to collision; +∞ where the gap does not close |
 /// | `vi.headway_s`, `vi.time_gap_s` | time headway, time gap; +∞ at standstill |
@@ -30,7 +30,7 @@ pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     (0..vehicles).flat_map(of).collect()
 }
 
-/// Collects those of `names` that a run has; it continues after contact and is sampled every `step_s`.
+/// Collects the signals in `names` that a run has, including samples after a collision, one every `step_s`.
 ///
 /// # Errors
 /// [`SignalsError`] if the trace is empty.
@@ -61,7 +61,7 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
                         Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?))
                     });
                     let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
-                    // Vehicles that stick together have a gap of zero despite rounding.
+                    // Vehicles that stay together after an impact have a gap of zero; remove its rounding error.
                     let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };
                     of(gap_m, state.front_speed_mps, state.rear_speed_mps, front.length_m)
                 });
