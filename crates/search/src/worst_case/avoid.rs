@@ -340,7 +340,7 @@ fn conclude(
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
-        let late = problem.egos.iter().position(|ego| ego.dead_steps > 0);
+        let late = problem.dead_steps.iter().position(|&steps| steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
             // With a delay neither decides: proofs assume egos that respond at once, and escapes assume the delay.
