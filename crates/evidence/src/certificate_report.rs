@@ -289,6 +289,7 @@ pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::
 
 fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
     let CertificateReport { path, certificate, accepted, counts, covers_scenario: about } = one;
+    // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let scope = one.scope(accepted.as_ref().ok());
     let refuted = match counts {

@@ -70,7 +70,9 @@ proptest! {
     ) {
         let (of_x, of_y) = (member(&x, &symbols), member(&y, &symbols));
         let (x, y) = (x.0, y.0);
-        let holds = |form: &AffineForm, value: &BigRational| holds(form, &symbols, value) && contains(form.range(), value);
+        let holds = |form: &AffineForm, exact: &BigRational| {
+            holds(form, &symbols, exact) && contains(form.range(), exact)
+        };
         prop_assert!(holds(&x, &of_x));
         prop_assert!(holds(&AffineForm::constant(factor), &rational(by)));
         prop_assert!(holds(&x.clone().plus(&y), &(&of_x + &of_y)));

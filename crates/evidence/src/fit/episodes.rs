@@ -147,14 +147,14 @@ impl ExclusionCounts {
         let mut words = Vec::new();
         if no_follower + too_few_vehicles > 0 {
             words.push(format!(
-                "Excluded, with their hours: {no_follower} episodes without a known follower, {too_few_vehicles} with fewer \
-                 than {vehicles} vehicles"
+                "Excluded, with their hours: {no_follower} episodes without a known follower, {too_few_vehicles} with \
+                 fewer than {vehicles} vehicles"
             ));
         }
         if impossible_speeds + out_of_range > 0 {
             words.push(format!(
-                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, {out_of_range} with \
-                 values outside the ranges; rates per hour assume that they fail as often as the others"
+                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, {out_of_range} \
+                 with values outside the ranges; rates per hour assume that they fail as often as the others"
             ));
         }
         words

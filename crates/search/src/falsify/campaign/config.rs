@@ -188,7 +188,8 @@ pub(in crate::falsify) fn with_reference_methods(requested: &Method) -> Vec<Meth
 impl Campaign {
     #[cfg(test)]
     pub(in crate::falsify) fn of_match_leader(space: &str, method: Method, budget: u64, seed: u64) -> Self {
-        use crumple_world::{control::ControllerSpec, scenario::space::built_in_space};
+        use crumple_world::control::ControllerSpec;
+        use crumple_world::scenario::space::built_in_space;
         let controller = ControllerSpec::from_name("match-leader").unwrap();
         let campaign = Self::new(controller, built_in_space(space).unwrap());
         Self { estimator: EstimatorKind::Truth, method, budget, seed, ..campaign }
