@@ -3,7 +3,7 @@
 //! hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses the forgery with
 //! probability at most C(m - a, s)/C(m, s).
 
-use crumple_verify::{Certificate, Registration, Statement};
+use crumple_verify::{Certificate, Statement};
 use rayon::prelude::*;
 
 use super::binding::{self, BindingError};

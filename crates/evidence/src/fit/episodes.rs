@@ -153,8 +153,9 @@ impl ExclusionCounts {
         }
         if impossible_speeds + out_of_range > 0 {
             words.push(format!(
-                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, {out_of_range} \
-                 with values outside the ranges; rates per hour assume that they fail as often as the others"
+                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, \
+                 {out_of_range} with values outside the ranges; rates per hour assume that they fail as often as the \
+                 others"
             ));
         }
         words
