@@ -230,7 +230,6 @@ impl Mapping {
         }
     }
 
-    #[must_use]
     pub(crate) fn width(&self) -> usize {
         self.inputs.len() * self.history
     }
@@ -294,7 +293,6 @@ impl Mapping {
     }
 
     /// Returns the unclipped acceleration of an answer, and its allowed range, in m/s².
-    #[must_use]
     pub(crate) fn acceleration_and_range_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
         let OutputMapping { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let answer = match squash {
@@ -356,7 +354,6 @@ impl InputMapping {
         Ok(())
     }
 
-    #[must_use]
     pub(crate) fn limits(&self) -> [f64; 2] {
         match self.constant {
             Some(constant) => [self.scaled(constant); 2],

@@ -85,7 +85,6 @@ impl Approach {
     }
 
     /// Creates the approach of the follower of vehicle `front` to it; `None` without a follower.
-    #[must_use]
     pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();

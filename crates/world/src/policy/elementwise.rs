@@ -39,7 +39,6 @@ pub enum Elementwise {
 
 impl Elementwise {
     /// Returns the number of operands; `None` without operands.
-    #[must_use]
     pub(crate) fn width(&self) -> Option<usize> {
         match self {
             Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),

@@ -68,50 +68,25 @@ pub enum Omission {
         /// Number of rows.
         rows: usize,
     },
-    /// Spacings of 0 or less, or beyond any view.
+    /// Spacings of 0 or less or beyond any view, lengths below 0.1 m or above 100 m, and speeds above 100 m/s, or negative
+    /// where the sign has no meaning.
     #[error(
-        "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, the worst {} m",
-        format_compact(*worst_m)
+        "{column}: {count} impossible {what}, the first one here, the last one on line {last_line}, the worst {} {unit}",
+        format_compact(*worst)
     )]
-    ImpossibleSpacings {
+    ImpossibleValues {
         /// Name of the column.
         column: String,
-        /// Number of spacings.
+        /// Quantity, in the plural.
+        what: &'static str,
+        /// Unit of the quantity.
+        unit: &'static str,
+        /// Number of values.
         count: usize,
         /// Line of the last one.
         last_line: u64,
-        /// Value furthest out of range, in metres.
-        worst_m: f64,
-    },
-    /// Lengths below 0.1 m or above 100 m.
-    #[error(
-        "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, the worst {} m",
-        format_compact(*worst_m)
-    )]
-    ImpossibleLengths {
-        /// Name of the column.
-        column: String,
-        /// Number of lengths.
-        count: usize,
-        /// Line of the last one.
-        last_line: u64,
-        /// Value furthest out of range, in metres.
-        worst_m: f64,
-    },
-    /// Speeds above 100 m/s, or negative where the sign has no meaning.
-    #[error(
-        "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, the worst {} m/s",
-        format_compact(*worst_mps)
-    )]
-    ImpossibleSpeeds {
-        /// Name of the column.
-        column: String,
-        /// Number of speeds.
-        count: usize,
-        /// Line of the last one.
-        last_line: u64,
-        /// Value furthest out of range, in m/s.
-        worst_mps: f64,
+        /// Value furthest out of range.
+        worst: f64,
     },
     /// Rows less than a millisecond later than the row before.
     #[error(

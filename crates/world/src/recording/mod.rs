@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 pub use dropped::{DroppedItem, EpisodeProblem, Omission, PlatoonPosition};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
-pub use error::{ColumnProblem, RecordingError, ValueProblem};
+pub use error::{ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
@@ -107,7 +107,6 @@ pub struct RecordedPlatoon {
 
 impl RecordedPlatoon {
     /// Returns the event, if the file names events, truncated to 40 characters.
-    #[must_use]
     pub(crate) fn event(&self) -> Option<&str> {
         self.event.as_deref()
     }
@@ -208,10 +207,7 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
             built_in = match first.text(0) {
                 "Date" => RecordingMap::openacc(),
                 "event" => RecordingMap::car_following(),
-                other => {
-                    let (path, found) = (path.to_owned(), table::excerpt(other));
-                    Err(RecordingError::UnknownFormat { path, line: first.line, found })
-                }
+                other => first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
             }?;
             &built_in
         }
@@ -232,7 +228,7 @@ fn read_with_map<R: Read>(
         } else {
             "the names of its columns"
         };
-        let Some(next) = table.next_row()?.cloned() else { return Err(table.cut_short_error(expected)) };
+        let Some(next) = table.next_row()?.cloned() else { return table.reject_cut_short(expected) };
         names = next;
     }
     match &map.layout {

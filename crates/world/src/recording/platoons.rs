@@ -60,7 +60,7 @@ pub(super) fn read<R: Read>(
         }
     }
     if extent.rows == 0 {
-        return Err(table.cut_short_error("its first sample"));
+        return table.reject_cut_short("its first sample");
     }
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
@@ -155,7 +155,7 @@ impl PlatoonColumns {
                 None
             };
             if before.is_some() {
-                return names.reject_column(&excerpt(name), ColumnProblem::Repeated);
+                return names.reject(&excerpt(name), ColumnProblem::Repeated);
             }
         }
         if speeds.len().max(gaps.len()) > MAX_VEHICLES {
@@ -211,7 +211,7 @@ impl PlatoonColumns {
         }
         lines.retain(|line| line.len() > 1);
         if lines.is_empty() {
-            return names.reject_column(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+            return names.reject(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
         }
         Ok(lines)
     }

@@ -206,9 +206,8 @@ fn each_car_following_event_is_a_platoon_of_two() {
     assert_eq!(follower.speed_mps(), [Some(10.0), Some(10.0), Some(10.0), None]);
     assert_eq!(recording.platoons[1].gap_ahead_m(1), [None]);
     let output = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
-    assert!(
-        output.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows")
-    );
+    let contradiction = "a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows";
+    assert!(output.contains(contradiction), "{output}");
     assert!(output.contains("a.csv:6: gap_m: 1 impossible spacings"), "{output}");
 }
 
@@ -217,10 +216,8 @@ fn each_car_following_event_is_a_platoon_of_two() {
 fn an_event_that_begins_anew_is_another_one() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(
-        recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(),
-        [Some("1"), Some("2"), Some("1")]
-    );
+    let events: Vec<_> = recording.platoons.iter().map(RecordedPlatoon::event).collect();
+    assert_eq!(events, [Some("1"), Some("2"), Some("1")]);
 }
 
 #[test]

@@ -81,10 +81,8 @@ mod tests {
     fn amplification_by_hand() {
         let found = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
         assert_eq!(found, SpeedAmplification { of_each: vec![Some(1.5), Some(0.5)], overall: 0.75 });
-        assert!(
-            found.has_amplification()
-                && !SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap().has_amplification()
-        );
+        let damped = SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap();
+        assert!(found.has_amplification() && !damped.has_amplification());
         assert_eq!(SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0).unwrap().of_each, [Some(0.0), None]);
     }
 

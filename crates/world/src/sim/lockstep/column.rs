@@ -11,7 +11,7 @@ use super::view::{NeighbourhoodView, StateSlices};
 use crate::control::ControllerFailure;
 use crate::estimate::{EgoEstimator, TrueState};
 use crate::policy::SimdClosure;
-use crate::sim::actuator::{Actuator, add_noise_unless_at_rest};
+use crate::sim::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use crate::sim::motion::Motion;
 use crate::sim::platoon::PlatoonState;
 use crate::sim::recorder::{VehicleExtremes, summarize_vehicle};
@@ -45,7 +45,7 @@ pub(super) struct VehicleColumn<'a> {
 impl<'a> VehicleColumn<'a> {
     pub(super) fn new(lanes: &[RunLane<'a>], platoons: &[PlatoonState], vehicle: usize) -> Self {
         let of = |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
-        let actuators: Vec<_> = lanes.iter().map(|lane| lane.run.actuator(vehicle)).collect();
+        let actuators: Vec<_> = lanes.iter().map(|lane| Actuator::new(lane.run.scenario(), vehicle)).collect();
         let estimator: Vec<_> =
             lanes.iter().zip(platoons).filter_map(|(lane, platoon)| lane.run.estimator(vehicle, platoon)).collect();
         let nothing = PerRun::constant(0.0, lanes.len());
@@ -55,7 +55,7 @@ impl<'a> VehicleColumn<'a> {
             max_brake_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_brake_mps2)),
             max_accel_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_accel_mps2)),
             actuators: if actuators.iter().all(Actuator::is_immediate) { Vec::new() } else { actuators },
-            noise: Noise::new(lanes.iter().map(|lane| lane.run.disturbance(vehicle)).collect()),
+            noise: Noise::new(lanes.iter().map(|lane| Disturbance::new(lane.run.scenario(), vehicle)).collect()),
             length_m: of(&|platoon| platoon.length_m[vehicle]),
             mass_kg: of(&|platoon| platoon.mass_kg[vehicle]),
             position_m: of(&|platoon| platoon.motion[vehicle].position_m),
