@@ -168,14 +168,12 @@ impl Mapping {
             Q::AccelerationBehindMps2,
         ];
         let input = |(quantity, (offset, scale))| InputMapping {
-            quantity: Some(quantity),
-            variable: None,
-            constant: None,
             offset,
             scale,
             low: -limit,
             high: limit,
             absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
+            ..InputMapping::unscaled(quantity)
         };
         Self {
             decision_interval_s: Some(NATIVE_INTERVAL_S),

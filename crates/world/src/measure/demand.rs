@@ -114,7 +114,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, trace};
+    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
 
     #[test]
     fn deceleration_rate_to_avoid_a_crash_by_hand() {
@@ -144,9 +144,7 @@ mod tests {
         // From then on the follower brakes harder than required, and required deceleration falls. A time s later the
         // speeds are 16 - 8 s and 20 - 10 s, the closing speed is 4 - 2 s and the gap 9 - 4 s + s². At s = 1.5 DRAC is
         // 1² / (2 * 5.25); it is largest at s = 0.
-        let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
-        let mut trace = trace(vec![front, rear], 0.5);
+        let mut trace = pair_trace(10.0, [(20.0, &[(3.0, -8.0)]), (20.0, &[(0.5, 0.0), (2.5, -10.0)])], 0.5);
         let induced = InducedBraking::from_trace(&trace, &[], 0).unwrap();
         assert_eq!(induced.peak_brake_mps2, Some(10.0));
         assert!((induced.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);

@@ -20,7 +20,7 @@ const STEPS_PER_S: f64 = 100.0;
 /// otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BrakingEpisode {
-    /// Event of the recording, if the file names events; see `RecordedPlatoon::event`.
+    /// Event of the recording, if the file names events; see [`RecordedPlatoon`](super::RecordedPlatoon).
     pub event: Option<String>,
     /// Line of the start, from 1.
     pub line: u64,

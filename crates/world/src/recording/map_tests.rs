@@ -275,7 +275,7 @@ fn gaps_are_filled_up_to_the_length_in_the_map() {
     let values = |by: &str| {
         let rows = "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
         let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), by);
-        let follower = recording.platoons[0].vehicles()[1].speed_mps().to_vec();
+        let follower = recording.platoons[0].vehicles[1].speed_mps.clone();
         follower.into_iter().map(|mps| mps.map(|mps| (mps / 0.447_04 * 1e6).round() / 1e6)).collect::<Vec<_>>()
     };
     let holes = [Some(10.0), None, Some(14.0), None, None, Some(20.0)];

@@ -134,8 +134,8 @@ impl Drivers<'_> {
         commands: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        match self {
-            Self::Followers(followers) => followers.command(arch, view, commands),
+        match (&*self, &view.front) {
+            (Self::Followers(followers), Some(front)) => followers.command(arch, &view.own, front, commands),
             _ => self.command(
                 arch,
                 span_s,
