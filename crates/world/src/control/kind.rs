@@ -79,10 +79,7 @@ impl ControllerKind {
     /// Returns warnings, one line each: differences between a network's mapping and the spaces of its training.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        match self.unshielded() {
-            Self::Network(network) => network.warnings(),
-            _ => Vec::new(),
-        }
+        if let Self::Network(network) = self.unshielded() { network.warnings() } else { Vec::new() }
     }
 
     /// Returns the time between decisions, in seconds. `None` for every step, or if only the process knows it.

@@ -13,7 +13,6 @@ pub const TTC_THRESHOLD_S: f64 = 3.0;
 
 /// Exposure to short times to collision.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TtcExposure {
     /// TET: duration of a time to collision below the threshold, in seconds.

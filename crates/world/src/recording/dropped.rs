@@ -27,14 +27,14 @@ impl fmt::Display for DroppedItem {
 #[non_exhaustive]
 pub enum Omission {
     /// Vehicles of the platoon without a speed column.
-    #[error("{} speed column: {}", have_no(.first, .last), consequence(.place))]
+    #[error("{} speed column: {consequence}", have_no(.first, .last))]
     VehiclesMissing {
         /// First missing vehicle.
         first: usize,
         /// Last missing vehicle.
         last: usize,
-        /// Position of the gap in the platoon.
-        place: PlatoonPosition,
+        /// Effect on the platoon, as a clause.
+        consequence: &'static str,
     },
     /// Two neighbours without a spacing column.
     #[error("{column}: no such column, so the platoon is split between vehicles {ahead} and {behind}")]
@@ -165,31 +165,12 @@ pub enum Omission {
     },
 }
 
-/// Position of missing vehicles in a platoon.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlatoonPosition {
-    /// Ahead of the first recorded vehicle.
-    Front,
-    /// Between two recorded vehicles.
-    Middle,
-    /// Behind the last recorded vehicle.
-    Rear,
-}
-
 fn format_fixed(number: f64, decimals: usize) -> String {
     if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
 }
 
 fn have_no(first: &usize, last: &usize) -> String {
     if first == last { format!("vehicle {first} has no") } else { format!("vehicles {first} to {last} have no") }
-}
-
-fn consequence(place: &PlatoonPosition) -> &'static str {
-    match place {
-        PlatoonPosition::Front => "the platoon starts behind",
-        PlatoonPosition::Middle => "the platoon is split there, because the spacing is unknown",
-        PlatoonPosition::Rear => "the platoon ends before",
-    }
 }
 
 /// A reason why a braking episode has no scenario.

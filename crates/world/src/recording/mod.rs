@@ -32,7 +32,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-pub use dropped::{DroppedItem, EpisodeProblem, Omission, PlatoonPosition};
+pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 pub use error::{ColumnProblem, LineProblem, RecordingError};

@@ -22,7 +22,6 @@ pub const MIN_DEVIATION_MPS: f64 = 0.1;
 /// application to vehicle platooning", IEEE Transactions on Control Systems Technology 22, 786-793 (definitions
 /// compared).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SpeedAmplification {
     /// Ratio of each vehicle's deviation to that of its leader, without the first vehicle; `None` if the latter is

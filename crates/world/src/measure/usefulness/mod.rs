@@ -27,7 +27,6 @@ pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
 /// Usability measures of a vehicle before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct UsefulnessMeasures {
     /// Index of the vehicle, from the front.
@@ -51,7 +50,6 @@ pub struct UsefulnessMeasures {
 
 /// Measures of following a leader.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FollowingMeasures {
     /// Distance driven, relative to that of the leader; `None` if the leader did not move.

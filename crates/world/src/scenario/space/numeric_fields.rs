@@ -59,17 +59,11 @@ pub(super) const LANE_CHANGES: [(&str, LaneChangeAccessor); 2] =
     [("enters.", |vehicle| vehicle.enters.as_mut()), ("leaves.", |vehicle| vehicle.leaves.as_mut())];
 
 pub(super) fn setting_mut(driver: &mut Driver, place: usize) -> Option<&mut f64> {
-    match driver {
-        Driver::Controller(spec) => spec.get_mut(place),
-        _ => None,
-    }
+    if let Driver::Controller(spec) = driver { spec.get_mut(place) } else { None }
 }
 
 pub(super) fn pieces_mut(driver: &mut Driver) -> Option<&mut PiecewiseAcceleration> {
-    match driver {
-        Driver::Profile(LeadProfile::Pieces(pieces)) => Some(pieces),
-        _ => None,
-    }
+    if let Driver::Profile(LeadProfile::Pieces(pieces)) = driver { Some(pieces) } else { None }
 }
 
 pub(super) fn accelerations_mut(driver: &mut Driver) -> Option<&mut [f64]> {
@@ -93,10 +87,7 @@ pub(super) fn brake_rate_mut(driver: &mut Driver) -> Option<&mut f64> {
 }
 
 pub(super) fn final_speed_mut(driver: &mut Driver) -> Option<&mut f64> {
-    match driver {
-        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.final_speed_mps),
-        _ => None,
-    }
+    if let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = driver { Some(&mut brake.final_speed_mps) } else { None }
 }
 
 /// Path after `vehicles[i].`, unit, field, and the paths that it sets.

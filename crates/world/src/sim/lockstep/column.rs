@@ -170,13 +170,9 @@ impl<'a> VehicleColumn<'a> {
 
     /// Finds the runs in which this vehicle and its leader may collide, or are closest, inside the step.
     pub(super) fn screen(&self, arch: Arch, front: &Self, dt_s: f64) -> RunSet {
-        let now = PairSlices {
-            front_m: front.position_m.padded(),
-            front_length_m: front.length_m.padded(),
-            rear_m: self.position_m.padded(),
-            front_mps: front.speed_mps.padded(),
-            rear_mps: self.speed_mps.padded(),
-        };
+        let now: PairSlices<'_> =
+            [&front.position_m, &front.length_m, &self.position_m, &front.speed_mps, &self.speed_mps]
+                .map(PerRun::padded);
         let next_mps = [front.next_speed_mps.padded(), self.next_speed_mps.padded()];
         arch.dispatch(SimdClosure(
             #[inline(always)]
@@ -185,13 +181,9 @@ impl<'a> VehicleColumn<'a> {
     }
 
     pub(super) fn update_min_gap_and_ttc(&mut self, arch: Arch, front: &Self) {
-        let next = PairSlices {
-            front_m: front.next_position_m.padded(),
-            front_length_m: front.length_m.padded(),
-            rear_m: self.next_position_m.padded(),
-            front_mps: front.next_speed_mps.padded(),
-            rear_mps: self.next_speed_mps.padded(),
-        };
+        let (front_mps, rear_mps) = (&front.next_speed_mps, &self.next_speed_mps);
+        let next: PairSlices<'_> =
+            [&front.next_position_m, &front.length_m, &self.next_position_m, front_mps, rear_mps].map(PerRun::padded);
         let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
         arch.dispatch(SimdClosure(
             #[inline(always)]

@@ -149,12 +149,8 @@ impl Drivers<'_> {
     }
 
     pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
-        match self {
-            Self::Mixed(drivers) => match drivers.get(run) {
-                Some(VehicleController::Controller(controller)) => Some(controller),
-                _ => None,
-            },
-            _ => None,
-        }
+        let Self::Mixed(drivers) = self else { return None };
+        let VehicleController::Controller(controller) = drivers.get(run)? else { return None };
+        Some(controller)
     }
 }
