@@ -68,30 +68,18 @@ impl Controller for AccAeb {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation};
+    use super::super::tests::{EGO, command_behind};
     use super::*;
 
     #[test]
     fn cruises_follows_and_brakes() {
         let settings = AccAebSettings::default();
         let mut controller = AccAeb::start(&settings, &EGO, 0);
-        assert_eq!(
-            controller.decide(&leader_observation(25.0, 200.0, 25.0, 0.0)).unwrap(),
-            0.0,
-            "holds its set speed on an open road"
-        );
-        assert_eq!(
-            controller.decide(&leader_observation(25.0, 22.0, 25.0, 0.0)).unwrap(),
-            0.0,
-            "2 m + 0.8 s · 25 m/s is its gap"
-        );
-        assert_eq!(controller.decide(&leader_observation(25.0, 21.0, 25.0, 0.0)).unwrap(), -0.25);
-        assert_eq!(controller.decide(&leader_observation(25.0, 10.0, 20.0, 0.0)).unwrap(), -3.5, "comfort limit");
-        assert_eq!(controller.decide(&leader_observation(25.0, 10.0, 15.0, 0.0)).unwrap(), -7.5, "TTC is 1 s");
-        assert_eq!(
-            controller.decide(&leader_observation(20.0, 200.0, 25.0, 0.0)).unwrap(),
-            2.0,
-            "back to the set speed"
-        );
+        assert_eq!(command_behind(&mut controller, 25.0, 200.0, 25.0, 0.0), 0.0, "holds its set speed on an open road");
+        assert_eq!(command_behind(&mut controller, 25.0, 22.0, 25.0, 0.0), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
+        assert_eq!(command_behind(&mut controller, 25.0, 21.0, 25.0, 0.0), -0.25);
+        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 20.0, 0.0), -3.5, "comfort limit");
+        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 15.0, 0.0), -7.5, "TTC is 1 s");
+        assert_eq!(command_behind(&mut controller, 20.0, 200.0, 25.0, 0.0), 2.0, "back to the set speed");
     }
 }

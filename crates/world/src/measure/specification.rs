@@ -201,10 +201,7 @@ impl Specification {
     /// Returns a warning if a part of a formula is evaluated only at the first sample.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        match self {
-            Self::Formula(formula) => formula.warning(),
-            Self::NoContact | Self::DrivingRule(_) => None,
-        }
+        if let Self::Formula(formula) = self { formula.warning() } else { None }
     }
 
     /// Returns the recording level that [`Self::evaluate`] needs.

@@ -20,8 +20,7 @@ pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// Content of a controller file (`docs/controllers.md`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(title = "crumple controller, version 1"))]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "crumple controller, version 1"))]
 #[serde(deny_unknown_fields)]
 pub struct ControllerFile {
     /// Version of the format: 1.
@@ -281,19 +280,12 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
         }
         ControllerFileSource::Fmu(name) => {
-            let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
-            let (answer_within_s, wiring) = (file.answer_within_s, file.into_wiring());
-            let plain = ProcessSetup::from_fmu(&folder, &name, wiring).map_err(|problem| match problem {
+            let plain = ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| match problem {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
                 problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
             })?;
-            let setup = ProcessSetup {
-                deterministic: deterministic.unwrap_or(plain.deterministic),
-                start_within_s: start_within_s.unwrap_or(plain.start_within_s),
-                answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
-                ..plain
-            };
-            process_controller(setup, path, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
+            process_controller(file.with_limits(plain), path, permission("fmu")?)
+                .map_err(|invalid| wrong(invalid).into())
         }
         ControllerFileSource::Command(command) => {
             let setup = file.into_process_setup(command, &folder);
@@ -377,18 +369,25 @@ impl ControllerFile {
         })
     }
 
-    fn into_wiring(self) -> FmuConfig {
-        let Self { inputs, output, parameters, decision_interval_s, .. } = self;
+    fn wiring(&self) -> FmuConfig {
+        let Self { inputs, output, parameters, decision_interval_s, .. } = self.clone();
         FmuConfig { inputs, output, parameters, decision_interval_s }
     }
 
-    fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
-        let plain = ProcessSetup::new(command, folder);
+    /// Returns a setup with the limits that the file states in place of the default ones.
+    fn with_limits(&self, plain: ProcessSetup) -> ProcessSetup {
         ProcessSetup {
-            files: self.files,
             deterministic: self.deterministic.unwrap_or(plain.deterministic),
             start_within_s: self.start_within_s.unwrap_or(plain.start_within_s),
             answer_within_s: self.answer_within_s.unwrap_or(plain.answer_within_s),
+            ..plain
+        }
+    }
+
+    fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
+        let plain = self.with_limits(ProcessSetup::new(command, folder));
+        ProcessSetup {
+            files: self.files,
             mapping: Mapping {
                 decision_interval_s: self.decision_interval_s,
                 history: self.history,

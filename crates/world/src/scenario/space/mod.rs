@@ -173,7 +173,6 @@ impl SpaceParameter {
         self.target.driver_vehicle() == Some(0)
     }
 
-    #[must_use]
     pub(crate) fn coordinate(&self, value: f64) -> f64 {
         self.marginal.coordinate(value)
     }
