@@ -158,16 +158,14 @@ impl Episodes {
         autoreset: &str,
     ) -> PyResult<Self> {
         if !(1..=MAX_EPISODES).contains(&count) {
-            return Err(PyValueError::new_err(format!(
-                "there must be 1 to {MAX_EPISODES} environments, found {count}"
-            )));
+            let problem = format!("there must be 1 to {MAX_EPISODES} environments, found {count}");
+            return Err(PyValueError::new_err(problem));
         }
+        let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
         let config = load_training_config(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
-            None => {
-                config.scenario_source().map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?
-            }
+            None => config.scenario_source().map_err(|error| wrong(&error))?,
         };
         let mut environment = config.environment;
         if let Some(estimator) = estimator {
@@ -178,7 +176,7 @@ impl Episodes {
         let autoreset = parse_choice("autoreset", autoreset, &known)?;
         let constants = EpisodeConstants::new(environment, config.learning.discount);
         let task = EpisodeTask { source, config: constants, autoreset };
-        task.new_episode(0, 0).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?;
+        task.new_episode(0, 0).map_err(|error| wrong(&error))?;
         let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })
     }
@@ -225,12 +223,8 @@ impl Episodes {
                 lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                return lanes
-                    .iter_mut()
-                    .zip(states.chunks_exact_mut(STATE_LEN))
-                    .zip(mask)
-                    .enumerate()
-                    .try_for_each(begin);
+                let mut rows = lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
+                return rows.try_for_each(begin);
             }
             let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))

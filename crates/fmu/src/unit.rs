@@ -65,11 +65,6 @@ pub struct Conversion {
 }
 
 impl Conversion {
-    #[must_use]
-    pub(crate) fn is_identity(&self) -> bool {
-        self.factor == 1.0 && self.offset == 0.0
-    }
-
     /// Converts an SI value into this unit.
     #[must_use]
     pub fn from_si(&self, value: f64) -> f64 {
@@ -104,7 +99,7 @@ impl fmt::Display for DeclaredUnit {
         out.write_str(&self.name)?;
         match &self.conversion {
             None => out.write_str(" (not defined)"),
-            Some(conversion) if conversion.is_identity() => Ok(()),
+            Some(Conversion { factor: 1.0, offset: 0.0, .. }) => Ok(()),
             Some(Conversion { dimension, factor, offset }) => {
                 write!(out, " (SI: {factor} x")?;
                 if *offset != 0.0 {
@@ -132,10 +127,8 @@ mod tests {
         assert_eq!(DeclaredUnit::undefined("furlong").to_string(), "furlong (not defined)");
         assert_eq!(UnitDimension::NONE.to_string(), "1");
         assert_eq!(UnitDimension::metres_seconds(1, -2).to_string(), "m.s-2");
-        assert_eq!(
-            DeclaredUnit::undefined("m/s²").conversion.map(|found| found.dimension),
-            Some(UnitDimension::metres_seconds(1, -2))
-        );
+        let si = DeclaredUnit::undefined("m/s²").conversion.unwrap();
+        assert_eq!(si.dimension, UnitDimension::metres_seconds(1, -2));
     }
 
     #[test]

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use super::costs::CostConfig;
-use super::f32_serde::deserialize_f32_no_underflow;
 use super::observation::ObservationConfig;
 use super::replay::TransitionLayout;
+use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
 use super::source::ScenarioSource;
 use super::space_mixture::{self, TrainingSpace};
 use crumple_world::observation::EstimatorKind;
@@ -87,7 +87,7 @@ pub struct EnvironmentConfig {
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,
     /// Observation of the agent. A policy file omits the default, because it states the scaling separately.
-    #[serde(default, skip_serializing_if = "ObservationConfig::is_default")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub observation: ObservationConfig,
 }
 
@@ -141,7 +141,7 @@ pub struct LearningConfig {
     pub decisions_per_update: u32,
     /// True if critics also receive privileged information: friction, braking capabilities, delays, the vehicle behind,
     /// the leader's next accelerations and the cost multiplier.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub privileged_critic: bool,
     /// Weight of the mean of max(0, |z| - 1)² in the actor's loss; z is the output before the tanh. Gives a saturated
     /// actor a gradient.
@@ -150,7 +150,7 @@ pub struct LearningConfig {
     pub saturation_penalty: f32,
     /// Weight of the mean of (π(s) - π(s'))² in the actor's loss; s' is the observation after s, unless nothing follows
     /// (Mysore, Mabsout, Mancuso and Saenko 2021).
-    #[serde(default, skip_serializing_if = "is_zero_weight", deserialize_with = "deserialize_f32_no_underflow")]
+    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
     /// Decay of the learning rates; without it they are constant.
@@ -175,16 +175,6 @@ pub(super) const PENALTY_RANGE: [f64; 2] = [1e-6, 1e3];
 fn penalty_schema() -> serde_json::Value {
     let [least, most] = PENALTY_RANGE;
     serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_false(flag: &bool) -> bool {
-    !*flag
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_zero_weight(weight: &f32) -> bool {
-    *weight == 0.0
 }
 
 /// Linear decay of the learning rates after the random episodes.
@@ -268,21 +258,16 @@ pub struct EvaluationConfig {
     /// Random validation scenarios that rank a policy that passes the screening. With 0, no policy masters the task.
     pub ranking_draws: u64,
     /// Random scenarios of the built-in space `traffic`, in which a ranked policy must also be useful; 0 for none.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[serde(rename = "useful_draws")]
     pub usefulness_draws: u64,
     /// Smallest gap, in metres, with which a policy must pass all of these to end the training; 0 never ends it.
     pub master_gap_m: f64,
     /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky
     /// 1992); 0 for the actor itself. Exploration and learning always use the actor itself.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[serde(rename = "mean_over_updates")]
     pub weight_average_updates: u64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_zero(count: &u64) -> bool {
-    *count == 0
 }
 
 /// Returns the JSON Schema of a training configuration.
@@ -370,19 +355,10 @@ mod tests {
     fn the_paper_preset_is_the_papers() {
         let paper = TrainingConfig::preset("paper").unwrap();
         assert_eq!(paper.network.hidden, [256; 3]);
-        let LearningConfig { actor_rate, critic_rate, discount, tau: soft_update, batch, .. } = paper.learning;
-        assert_eq!((actor_rate, critic_rate, discount, soft_update, batch), (0.001, 0.002, 0.99999, 0.005, 512));
+        let LearningConfig { actor_rate, critic_rate, discount, tau, batch, .. } = paper.learning;
+        assert_eq!((actor_rate, critic_rate, discount, tau, batch), (0.001, 0.002, 0.99999, 0.005, 512));
         assert_eq!((paper.replay.capacity, paper.exploration.noise_decay), (10_000, 0.9995));
         assert_eq!((paper.environment.step_reward, paper.environment.contact_reward), (15.0, -3000.0));
         assert_eq!((paper.environment.action_repeat, paper.environment.reward_scale), (1, 1.0));
-    }
-
-    #[test]
-    fn a_field_out_of_range_is_named() {
-        let text = PRESETS[0].1.replace("soft_update = 0.005", "soft_update = 1.5");
-        let error = TrainingConfig::parse(&text, Path::new("fast.toml")).expect_err("refused").to_string();
-        let line = text.lines().position(|line| line.starts_with("soft_update")).unwrap() + 1;
-        let expected = format!("fast.toml:{line}: learning.soft_update: must be between 0 and 1");
-        assert!(error.starts_with(&expected), "{error}");
     }
 }

@@ -4,6 +4,8 @@
 use crumple_world::measure::justified_brake_mps2;
 use serde::{Deserialize, Serialize};
 
+use super::serde_helpers::is_default;
+
 const MAX_WEIGHT: f64 = 100.0;
 
 /// Costs of a step, as a share of its reward. A step without a collision earns `step_reward * (1 - sum of weight *
@@ -47,14 +49,9 @@ pub struct CostConfig {
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
     /// Weight of the residual action.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     #[serde(rename = "departure")]
     pub residual: f64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_zero(weight: &f64) -> bool {
-    *weight == 0.0
 }
 
 impl Default for CostConfig {
@@ -77,25 +74,23 @@ impl Default for CostConfig {
 impl CostConfig {
     fn weights(&self) -> [(&'static str, f64); 8] {
         [
-            ("environment.costs.far", self.far),
-            ("environment.costs.near", self.near),
-            ("environment.costs.relative_speed", self.relative_speed),
-            ("environment.costs.acceleration", self.acceleration),
-            ("environment.costs.jerk", self.jerk),
-            ("environment.costs.imposed", self.induced_braking),
-            ("environment.costs.needless", self.unnecessary_braking),
-            ("environment.costs.departure", self.residual),
+            ("far", self.far),
+            ("near", self.near),
+            ("relative_speed", self.relative_speed),
+            ("acceleration", self.acceleration),
+            ("jerk", self.jerk),
+            ("imposed", self.induced_braking),
+            ("needless", self.unnecessary_braking),
+            ("departure", self.residual),
         ]
     }
 
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let wanted = [
-            ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
-            ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
-        ];
+        let wanted = [("standstill_m", self.standstill_m, [0.1, 100.0]), ("headway_s", self.headway_s, [0.0, 10.0])];
         let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MAX_WEIGHT]));
-        wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
+        let all = wanted.into_iter().chain(weights);
+        all.map(|(name, value, range)| (format!("environment.costs.{name}"), value, range))
     }
 
     #[must_use]
@@ -104,29 +99,17 @@ impl CostConfig {
     }
 
     pub(super) fn scaled_by(&self, times: f64) -> Self {
-        let Self {
-            standstill_m,
-            headway_s,
-            far,
-            near,
-            relative_speed,
-            acceleration,
-            jerk,
-            induced_braking: induced,
-            unnecessary_braking: unnecessary,
-            residual: departure,
-        } = *self;
         Self {
-            standstill_m,
-            headway_s,
-            far: far * times,
-            near: near * times,
-            relative_speed: relative_speed * times,
-            acceleration: acceleration * times,
-            jerk: jerk * times,
-            induced_braking: induced * times,
-            unnecessary_braking: unnecessary * times,
-            residual: departure * times,
+            standstill_m: self.standstill_m,
+            headway_s: self.headway_s,
+            far: self.far * times,
+            near: self.near * times,
+            relative_speed: self.relative_speed * times,
+            acceleration: self.acceleration * times,
+            jerk: self.jerk * times,
+            induced_braking: self.induced_braking * times,
+            unnecessary_braking: self.unnecessary_braking * times,
+            residual: self.residual * times,
         }
     }
 

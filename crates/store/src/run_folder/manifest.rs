@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use super::lock::LOCK_FILE;
 use super::pending::{self, PendingChange, is_inside_folder};
 use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, read_regular_file, regular_file_len};
 use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
-use crate::disk::{self, DiskError};
+use crate::disk::{self, DiskError, none_if_missing};
 use crumple_core::digest::{Sha256, sha256};
 
 /// Version of the format.
@@ -324,13 +324,9 @@ impl Manifest {
 }
 
 pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
-    let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(source) => return Err(DiskError::at(folder)(source)),
-    };
-    let mut found =
-        entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>().map_err(DiskError::at(folder))?;
+    let entries = none_if_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten();
+    let found = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>();
+    let mut found = found.map_err(DiskError::at(folder))?;
     found.sort_unstable();
     Ok(found)
 }

@@ -325,12 +325,10 @@ impl RunFolder {
             return Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE));
         }
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
-        match folder.filter(|folder| !manifest.folders().contains(folder)) {
+        let Some(folder) = folder.filter(|folder| !manifest.folders().contains(folder)) else { return Ok(()) };
+        match sorted_entries(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
+            Some(left_over) => Err(RunFolderError::damaged(left_over, UNLISTED_FILE_MESSAGE)),
             None => Ok(()),
-            Some(folder) => match sorted_entries(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
-                Some(left_over) => Err(RunFolderError::damaged(left_over, UNLISTED_FILE_MESSAGE)),
-                None => Ok(()),
-            },
         }
     }
 

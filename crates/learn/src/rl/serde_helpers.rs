@@ -1,7 +1,19 @@
-//! Deserialization of single-precision numbers.
+//! Defaults of fields, and deserialization of single-precision numbers.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
+
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+pub(super) fn one<T: From<u8>>() -> T {
+    T::from(1)
+}
+
+pub(super) fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
+    *value == one()
+}
 
 /// Deserializes an f32 and rejects non-zero values that underflow to 0.
 pub(super) fn deserialize_f32_no_underflow<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
