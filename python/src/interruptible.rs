@@ -39,15 +39,8 @@ pub(crate) type ProgressCounts = (u64, u64, u64);
 /// Work in progress, and the condition that signals its end.
 static ACTIVE_WORK: (Mutex<Vec<StopFlag>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
 
-/// Guard that registers work in progress until it is dropped.
+/// Guard that removes work from [`ACTIVE_WORK`] when it is dropped.
 struct ActiveWork(StopFlag);
-
-impl ActiveWork {
-    fn register(stop: &StopFlag) -> Self {
-        ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
-        Self(stop.clone())
-    }
-}
 
 impl Drop for ActiveWork {
     fn drop(&mut self) {
@@ -82,7 +75,8 @@ pub(crate) fn run_interruptible<T: Send>(
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
     let pool = threads::pool()?;
-    let _under_way = ActiveWork::register(stop);
+    ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+    let _under_way = ActiveWork(stop.clone());
     let (text, heard) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
         thread::scope(|scope| {

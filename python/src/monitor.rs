@@ -58,9 +58,8 @@ pub(crate) fn monitor<'py>(
     for (name, values) in names.iter().zip(&signals) {
         let [rows, columns] = [values.as_array().nrows(), values.as_array().ncols()];
         if columns != samples || !(rows == 1 || rows == traces) {
-            return Err(wrong(&format!(
-                "signal `{name}` has {rows} rows of {columns} samples: there are {traces} traces of {samples}"
-            )));
+            let found = format!("signal `{name}` has {rows} rows of {columns} samples");
+            return Err(wrong(&format!("{found}: there are {traces} traces of {samples}")));
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }

@@ -70,11 +70,6 @@ impl Conversion {
     pub fn from_si(&self, value: f64) -> f64 {
         (value - self.offset) / self.factor
     }
-
-    /// Returns the conversion of differences, to which an offset does not apply (`relativeQuantity`).
-    pub(crate) fn for_differences(self) -> Self {
-        Self { offset: 0.0, ..self }
-    }
 }
 
 /// Unit of a variable as declared.
@@ -135,6 +130,6 @@ mod tests {
     fn si_values_are_converted_by_factor_and_offset() {
         let fahrenheit = Conversion { dimension: UnitDimension::NONE, factor: 5.0 / 9.0, offset: 459.67 * 5.0 / 9.0 };
         assert!((fahrenheit.from_si(273.15) - 32.0).abs() < 1e-9);
-        assert!((fahrenheit.for_differences().from_si(10.0) - 18.0).abs() < 1e-9);
+        assert!((Conversion { offset: 0.0, ..fahrenheit }.from_si(10.0) - 18.0).abs() < 1e-9);
     }
 }

@@ -108,10 +108,8 @@ impl XmlElement {
                 }
                 Event::End(_) => open.pop(),
                 Event::DocType(_) => return Err(wrong("has a document type declaration".to_owned())),
-                Event::Text(text) if is_outside && !text.iter().all(u8::is_ascii_whitespace) => {
-                    return Err(wrong("there is text outside of the root element".to_owned()));
-                }
-                Event::CData(_) | Event::GeneralRef(_) if is_outside => {
+                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
+                Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) if is_outside => {
                     return Err(wrong("there is text outside of the root element".to_owned()));
                 }
                 Event::Eof if !is_outside => return Err(wrong("the text ends within an element".to_owned())),

@@ -42,10 +42,8 @@ impl RegressionResults {
         let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in_scenario(name)).collect();
         let mut paper = Vec::new();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let found = collided(&scenarios, estimator)?;
-            paper.extend(
-                found.iter().filter_map(|&place| Some(format!("{} ({})", names.get(place)?, estimator.name()))),
-            );
+            let collided = collided(&scenarios, estimator)?.into_iter().filter_map(|index| names.get(index));
+            paper.extend(collided.map(|name| format!("{name} ({})", estimator.name())));
         }
         let draws = PaperDistribution { seed: NOMINAL_SEED };
         let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;

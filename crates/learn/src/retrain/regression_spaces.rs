@@ -32,8 +32,7 @@ pub struct RegressionSpaceResult {
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
     /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
     /// necessary.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "of_no_use")]
+    #[serde(rename = "of_no_use", default, skip_serializing_if = "Option::is_none")]
     pub not_useful: Option<Vec<u64>>,
 }
 

@@ -146,7 +146,6 @@ impl RetrainingReport {
     /// Returns a lower bound of the factor by which the collision rate decreased: the lower end of the initial policy's
     /// interval over the upper end of the retrained policy's. Each end is wrong with a probability of at most 2.5 %, so
     /// the bound has a confidence level of 95 %.
-    #[must_use]
     pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
         Some(first.interval(self.test_draws).lower / retrained.interval(self.test_draws).upper)
@@ -240,20 +239,12 @@ impl RetrainingReport {
             "\nOf the first policy's collisions, {first_only} are fixed and {both} remain; {retrained_only} are new; \
              {neither} scenarios have no collision with either policy. A collision is avoidable in every scenario."
         )?;
-        match self.min_improvement_factor() {
-            Some(factor) if factor > 1.0 => {
-                writeln!(
-                    out,
-                    "Collisions are at least {factor:.2} times rarer than with the first policy, at a confidence \
-                     level of 95 %."
-                )
-            }
-            Some(_) => writeln!(
-                out,
-                "Collisions are not shown to be rarer than with the first policy, at a confidence level of 95 %."
-            ),
-            None => Ok(()),
-        }
+        let comparison = match self.min_improvement_factor() {
+            Some(factor) if factor > 1.0 => format!("at least {factor:.2} times rarer"),
+            Some(_) => "not shown to be rarer".to_owned(),
+            None => return Ok(()),
+        };
+        writeln!(out, "Collisions are {comparison} than with the first policy, at a confidence level of 95 %.")
     }
 
     /// Writes the changes of the initial policy's failures in regression spaces.

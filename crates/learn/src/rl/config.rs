@@ -10,8 +10,8 @@ use super::costs::CostConfig;
 use super::observation::ObservationConfig;
 use super::replay::TransitionLayout;
 use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
-use super::source::ScenarioSource;
-use super::space_mixture::{self, TrainingSpace};
+use super::source::{PaperSource, ScenarioSource};
+use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::ResidualControl;
 use crumple_world::scenario::file;
@@ -80,8 +80,7 @@ pub struct EnvironmentConfig {
     /// Highest acceleration of an action, in m/s²; the lowest is -7.5.
     pub max_accel_mps2: f64,
     /// Base controller to which actions are added. Without one, an action is an acceleration of at least -7.5 m/s².
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "departs_from")]
+    #[serde(rename = "departs_from", default, skip_serializing_if = "Option::is_none")]
     pub residual_over: Option<ResidualControl>,
     /// Costs of a step; none in the paper. A policy file without costs omits the field.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
@@ -132,8 +131,7 @@ pub struct LearningConfig {
     /// Discount factor per decision.
     pub discount: f64,
     /// Weight of the trained network in an update of its target network.
-    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
-    #[serde(rename = "soft_update")]
+    #[serde(rename = "soft_update", deserialize_with = "deserialize_f32_no_underflow")]
     pub tau: f32,
     /// Transitions per update.
     pub batch: usize,
@@ -154,8 +152,7 @@ pub struct LearningConfig {
     #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
     /// Decay of the learning rates; without it they are constant.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "rates_fall")]
+    #[serde(rename = "rates_fall", default, skip_serializing_if = "Option::is_none")]
     pub lr_decay: Option<LrDecay>,
 }
 
@@ -258,15 +255,13 @@ pub struct EvaluationConfig {
     /// Random validation scenarios that rank a policy that passes the screening. With 0, no policy masters the task.
     pub ranking_draws: u64,
     /// Random scenarios of the built-in space `traffic`, in which a ranked policy must also be useful; 0 for none.
-    #[serde(default, skip_serializing_if = "is_default")]
-    #[serde(rename = "useful_draws")]
+    #[serde(rename = "useful_draws", default, skip_serializing_if = "is_default")]
     pub usefulness_draws: u64,
     /// Smallest gap, in metres, with which a policy must pass all of these to end the training; 0 never ends it.
     pub master_gap_m: f64,
     /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky
     /// 1992); 0 for the actor itself. Exploration and learning always use the actor itself.
-    #[serde(default, skip_serializing_if = "is_default")]
-    #[serde(rename = "mean_over_updates")]
+    #[serde(rename = "mean_over_updates", default, skip_serializing_if = "is_default")]
     pub weight_average_updates: u64,
 }
 
@@ -321,12 +316,12 @@ impl TrainingConfig {
         }
     }
 
-    /// Returns the source of the episodes' scenarios.
+    /// Returns the source of the episodes' scenarios; without spaces, the paper's distribution.
     ///
     /// # Errors
     /// [`TrainingConfigError`] if a space cannot be found, read, or trained on.
     pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
-        space_mixture::scenario_source(&self.spaces)
+        if self.spaces.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(&self.spaces)?)) }
     }
 }
 

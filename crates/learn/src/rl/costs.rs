@@ -49,8 +49,7 @@ pub struct CostConfig {
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
     /// Weight of the residual action.
-    #[serde(skip_serializing_if = "is_default")]
-    #[serde(rename = "departure")]
+    #[serde(rename = "departure", skip_serializing_if = "is_default")]
     pub residual: f64,
 }
 
@@ -93,7 +92,6 @@ impl CostConfig {
         all.map(|(name, value, range)| (format!("environment.costs.{name}"), value, range))
     }
 
-    #[must_use]
     pub(crate) fn is_free(&self) -> bool {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)
     }

@@ -180,7 +180,6 @@ impl TrainingEpisode {
     }
 
     /// Returns the reward so far as in the paper: undiscounted and unscaled, 22 500 for an episode without a collision.
-    #[must_use]
     pub(crate) fn total_reward(&self) -> f64 {
         self.undiscounted_return
     }
@@ -191,7 +190,6 @@ impl TrainingEpisode {
         self.stepper.motion()
     }
 
-    #[must_use]
     pub(crate) fn steps_made(&self) -> usize {
         self.stepper.step_count()
     }

@@ -46,7 +46,7 @@ pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen
 pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, TrainableNetwork};
 pub use observation::{InputScaling, ObservationConfig, ObservationInputs};
-pub use replay::{Batch, ReplayBuffer, Transition, TransitionLayout};
+pub use replay::{Batch, Transition};
 pub use runner::{TrainingEvent, parallel_map, train};
 pub(crate) use runner::{TrainingRecorder, train_with_recorder};
 pub(crate) use serde_helpers::is_default;

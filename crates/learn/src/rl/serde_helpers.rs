@@ -20,9 +20,8 @@ pub(super) fn deserialize_f32_no_underflow<'de, D: Deserializer<'de>>(deserializ
     let written = f64::deserialize(deserializer)?;
     let kept = written as f32;
     if kept == 0.0 && written != 0.0 {
-        return Err(D::Error::custom(format!(
-            "{written:e} is so small that it would count as 0: write 0, or a larger number"
-        )));
+        let problem = format!("{written:e} is so small that it would count as 0: write 0, or a larger number");
+        return Err(D::Error::custom(problem));
     }
     Ok(kept)
 }

@@ -1,7 +1,5 @@
 //! Training spaces by name or file, and their mixture.
 
-use std::sync::Arc;
-
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -31,8 +29,7 @@ pub struct TrainingSpace {
     /// Relative share of the episodes that are drawn from it.
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
-    #[serde(rename = "costs_times")]
+    #[serde(rename = "costs_times", default = "one", skip_serializing_if = "is_one")]
     pub cost_multiplier: f64,
 }
 
@@ -140,11 +137,6 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
         }
     }
     Ok(())
-}
-
-/// Returns the source of these spaces; without any, the paper's distribution.
-pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
-    if shares.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(shares)?)) }
 }
 
 #[cfg(test)]

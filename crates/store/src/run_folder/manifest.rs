@@ -115,16 +115,11 @@ impl Manifest {
             let is_unlisted = !self.has_entry(name) && path.symlink_metadata().is_ok();
             return if is_unlisted { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
         };
-        let found = read_regular_file(&path, state.max_bytes());
-        match self.unfinished_for(name) {
-            Some(unfinished) if !matches!(&found, Ok(Some(bytes)) if state.matches_contents(bytes)) => {
-                match read_regular_file(&folder.join(unfinished), state.max_bytes()) {
-                    Ok(Some(bytes)) if state.matches_contents(&bytes) => Ok(Some(bytes)),
-                    _ => found,
-                }
-            }
-            _ => found,
-        }
+        let read = |path: &Path| read_regular_file(path, state.max_bytes());
+        let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| matches!(found, Ok(Some(bytes)) if state.matches_contents(bytes));
+        let found = read(&path);
+        let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));
+        unfinished.map(|unfinished| read(&folder.join(unfinished))).filter(is_whole).unwrap_or(found)
     }
 
     /// Returns the name of the file that will replace a file.
@@ -219,15 +214,11 @@ impl Manifest {
     }
 
     /// Returns the recorded prefix of an append-only file.
-    fn prefix(&self, name: &str) -> Option<&Prefix> {
+    pub(super) fn prefix(&self, name: &str) -> Option<&Prefix> {
         match self.files.get(name)? {
             FileState::AppendOnly(prefix) => Some(prefix),
             FileState::Whole { .. } => None,
         }
-    }
-
-    pub(super) fn is_append_only(&self, name: &str) -> bool {
-        self.prefix(name).is_some()
     }
 
     pub(super) fn folders(&self) -> BTreeSet<&str> {

@@ -205,10 +205,8 @@ impl RunFolder {
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = options.configuration_file;
                 if found.check_file(folder, name).is_err() {
-                    let problem = format!(
-                        "the `{name}` in the same folder does not match it: one of them belongs to another run"
-                    );
-                    return Err(RunFolderError::damaged(&path, problem));
+                    let problem = "in the same folder does not match it: one of them belongs to another run";
+                    return Err(RunFolderError::damaged(&path, format!("the `{name}` {problem}")));
                 }
                 let found = found.read_contents(folder, name)?.unwrap_or_default();
                 return Err(RunFolderError::OtherConfiguration {

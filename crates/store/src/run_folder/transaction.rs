@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::state::{FileState, Prefix};
 use super::{RunFolder, RunFolderError};
 use crate::disk::{self, DiskError, none_if_missing};
+use crumple_core::digest::sha256;
 
 /// A set of changes that are not yet applied.
 #[must_use = "nothing is changed before `commit`"]
@@ -65,8 +66,10 @@ impl<'a> FolderTransaction<'a> {
             match change {
                 FileChange::Remove => next.add_pending_removal(&name),
                 // Keep a prefix that is already recorded.
-                FileChange::AppendOnly if next.is_append_only(&name) => {}
-                FileChange::AppendOnly => next.set_state(&name, FileState::AppendOnly(Prefix::empty())),
+                FileChange::AppendOnly if next.prefix(&name).is_some() => {}
+                FileChange::AppendOnly => {
+                    next.set_state(&name, FileState::AppendOnly(Prefix { bytes: 0, sha256: sha256("") }))
+                }
                 FileChange::Write(contents) => {
                     let state = FileState::from_contents(&contents);
                     if next.whole_file_state(&name) != Some(&state)
