@@ -1,9 +1,9 @@
 //! Training and inference: time of one update and of one decision.
 //!
 //! `cargo bench -p crumple-oracle` compares the hand-written update, the plain formulation on candle, and the matrix
-//! products of an update on candle, in one run, on one thread unless stated. The counted item is a floating-point
-//! operation of the matrix products. Upper bounds are one large product of candle and of this project; the bench
-//! `targets` measures multiply-adds in registers, and lockstep rollouts.
+//! products of an update on candle, in one run, on one thread. The counted item is a floating-point operation of the
+//! matrix products. Upper bounds are one large product of candle and of this project; the bench `targets` measures
+//! multiply-adds in registers, and lockstep rollouts.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
@@ -41,24 +41,6 @@ fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usi
     let mut learner = learner(&config(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
     bencher.counter(items_count(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
-}
-
-/// Runs two trainings in parallel, an update each: twice the operations of one.
-#[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
-fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
-    /// Minimum number of multiply-adds of each training, so that starting threads is negligible.
-    const WORK: usize = 200 << 20;
-    let one = products(width, count, 1);
-    let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
-    let mut learners = [0; 2].map(|_| (learner(&config(width, count)), stream(1, Purpose::TargetNoise, 0)));
-    let batch = batch(count);
-    bencher.counter(items_count(&vec![one; 2 * each].concat())).bench_local(|| {
-        std::thread::scope(|scope| {
-            for (learner, noise) in &mut learners {
-                scope.spawn(|| (0..each).for_each(|_| _ = divan::black_box(learner.update(&batch, noise))));
-            }
-        });
-    });
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]

@@ -73,7 +73,8 @@ impl XmlElement {
     /// Reads the root element. Keeps only listed elements and attributes; drops the children of dropped elements.
     ///
     /// # Errors
-    /// [`InvalidDescription`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
+    /// [`InvalidDescription`] for a text that is not well-formed, has a document type declaration, or has a root of
+    /// another name.
     pub(crate) fn parse(text: &str) -> Result<Self, InvalidDescription> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut lines = LineCounter { text: text.as_bytes(), offset: 0, line: 1 };

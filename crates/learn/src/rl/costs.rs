@@ -71,17 +71,21 @@ impl Default for CostConfig {
 }
 
 impl CostConfig {
-    fn weights(&self) -> [(&'static str, f64); 8] {
+    fn weights_mut(&mut self) -> [(&'static str, &mut f64); 8] {
         [
-            ("far", self.far),
-            ("near", self.near),
-            ("relative_speed", self.relative_speed),
-            ("acceleration", self.acceleration),
-            ("jerk", self.jerk),
-            ("imposed", self.induced_braking),
-            ("needless", self.unnecessary_braking),
-            ("departure", self.residual),
+            ("far", &mut self.far),
+            ("near", &mut self.near),
+            ("relative_speed", &mut self.relative_speed),
+            ("acceleration", &mut self.acceleration),
+            ("jerk", &mut self.jerk),
+            ("imposed", &mut self.induced_braking),
+            ("needless", &mut self.unnecessary_braking),
+            ("departure", &mut self.residual),
         ]
+    }
+
+    fn weights(&self) -> [(&'static str, f64); 8] {
+        self.clone().weights_mut().map(|(name, weight)| (name, *weight))
     }
 
     /// Yields the path, value and range of every number.
@@ -97,18 +101,9 @@ impl CostConfig {
     }
 
     pub(super) fn scaled_by(&self, times: f64) -> Self {
-        Self {
-            standstill_m: self.standstill_m,
-            headway_s: self.headway_s,
-            far: self.far * times,
-            near: self.near * times,
-            relative_speed: self.relative_speed * times,
-            acceleration: self.acceleration * times,
-            jerk: self.jerk * times,
-            induced_braking: self.induced_braking * times,
-            unnecessary_braking: self.unnecessary_braking * times,
-            residual: self.residual * times,
-        }
+        let mut scaled = self.clone();
+        scaled.weights_mut().into_iter().for_each(|(_, weight)| *weight *= times);
+        scaled
     }
 
     /// Returns approximately the largest cost of a step, as a share of its reward.

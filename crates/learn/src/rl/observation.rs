@@ -21,10 +21,10 @@ pub struct ObservationConfig {
     /// Gap to a vehicle that is absent, in metres; it has the ego vehicle's speed.
     pub empty_gap_m: f64,
     /// Number of decisions in the observation, with the present one. At the start the first one is repeated.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
     pub history: u32,
     /// Decisions between two of them. A longer interval keeps noise from hiding changes of speed.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
     pub history_every: u32,
     /// Selected inputs.
     pub inputs: ObservationInputs,

@@ -29,7 +29,7 @@ pub struct TrainingSpace {
     /// Relative share of the episodes that are drawn from it.
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
-    #[serde(rename = "costs_times", default = "one", skip_serializing_if = "is_one")]
+    #[serde(rename = "costs_times", default = "one::<f64>", skip_serializing_if = "is_one")]
     pub cost_multiplier: f64,
 }
 

@@ -116,7 +116,9 @@ impl Manifest {
             return if is_unlisted { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
         };
         let read = |path: &Path| read_regular_file(path, state.max_bytes());
-        let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| matches!(found, Ok(Some(bytes)) if state.matches_contents(bytes));
+        let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| {
+            matches!(found, Ok(Some(bytes)) if state.matches_contents(bytes))
+        };
         let found = read(&path);
         let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));
         unfinished.map(|unfinished| read(&folder.join(unfinished))).filter(is_whole).unwrap_or(found)
