@@ -117,7 +117,7 @@ impl Manifest {
         };
         let read = |path: &Path| read_regular_file(path, state.max_bytes());
         let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| {
-            matches!(found, Ok(Some(bytes)) if state.matches_contents(bytes))
+            found.as_ref().is_ok_and(|bytes| bytes.as_ref().is_some_and(|bytes| state.matches_contents(bytes)))
         };
         let found = read(&path);
         let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));

@@ -31,8 +31,8 @@ pub struct Prefix {
 }
 
 impl Prefix {
-    /// Checks that a file begins with the prefix; the file may be missing if the prefix is empty. Reads in chunks, because
-    /// the file may be larger than memory.
+    /// Checks that a file begins with the prefix; the file may be missing if the prefix is empty. Reads in chunks,
+    /// because the file may be larger than memory.
     pub(super) fn check_file(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
         let unreadable = DiskError::at(path);
         let mut file = match none_if_missing(fs::File::open(path)).map_err(unreadable)? {
