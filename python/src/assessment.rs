@@ -146,7 +146,7 @@ fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
     match error {
         AssessConfigError::File(error) => errors::file_exception(py, ExceptionClass::Assessment, error),
         AssessConfigError::Field { path, line, field, .. } => {
-            errors::exception_at(py, ExceptionClass::Assessment, error, (path, *line, field))
+            errors::exception_at(py, ExceptionClass::Assessment, error, (Some(path), Some(*line), Some(field)))
         }
         other => errors::exception(py, ExceptionClass::Assessment, other),
     }

@@ -22,11 +22,11 @@ pub(crate) enum ExceptionClass {
 }
 
 /// File, line and field of an error, if known.
-type ErrorLocation<'a> = (Option<&'a Path>, Option<usize>, Option<&'a str>);
+pub(crate) type ErrorLocation<'a> = (Option<&'a Path>, Option<usize>, Option<&'a str>);
 
 /// Creates an exception without a location.
 pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display) -> PyErr {
-    new_exception(py, class, error, (None, None, None))
+    exception_at(py, class, error, (None, None, None))
 }
 
 /// Creates an exception for a file that cannot be used.
@@ -42,9 +42,9 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
     };
     if error.is_start_refused() {
         let words = format!("{error} (in Python: crumple.allow_external())");
-        return new_exception(py, class, &words, place);
+        return exception_at(py, class, &words, place);
     }
-    new_exception(py, class, error, place)
+    exception_at(py, class, error, place)
 }
 
 /// Creates an exception for a space that cannot be found.
@@ -56,20 +56,11 @@ pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
 }
 
 pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
-    new_exception(py, ExceptionClass::Scenario, error, (None, None, Some(&error.field)))
+    exception_at(py, ExceptionClass::Scenario, error, (None, None, Some(&error.field)))
 }
 
-/// Creates an exception with file, line and field.
+/// Creates an exception with a location.
 pub(crate) fn exception_at(
-    py: Python<'_>,
-    class: ExceptionClass,
-    error: &impl std::fmt::Display,
-    (file, line, field): (&Path, usize, &str),
-) -> PyErr {
-    new_exception(py, class, error, (Some(file), Some(line), Some(field)))
-}
-
-fn new_exception(
     py: Python<'_>,
     class: ExceptionClass,
     error: &impl std::fmt::Display,

@@ -15,7 +15,6 @@ use crumple_store::difference;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
 use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
-use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
@@ -178,14 +177,6 @@ impl RetrainingPlan {
             regression: self.regression_spaces.iter().map(named).collect::<Result<_, RetrainError>>()?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
-    }
-
-    /// Returns the SHA-256 of that text.
-    ///
-    /// # Errors
-    /// As for [`RetrainingPlan::to_toml`].
-    pub fn digest(&self) -> Result<String, RetrainError> {
-        Ok(sha256(self.to_toml()?))
     }
 
     /// Checks that the preset and the policy agree on observation, action and decision interval.

@@ -108,7 +108,7 @@ impl RetrainingReport {
         Ok(Self {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            plan_sha256: plan.digest()?,
+            plan_sha256: sha256(plan.to_toml()?),
             first: plan.initial_policy_name.clone(),
             first_sha256: plan.initial_policy.digest(),
             retrained_sha256: hash(POLICY)?.sha256,
