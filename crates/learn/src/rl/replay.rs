@@ -43,28 +43,6 @@ impl TransitionLayout {
     }
 }
 
-impl<'a> Transition<'a> {
-    fn to_scalars(self) -> [f32; SCALAR_COUNT] {
-        let flag = |is: bool| f32::from(u8::from(is));
-        [self.action, self.reward, flag(self.continues), flag(self.contact)]
-    }
-
-    fn from_row(numbers: &'a [f32], width: usize) -> Option<Self> {
-        let (known, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
-        let (state, known) = known.split_at_checked(width)?;
-        let (next_state, privileged) = known.split_at_checked(width)?;
-        Some(Self {
-            state,
-            next_state,
-            privileged,
-            action,
-            reward,
-            continues: continues != 0.0,
-            contact: contact != 0.0,
-        })
-    }
-}
-
 /// Replay memory of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ReplayBuffer {
@@ -159,7 +137,9 @@ impl ReplayBuffer {
     pub(crate) fn push(&mut self, transition: &Transition<'_>) {
         let place = (self.total_stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
-        let numbers: Vec<f32> = known.chain(transition.to_scalars()).collect();
+        let [continues, contact] = [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
+        let scalars: [f32; SCALAR_COUNT] = [transition.action, transition.reward, continues, contact];
+        let numbers: Vec<f32> = known.chain(scalars).collect();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
@@ -232,7 +212,11 @@ impl ReplayBuffer {
 
     fn transition(&self, place: usize) -> Option<Transition<'_>> {
         let row = self.data.get(place * self.width..(place + 1) * self.width)?;
-        Transition::from_row(row, self.layout.state_width)
+        let (known, &[action, reward, continues, contact]) = row.split_last_chunk()?;
+        let (state, known) = known.split_at_checked(self.layout.state_width)?;
+        let (next_state, privileged) = known.split_at_checked(self.layout.state_width)?;
+        let (continues, contact) = (continues != 0.0, contact != 0.0);
+        Some(Transition { state, next_state, privileged, action, reward, continues, contact })
     }
 }
 
