@@ -9,7 +9,6 @@ use std::time::Duration;
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use crate::threads;
 
@@ -93,9 +92,10 @@ pub(crate) fn run_interruptible<T: Send>(
             loop {
                 // The channel closes when the work is done.
                 let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
-                    Ok(state) => {
-                        Python::attach(|py| report_progress(py, progress, state).and_then(|()| py.check_signals()))
-                    }
+                    Ok(counts) => Python::attach(|py| {
+                        progress.map_or(Ok(()), |progress| progress.call1(py, counts).map(drop))?;
+                        py.check_signals()
+                    }),
                     Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
@@ -110,13 +110,4 @@ pub(crate) fn run_interruptible<T: Send>(
             raised.map_or(Ok(done), Err)
         })
     })
-}
-
-fn report_progress(
-    py: Python<'_>,
-    progress: Option<&Py<PyAny>>,
-    (done, total, failures): ProgressCounts,
-) -> PyResult<()> {
-    let Some(progress) = progress else { return Ok(()) };
-    progress.call1(py, PyTuple::new(py, [done, total, failures])?).map(|_| ())
 }
