@@ -144,26 +144,23 @@ mod tests {
             let bytes = TrainingConfig::preset(name).unwrap().memory_by_field().map(|(_, bytes)| bytes);
             assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / 16, "{name}: {bytes:?}");
         }
-        let changed = |change: &dyn Fn(&mut TrainingConfig)| {
+        let mut large = TrainingConfig::preset("paper").unwrap();
+        large.network.hidden = vec![1024; 4];
+        large.check().unwrap();
+        let refused = |field: &str, change: &dyn Fn(&mut TrainingConfig)| {
             let mut config = TrainingConfig::preset("paper").unwrap();
             change(&mut config);
-            config.check()
-        };
-        let refused = |field: &str, result: Result<(), TrainingConfigError>| {
-            let error = result.unwrap_err().to_string();
+            let error = config.check().unwrap_err().to_string();
             assert!(error.starts_with(&format!("{field}: training takes about ")), "{error}");
             assert!(error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"), "{error}");
         };
-        refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
-        refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
-        let evaluated = |config: &mut TrainingConfig| {
+        refused("network.hidden", &|config| config.network.hidden = vec![4096; 16]);
+        refused("replay.capacity", &|config| config.replay.capacity = 100_000_000);
+        refused("evaluation.ranking_draws", &|config| {
             (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (900_000, 1_000_000);
-        };
-        refused("evaluation.ranking_draws", changed(&evaluated));
-        let wide = |config: &mut TrainingConfig| {
+        });
+        refused("learning.batch", &|config| {
             (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
-        };
-        refused("learning.batch", changed(&wide));
-        changed(&|config| config.network.hidden = vec![1024; 4]).unwrap();
+        });
     }
 }

@@ -89,34 +89,31 @@ const MASKED_INPUT: InputScaling = InputScaling { offset: 0.0, scale: f64::MAX }
 
 impl ObservationInputs {
     /// Returns field and scaling of each input in the order of the network inputs, which is that of the paper.
-    fn to_array(&self) -> [(&'static str, Option<InputScaling>); STATE_LEN] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut Option<InputScaling>); STATE_LEN] {
         [
-            ("gap_ahead_m", self.gap_ahead_m),
-            ("gap_behind_m", self.gap_behind_m),
-            ("speed_ahead_mps", self.speed_ahead_mps),
-            ("speed_mps", self.speed_mps),
-            ("speed_behind_mps", self.speed_behind_mps),
-            ("acceleration_ahead_mps2", self.acceleration_ahead_mps2),
-            ("acceleration_mps2", self.acceleration_mps2),
-            ("acceleration_behind_mps2", self.acceleration_behind_mps2),
+            ("gap_ahead_m", &mut self.gap_ahead_m),
+            ("gap_behind_m", &mut self.gap_behind_m),
+            ("speed_ahead_mps", &mut self.speed_ahead_mps),
+            ("speed_mps", &mut self.speed_mps),
+            ("speed_behind_mps", &mut self.speed_behind_mps),
+            ("acceleration_ahead_mps2", &mut self.acceleration_ahead_mps2),
+            ("acceleration_mps2", &mut self.acceleration_mps2),
+            ("acceleration_behind_mps2", &mut self.acceleration_behind_mps2),
         ]
+    }
+
+    fn to_array(&self) -> [(&'static str, Option<InputScaling>); STATE_LEN] {
+        self.clone().fields_mut().map(|(name, input)| (name, *input))
     }
 }
 
 impl Default for ObservationConfig {
     fn default() -> Self {
         let ObservationScaling { offset, scale, limit, empty_gap_m, .. } = ObservationScaling::default();
-        let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| InputScaling { offset, scale });
-        let inputs = ObservationInputs {
-            gap_ahead_m: all.next(),
-            gap_behind_m: all.next(),
-            speed_ahead_mps: all.next(),
-            speed_mps: all.next(),
-            speed_behind_mps: all.next(),
-            acceleration_ahead_mps2: all.next(),
-            acceleration_mps2: all.next(),
-            acceleration_behind_mps2: all.next(),
-        };
+        let mut inputs = ObservationInputs::default();
+        for ((_, input), (offset, scale)) in inputs.fields_mut().into_iter().zip(offset.into_iter().zip(scale)) {
+            *input = Some(InputScaling { offset, scale });
+        }
         Self { limit, empty_gap_m, history: 1, history_every: 1, inputs }
     }
 }
