@@ -3,10 +3,9 @@
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_oracle::ReferenceLearner;
-use crumple_world::policy::{Network, STATE_LEN};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_world::policy::Network;
+use crumple_world::random::{Purpose, stream};
 use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
 
 #[path = "../../crates/learn/src/rl/tests/update/fixture.rs"]
 mod fixture;
