@@ -111,13 +111,10 @@ impl Assess {
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let evidence_folder = self.out.join(EVIDENCE_FOLDER);
-        let resume_hint = if self.fresh {
-            "the same command without --fresh resumes the assessment"
-        } else {
-            "the same command resumes the assessment"
-        };
+        let fresh = if self.fresh { " without --fresh" } else { "" };
+        let evidence = evidence_folder.display();
         interrupt::set_exit_message(
-            format!("the evidence computed so far is in {}: {resume_hint}", evidence_folder.display()),
+            format!("the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"),
             quiet,
         );
         let (identity, begun) = (program::identity()?, Instant::now());
@@ -134,16 +131,15 @@ impl Assess {
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
         let cache = EvidenceCache::open(&evidence_folder, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
-            let note = format!(
-                "note: `{}` states no identity, so the next assessment cannot reuse this evidence",
-                unknown.name
+            let name = &unknown.name;
+            output::note(
+                &format!("note: `{name}` states no identity, so the next assessment cannot reuse this evidence"),
+                quiet,
             );
-            output::note(&note, quiet);
         }
         let bar = progress::run_bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &cache, against.as_ref(), &progress::bar_observer(&bar))?;
+        let assessment = progress::show(&bar, |observer| assess(&plan, &cache, against.as_ref(), observer))?;
         let assessment = assessment.with_run_info(run_info(source, identity, begun.elapsed()));
-        bar.finish_and_clear();
         folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
         let (pieces, reused) = cache.reuse_counts();
         let reuse_note =
@@ -169,9 +165,7 @@ impl Assess {
         };
         CliError::gate_first(gate, printed)
     }
-}
 
-impl Assess {
     fn gather(&self, plan: &AssessmentPlan, shard: ShardId, quiet: bool) -> Result<(), CliError> {
         let out = self.out.display();
         interrupt::set_exit_message(
@@ -179,9 +173,8 @@ impl Assess {
             quiet,
         );
         let bar = progress::counter("computing evidence", quiet);
-        let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::bar_observer(&bar));
-        bar.finish_and_clear();
-        let pieces = gathered?;
+        let program = program::identity()?;
+        let pieces = progress::show(&bar, |observer| gather_shard(plan, shard, &self.out, program, observer))?;
         let message = "`crumple merge` combines the shards";
         let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
         let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {message}\n");
@@ -243,16 +236,12 @@ fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
 /// Checks that neither a folder nor any folder below it is a symbolic link. Ignores a path that is no folder.
 fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
     if folder.is_symlink() && !folder.is_file() {
-        return Err(symlink_error(folder));
+        let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: \
+                       remove the link, or use another --out";
+        return Err(CliError::Input(format!("{}: {problem}", folder.display())));
     }
     let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
     entries.flatten().try_for_each(|entry| ensure_no_symlinks(&entry.path()))
-}
-
-fn symlink_error(folder: &Path) -> CliError {
-    let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: remove the \
-                   link, or use another --out";
-    CliError::Input(format!("{}: {problem}", folder.display()))
 }
 
 /// Returns the commit of the repository of the assessed files, with a mark if files differ from it; `None` without a

@@ -124,14 +124,11 @@ impl Check {
         let (file, limit) = (path.display().to_string(), WorkLimit::from_billions(self.work_limit));
         let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
             .map_err(|refused| CliError::Input(format!("{}: {refused}", path.display())))?;
-        report.counts = match (&report.accepted, self.rerun) {
-            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), Some(percent)) => {
-                Some(self.rerun_counts(path, certificate, percent, quiet)?)
-            }
-            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), None) => {
-                Some(CountsStatus::Unconfirmed)
-            }
-            _ => None,
+        let is_count = matches!(report.accepted, Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }));
+        report.counts = match self.rerun {
+            _ if !is_count => None,
+            Some(percent) => Some(self.rerun_counts(path, certificate, percent, quiet)?),
+            None => Some(CountsStatus::Unconfirmed),
         };
         report.covers_scenario = scenario.map(|scenario| {
             check_covers_scenario(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
@@ -152,8 +149,7 @@ impl Check {
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
         let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
-        let counted = rerun.confirm(sample, &progress::bar_observer(&bar));
-        bar.finish_and_clear();
+        let counted = progress::show(&bar, |observer| rerun.confirm(sample, observer));
         match counted {
             Ok(confirmation) => Ok(CountsStatus::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
             Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted { because: refuted.to_string() }),

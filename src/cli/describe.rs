@@ -121,9 +121,7 @@ impl Describe {
         let words = || format!("{}{}", description.comments(), description.controller_file);
         output::print_result(self.format, &description, words)
     }
-}
 
-impl Describe {
     /// Returns the error for a file that is not a network, with a note if crumple can drive with it directly.
     fn not_a_network_error(&self, error: &NetworkError) -> CliError {
         let place = self.file.display();

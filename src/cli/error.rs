@@ -56,9 +56,7 @@ impl CliError {
         let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
         output::note(&format!("{kind}: {self}"), false);
     }
-}
 
-impl CliError {
     /// Converts an error of reading a file: unusable input if the file is missing or not text, otherwise a failed
     /// environment.
     pub(super) fn from_read_error(path: PathBuf, source: io::Error) -> Self {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
@@ -72,20 +72,10 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 2000,
-        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = value_parser!(u64).range(1..=1_000_000_000))]
     budget: u64,
     /// Seed of the search and of all noise
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Specification: `no contact`, a formula of signal temporal logic, or one of the named specifications below
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
@@ -98,12 +88,7 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Detail of the log of evaluations [default: full; for a shard, summary]
     #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]
@@ -177,22 +162,17 @@ impl Falsify {
             let problem = "a shard has no log: omit --log or --shard";
             return Err(CliError::Input(format!("--log: shard {shard}: {problem}")));
         }
-        let out = self.out.clone().unwrap_or_else(|| match self.shard {
-            None => PathBuf::from("crumple-campaign"),
-            Some(shard) => PathBuf::from(format!("crumple-campaign-shard-{}-of-{}", shard.index(), shard.count())),
-        });
+        let out = args::result_folder(self.out.as_deref(), "crumple-campaign", self.shard);
         let space = load_space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
+        let against = self.against.map(FailureCriterion::Differential);
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            failure_criterion: self
-                .against
-                .map(FailureCriterion::Differential)
-                .or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: against.or(self.metamorphic.map(FailureCriterion::Metamorphic)),
             method: self.method,
             objective: self.aim,
             budget: self.budget,

@@ -42,7 +42,7 @@ pub(super) struct Fsck {
     format: OutputFormat,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct FolderReport {
     folder: String,
     error: Option<String>,
@@ -68,19 +68,7 @@ struct DamagedFile {
 
 impl FolderReport {
     fn unreadable(folder: &Path, failure: &CliError) -> Self {
-        Self {
-            folder: folder.display().to_string(),
-            error: Some(failure.to_string()),
-            kind: None,
-            complete: false,
-            is_of_this_build: false,
-            is_whole: false,
-            files: 0,
-            damaged: Vec::new(),
-            unlisted_files: Vec::new(),
-            other_files: Vec::new(),
-            missing_evaluations: 0,
-        }
+        Self { folder: folder.display().to_string(), error: Some(failure.to_string()), ..Self::default() }
     }
 
     fn new(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> Self {

@@ -34,12 +34,7 @@ pub(super) struct MapCommand {
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the controllers; reference drivers use the true state
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// For car-following: initial time headway, 0.2 to 10 s [default: 1.5]
     #[arg(long, value_name = "S")]

@@ -131,15 +131,8 @@ impl Train {
         if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
             TrainingShard::new(shard, count, &config)?.write_to(&self.out)?;
         }
-        let out = self.out.display();
-        interrupt::set_exit_message(
-            format!("the results so far are in {out}: the same command with --resume continues"),
-            quiet,
-        );
-        if run_folder::is_run_folder(&self.out) {
-            let problem = "holds other work: trainings need an --out of their own";
-            return Err(CliError::Input(format!("{}: {problem}", self.out.display())));
-        }
+        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
+        refuse_other_work(&self.out)?;
         // Seeds may be added to existing ones; without any, a misspelt --out is likely.
         if !seeds.iter().any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed))) {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
@@ -220,6 +213,14 @@ impl Train {
 /// Files that every training with the same --out writes anew.
 const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
 
+fn refuse_other_work(out: &Path) -> Result<(), CliError> {
+    if run_folder::is_run_folder(out) {
+        let problem = "holds other work: trainings need an --out of their own";
+        return Err(CliError::Input(format!("{}: {problem}", out.display())));
+    }
+    Ok(())
+}
+
 fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
     OutputFolder::with_listing(out, "training.sha256")
 }
@@ -255,12 +256,7 @@ struct MergedTrainingReport<'a> {
 
 /// Merges the seeds of several shards and their results. Missing seeds end with exit code 1.
 pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, quiet: bool) -> Result<(), CliError> {
-    if run_folder::is_run_folder(out) {
-        return Err(CliError::Input(format!(
-            "{}: holds other work: trainings need an --out of their own",
-            out.display()
-        )));
-    }
+    refuse_other_work(out)?;
     let config = merged.config();
     merged.write_to(out)?;
     run_folder::with_folder_lock(out, || write_results(out, config, quiet))?;

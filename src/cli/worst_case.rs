@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
@@ -46,12 +46,7 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Objective: least ∫a², least peak, or the fastest impact
     #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
@@ -63,12 +58,7 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "J", default_value_t = Envelope::DEFAULT_JERK_MPS3, allow_negative_numbers = true)]
     jerk: f64,
     /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below)
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 3000,
-        value_parser = clap::value_parser!(u32).range(1..=10_000_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
     #[command(flatten)]
     finding: ArtifactArgs,

@@ -90,12 +90,7 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Number of shards, 1 to 10 000 and at most the number of blocks of runs [default: of --minutes each]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]

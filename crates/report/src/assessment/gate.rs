@@ -331,11 +331,8 @@ fn check_rate_at_most(
     };
     // Round the required rate down, never in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
-    let status = found.evidence.claim_status(&AssuranceClaim {
-        subject,
-        property,
-        domain: Domain::Space { space: named.content_id.clone() },
-    });
+    let domain = Domain::Space { space: named.content_id.clone() };
+    let status = found.evidence.claim_status(&AssuranceClaim { subject, property, domain });
     (matches!(status.strength, Strength::Bounded { .. }), status.describe())
 }
 
@@ -407,9 +404,8 @@ fn check_drives_at_most(
     // The result of a drive without an answer is unknown: count it as the worse.
     let [unanswered, _] = useful.unanswered_runs();
     let share = 100.0 * (count(useful) + unanswered) as f64 / all.random_scenarios as f64;
-    let words = useful.unanswered[0]
-        .as_ref()
-        .map_or(String::new(), |unanswered| format!("; {}", unanswered.describe(all.random_scenarios)));
+    let describe = |unanswered: &FailedControllerRuns| format!("; {}", unanswered.describe(all.random_scenarios));
+    let words = useful.unanswered[0].as_ref().map_or(String::new(), describe);
     (share <= percent, format!("{} of {} drives{words}", count(useful), all.random_scenarios))
 }
 

@@ -12,7 +12,7 @@ use serde_json::json;
 
 use super::cache::{CacheEntry, CacheError, EvidenceCache};
 use super::evidence_tasks::evidence_tasks;
-use super::gather_context::GatherContext as Gathering;
+use super::gather_context::GatherContext;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
@@ -131,8 +131,7 @@ pub fn gather_shard(
     let under_way = folder.join(CACHE_FOLDER);
     if !work.is_complete() {
         let cache = EvidenceCache::open(&under_way, program, false)?;
-        let gathering =
-            Gathering::new(&cache, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
+        let gathering = GatherContext::new(plan, &cache, ProgressCounter::new(observer, None));
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
         work.write(EVIDENCE_FILE, to_json_line(&cache.entries()?)?)?;
         work.finish()?;
@@ -193,8 +192,7 @@ impl MergedEvidence {
     /// [`CacheError`] if it cannot be written, or is in use.
     pub fn write_to_cache(&self, folder: &Path) -> Result<usize, CacheError> {
         let cache = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
-        let all = self.0.results().flatten();
-        all.map(|kept| cache.insert(kept)).sum()
+        self.0.results().flatten().map(|kept| cache.insert(kept)).sum()
     }
 }
 

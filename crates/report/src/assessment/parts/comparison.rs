@@ -203,10 +203,8 @@ impl EvidenceView {
                 // An untried claim is absent: neither better nor worse.
                 if strength != Strength::Untried {
                     let is_failure = strength.is_refutation();
-                    facts.insert(
-                        (what, domain),
-                        Fact { score: score(&strength), description: strength.describe(), is_failure },
-                    );
+                    let (score, description) = (score(&strength), strength.describe());
+                    facts.insert((what, domain), Fact { score, description, is_failure });
                 }
             }
         }
@@ -382,12 +380,8 @@ impl AssessmentComparison {
         ] {
             for change in changes {
                 let kind = judged.map_or_else(|| ReportCell::text(kind), |good| ReportCell::with_verdict(kind, good));
-                table.push_row(vec![
-                    kind,
-                    ReportCell::text(&change.description),
-                    dash(&change.before),
-                    dash(&change.now),
-                ]);
+                let result = ReportCell::text(&change.description);
+                table.push_row(vec![kind, result, dash(&change.before), dash(&change.now)]);
             }
         }
         table

@@ -96,22 +96,15 @@ const RARE_PERCENT: f64 = 1.0;
 impl ClaimSummary {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let rows = claim_rows(plan, found, ledger);
+        let claims = claim_rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0
                 || index == plan.subject_index
                 || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
-        let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self {
-            subject,
-            controllers,
-            named: explain_names(plan, found),
-            claims: rows,
-            gates: Vec::new(),
-            main_columns: asked,
-        }
+        let main_columns = (0..controllers.len()).filter(is_asked).collect();
+        Self { subject, controllers, named: explain_names(plan, found), claims, gates: Vec::new(), main_columns }
     }
 
     /// Returns the table of all claims: the main controllers first, then the others.
@@ -191,12 +184,10 @@ fn describe_controller(kind: &ControllerKind) -> String {
         }
         ControllerKind::Process(process) => match process.is_deterministic() {
             true => describe_process(process).to_owned(),
-            false => {
-                format!(
-                    "{} that is not deterministic: a repeated assessment may have other results",
-                    describe_process(process)
-                )
-            }
+            false => format!(
+                "{} that is not deterministic: a repeated assessment may have other results",
+                describe_process(process)
+            ),
         },
         ControllerKind::Custom(_) => "external controller".to_owned(),
     }
