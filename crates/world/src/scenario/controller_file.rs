@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -265,7 +266,13 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             let mapping = file.into_network_mapping().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
             let place = folder.join(name);
-            let network = NetworkFile::load(&place)?;
+            let network = NetworkFile::load(&place).map_err(|error| {
+                let is_missing =
+                    matches!(&error, NetworkError::Read { source, .. } if source.kind() == ErrorKind::NotFound);
+                let problem =
+                    if is_missing { format!("there is no file {}", place.display()) } else { error.to_string() };
+                wrong(InvalidMapping::new("network", problem))
+            })?;
             if normalised.is_none()
                 && !matches_saved_statistics(&mapping, &place)
                 && let Some(reason) = normalisation_evidence(&network, &place)
@@ -285,7 +292,10 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             let (answer_within_s, wiring) = (file.answer_within_s, file.into_wiring());
             let plain = ProcessSetup::from_fmu(&folder, &name, wiring).map_err(|problem| match problem {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
-                problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
+                problem @ FmuProblem::ProcessFeatureDisabled => {
+                    ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem }
+                }
+                problem => wrong(InvalidMapping::new("fmu", problem.describe(&folder.join(&name)))).into(),
             })?;
             let setup = ProcessSetup {
                 deterministic: deterministic.unwrap_or(plain.deterministic),
