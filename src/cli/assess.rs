@@ -23,27 +23,33 @@ use crumple_store::shard::{MissingShards, ShardId};
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, `assess` evaluates every built-in controller, the policy behind a shield and the retrained policy. \
-It simulates the paper's scenarios and 1000 random scenarios of the paper's distribution, searches for failures, and \
-finds the mildest lead braking that makes each controller collide (see worst-case). For each scenario it finds the \
-best escape (see avoid), and it checks all certificates. A file configures more:
+Without a file, `assess` evaluates baseline, baseline-unlatched, match-leader, constant-brake, idm, acc-aeb, policy, \
+shield:policy and retrained. It simulates the paper's scenarios and 1000 random scenarios of the paper's \
+distribution, searches for failures, and finds the mildest braking of the leader that makes each controller collide \
+(see worst-case). For each scenario it finds the best escape (see avoid), and it checks all certificates. A file \
+configures more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  paper = true                             # false omits the paper's scenarios, profiles, maps, training and space
+  # false omits the paper's scenarios, profiles, maps, training and space
+  paper = true
   distributions = [\"paper\"]               # spaces in which failures are counted
   draws = 1000                             # random scenarios of each of these spaces
   everyday_draws = 200                     # random scenarios of `traffic` and of `high-risk`
   seed = 0
-  scenarios = [\"episodes\"]                 # scenario files and folders of scenario files, relative to this file
-  recordings = [\"platoon.csv\"]             # recordings whose braking episodes become scenarios (see import)
+  # scenario files and folders of scenario files, relative to this file
+  scenarios = [\"episodes\"]
+  # recordings whose braking episodes become scenarios (see import)
+  recordings = [\"platoon.csv\"]
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
-  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]   # at most 20 (see suite list)
+  # suites of tests, at most 20 (see suite list)
+  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]
   rates = { runs = 4000, confidence = 0.999 }
   certificates = [\"escape.json\"]           # certificates to check
-  [[gates]]                                # a condition; the exit code is 1 if it does not hold
+  # a condition; the exit code is 1 if it does not hold
+  [[gates]]
   require = \"rate-not-above\"
   controller = \"policy\"
   than = \"baseline\"

@@ -131,6 +131,9 @@ impl Describe {
             None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
                 "{place}: is not an imported network, but a controller: use it with --controller of other commands"
             )),
+            None if names_no_network => CliError::Input(format!(
+                "{place}: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU (.fmu)"
+            )),
             None => CliError::input(error),
         }
     }

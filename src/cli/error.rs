@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::output;
+use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::rl::MergeTrainingsError;
@@ -75,6 +76,15 @@ impl From<DiskError> for CliError {
         match error.source.kind() {
             io::ErrorKind::AlreadyExists => Self::input(error),
             _ => Self::Environment(error),
+        }
+    }
+}
+
+impl From<InvalidRate> for CliError {
+    fn from(error: InvalidRate) -> Self {
+        match error {
+            InvalidRate::Runs { .. } | InvalidRate::Confidence { .. } => Self::Input(format!("--{error}")),
+            other => Self::input(other),
         }
     }
 }

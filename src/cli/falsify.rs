@@ -48,14 +48,16 @@ A shard has four files and no log.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
-  crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
+  crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 \\
+    --out runs/policy
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
   crumple falsify --controller policy --budget 1000000 --shard 3/64 --out shards/3
-  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
-  crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' \
-  --expect violated")]
+  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
+    --plot crash.svg
+  crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
+    --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
     /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after

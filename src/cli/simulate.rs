@@ -40,8 +40,8 @@ Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
-  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect \
-satisfied")]
+  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
+    --spec 'no contact' --expect satisfied")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]

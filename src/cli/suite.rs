@@ -64,7 +64,8 @@ one lane: a result is no certification.
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
-  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html > euro-ncap.html
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html \\
+    > euro-ncap.html
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed
   crumple suite run fmvss-127 --controller policy --shard 2/4 --out tests/2")]
 struct RunSuite {

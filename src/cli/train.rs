@@ -330,18 +330,18 @@ impl<'a> SeedProgress<'a> {
 
 fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
-        "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",
-        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "held out", "unseen", "gap m", "policy"
+        "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {:>10} {:>10} {:>7}  {}\n",
+        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "validation", "test", "gap m", "policy"
     );
     for result in results {
         let Some(found) = &result.evaluation else { continue };
-        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "CONTACT" });
+        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "COLLISION" });
         let held_out = match found.ranking_contacts {
             Some(contacts) => format!("{contacts}/{ranking_draws}"),
             None => format!("{:.0} % safe", 100.0 * found.safe_share),
         };
         text += &format!(
-            "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {held_out:>10} {:>10} {:>7.2}  {}\n",
+            "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {held_out:>10} {:>10} {:>7.2}  {}\n",
             result.seed,
             result.episodes,
             result.best_episode.unwrap_or_default(),
@@ -353,8 +353,7 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
             result.policy_sha256.as_ref().and_then(|digest| digest.get(..12)).unwrap_or("none: nothing learned")
         );
     }
-    text + "held out, unseen: collisions in the validation set and in the test set; gap: smallest gap outside the test \
-            set\n"
+    text + "gap: smallest gap outside the test set\n"
 }
 
 impl From<TrainingError> for CliError {

@@ -197,8 +197,7 @@ impl RateCommand {
             estimator: self.estimator,
             confidence: self.confidence,
             ..RateConfig::new(self.controller, self.space.1, runs)
-        })
-        .map_err(CliError::input)?
+        })?
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);

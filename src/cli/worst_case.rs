@@ -66,6 +66,9 @@ pub(super) struct WorstCase {
 
 impl WorstCase {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        if self.jerk.is_nan() || self.jerk <= 0.0 {
+            return Err(CliError::Input(format!("--jerk: must be above 0, found {}", self.jerk)));
+        }
         let scenario = args::load_scenario(&self.scenario)?;
         let envelope = Envelope {
             max_brake_mps2: self.max_brake.unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
@@ -75,8 +78,7 @@ impl WorstCase {
         let result = attack(&scenario, &options, self.aim, envelope, self.budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
-                AttackError::EmptyEnvelope { .. } if self.jerk > 0.0 => "--max-brake",
-                AttackError::EmptyEnvelope { .. } => "--jerk",
+                AttackError::EmptyEnvelope { .. } => "--max-brake",
                 AttackError::TooManySimulations { .. } => "--budget",
                 _ => &self.scenario,
             };
@@ -142,7 +144,7 @@ fn describe_report(report: &AttackReport) -> String {
             contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
         );
     }
-    let _ = writeln!(text, "  lead braking: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
+    let _ = writeln!(text, "  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }

@@ -257,6 +257,7 @@ fn gates_find_the_draws_of_own_spaces() {
     let paper = built_in_space("paper").expect("built in");
     let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
     let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
+    let text = text.replacen("The distribution the paper trains on:", "Drives of 0.099 h:", 1);
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
     let rate = |controller: &str, percent| AssessmentGate::RateAtMost {
@@ -277,8 +278,22 @@ fn gates_find_the_draws_of_own_spaces() {
         fewer("match-leader", "full-throttle"),
         fewer("full-throttle", "match-leader"),
     ];
-    let holds: Vec<_> = run(asked, folder.path()).summary.gates.iter().map(|gate| gate.holds).collect();
+    let found = run(asked, folder.path());
+    let holds: Vec<_> = found.summary.gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, true, false]);
+    let explanation = |name: &str| {
+        found.summary.named.iter().find(|named| named.name == name).map(|named| named.explanation.as_str())
+    };
+    assert_eq!(explanation("space `mine`"), Some("Drives of 0.099 h"));
+    // Built-in spaces have their one-line descriptions, the others their own texts.
+    let traffic = "everyday driving without hard braking, to measure the usefulness of a controller";
+    assert_eq!(explanation("space `traffic`"), Some(traffic));
+    let about = |name: &str| {
+        let spaces = &found.space_descriptions.spaces;
+        spaces.iter().find(|space| space.name == name).map(|space| space.about.as_str())
+    };
+    assert_eq!(about("traffic"), Some(format!("E{}.", &traffic[1..]).as_str()));
+    assert!(about("mine").is_some_and(|about| about.starts_with("Drives of 0.099 h: scenarios 1 and 2")));
 }
 
 /// A gate on a space counts its random scenarios, including everyday traffic; a gate on scenario files does not.

@@ -253,7 +253,7 @@ fn controller_files_are_refused_by_file_line_and_field() {
             "a.toml:5: history_padding: unknown variant `ones`",
         ),
         ("high_mps2 = 3.0", "high_mps2 = -9", "a.toml:30: output.low_mps2: must be below high_mps2"),
-        ("acc-5x20.onnx", "none.onnx", "none.onnx: No such file"),
+        ("acc-5x20.onnx", "none.onnx", "a.toml:3: network: there is no file "),
         ("acc-5x20.onnx", "a.toml", "a network's file ends in .onnx, or in .zip"),
     ];
     for (was, is, message) in cases {

@@ -32,7 +32,7 @@ const COMMANDS: [(&str, i32, &str); 16] = [
     ("verify rate --controller idm --space space.toml --runs 20 --confidence 0.9 --out counted", 0, "accepted"),
     ("check certificates/kernel.json certificates/avoid.json", 0, "version 1"),
     ("check certificates/rate.json certificates/policy-against-baseline.json", 0, "version 1, an old one"),
-    ("check certificates/reach-paper-1.json --policy POLICY", 0, "version 1 binds a statement to nothing"),
+    ("check certificates/reach-paper-1.json --policy POLICY", 0, "version 1 does not bind the statement to a text"),
     ("falsify --controller match-leader --out campaign --resume", 2, "to version 0.1.0"),
     ("verify rate --controller match-leader --runs 200 --out rate --resume", 2, "to version 0.1.0"),
     ("retrain --out retrain --resume", 2, "to version 0.1.0"),

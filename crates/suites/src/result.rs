@@ -12,7 +12,7 @@ use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 
 /// Statement that goes with every result.
-pub const DISCLAIMER: &str = "After the document, on a point-mass model in one lane. This is no certification.";
+pub const DISCLAIMER: &str = "Modelled on the document, for point masses in one lane. This is no certification.";
 
 /// Result of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]

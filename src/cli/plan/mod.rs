@@ -46,7 +46,7 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
     /// Failure rate to stay below, above 0 and below 1
-    #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
+    #[arg(long, value_name = "P")]
     rate_below: Option<f64>,
     /// Failures among the runs that the claim tolerates: 0 to 1 000 000
     #[arg(
@@ -144,6 +144,9 @@ impl EngineName {
 
 impl PlanCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        if self.rate_below.is_none() && self.runs.is_none() && self.budget.is_none() {
+            return Err(CliError::Input("one of --rate-below, --runs and --budget is required".to_owned()));
+        }
         self.check_out_folder()?;
         let (wanted, command, measure) = match self.budget {
             Some(budget) => self.plan_search(budget, quiet)?,

@@ -138,13 +138,12 @@ impl PlanCommand {
     }
 
     fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, CliError> {
-        RatePlan::new(RateConfig {
+        Ok(RatePlan::new(RateConfig {
             seed,
             estimator: self.estimator,
             confidence: self.confidence,
             ..RateConfig::new(self.controller.clone(), self.space.1.clone(), runs)
-        })
-        .map_err(CliError::input)
+        })?)
     }
 
     fn common_args(&self, command: &[&str]) -> Vec<String> {

@@ -130,12 +130,22 @@ fn arguments_that_make_no_sense_are_named() {
         ),
         (&["simulate", "paper-1", "--expect", "luck"], "error: invalid value 'luck' for '--expect <EXPECT>'"),
         (&["simulate"], "error: the following required arguments were not provided"),
-        (&["avoid", "paper-1", "--grid", "0.015"], "error: --grid: a grid of 0.015 s is not a multiple"),
+        (
+            &["avoid", "paper-1", "--grid", "0.015"],
+            "error: --grid: a grid of 0.015 s is not the scenario's step of 0.01 s times a whole number",
+        ),
         (
             &["worst-case", "paper-1", "--controller", "idm", "--max-brake", "0"],
             "error: --max-brake: an envelope of 0 m/s²",
         ),
-        (&["worst-case", "paper-1", "--controller", "idm", "--jerk", "nan"], "error: --jerk: an envelope of "),
+        (
+            &["worst-case", "paper-1", "--controller", "idm", "--jerk", "nan"],
+            "error: --jerk: must be above 0, found NaN",
+        ),
+        (&["worst-case", "paper-1", "--controller", "idm", "--jerk", "-1"], "error: --jerk: must be above 0, found -1"),
+        (&["avoid", "paper-1", "--grid", "1e9"], "error: --grid: a grid of 1000000000.0 s is not the scenario's step"),
+        (&["verify", "rate", "--controller", "idm", "--runs", "0"], "error: --runs: must be from 1 to 1000000000"),
+        (&["plan", "--controller", "idm"], "error: one of --rate-below, --runs and --budget is required"),
         (
             &["plan", "--controller", "idm", "--rate-below", "1e-300"],
             "error: --rate-below: a rate of 1e-300 with 0 failures would take more than",
@@ -152,6 +162,10 @@ fn arguments_that_make_no_sense_are_named() {
         (&["retrain", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>': must be a whole number from 0 to"),
         (&["falsify", "--controller", "idm", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
         (&["verify", "rate", "--controller", "idm", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
+        (
+            &["describe", "p.toml"],
+            "error: p.toml: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU",
+        ),
         (&["list", "colours"], "error: invalid value 'colours'"),
         (&["drive"], "error: unrecognized subcommand 'drive'"),
     ];
@@ -197,7 +211,10 @@ fn presets_that_cannot_be_used_are_named() {
         ("train", ("slow", "error: there is no preset `slow`, and no such file; there are fast, ")),
         (
             "train",
-            ("retrain", "error: there is no preset `retrain`, and no such file: it is the preset of `crumple retrain`"),
+            (
+                "retrain",
+                "error: `retrain` is the preset of `crumple retrain`; `train` has fast, paper, paper-net, road. ",
+            ),
         ),
         ("retrain", ("slow", "error: there is no preset `slow`, and no such file; there are retrain, fast, ")),
     ];
@@ -209,20 +226,26 @@ fn presets_that_cannot_be_used_are_named() {
     }
 }
 
-/// Exit code 3, and neither a partial nor a temporary file.
+/// Neither a partial nor a temporary file. Exit code 2 if the folder is missing, and 3 if the system refuses.
 #[test]
 fn output_that_cannot_be_written_leaves_nothing_behind() {
     let folder = temp_folder();
     fs::create_dir(folder.path().join("t-paper-2.csv")).unwrap();
     fs::write(folder.path().join("file"), "").unwrap();
     let cases = [
-        (&["simulate", "paper-1", "--trace", "missing/t.csv"][..], "error: missing/t.csv: "),
-        (&["simulate", "paper-1", "--trace", "file/t.csv"], "error: file/t.csv: "),
-        (&["simulate", "paper-1", "--trace", "t-paper-2.csv"], "error: t-paper-2.csv: "),
-        (&["simulate", "paper-1", "paper-2", "--trace", "t.csv"], "error: t-paper-2.csv: "),
+        (
+            &["simulate", "paper-1", "--trace", "missing/t.csv"][..],
+            2,
+            "error: missing/t.csv: there is no folder missing",
+        ),
+        (&["simulate", "paper-1", "--plot", "missing/x.svg"], 2, "error: missing/x.svg: there is no folder missing"),
+        (&["simulate", "paper-1", "--trace", "file/t.csv"], 2, "error: file/t.csv: there is no folder file"),
+        (&["simulate", "paper-1", "--trace", "t-paper-2.csv"], 3, "error: t-paper-2.csv: "),
+        (&["simulate", "paper-1", "paper-2", "--trace", "t.csv"], 3, "error: t-paper-2.csv: "),
+        (&["plan", "--controller", "idm", "--runs", "9", "--out", "file"], 2, "error: file: is not a folder"),
     ];
-    for (arguments, expected) in cases {
-        let first = first_error_line(folder.path(), arguments, 3);
+    for (arguments, code, expected) in cases {
+        let first = first_error_line(folder.path(), arguments, code);
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
         assert_eq!(file_names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
     }

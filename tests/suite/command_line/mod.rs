@@ -296,6 +296,12 @@ fn help_documents_the_exit_codes() {
     ] {
         assert!(stdout(&output).contains(line), "{line}");
     }
+    // The configuration in the help of `assess` is TOML: no line of it is wrapped.
+    let help = run_crumple(temp_folder().path(), &["assess", "--help"]);
+    let example = stdout(&help).lines().skip_while(|line| *line != "  version = 1");
+    let example: Vec<&str> = example.take_while(|line| !line.is_empty()).collect();
+    assert!(example.len() > 15 && example.iter().all(|line| line.chars().count() < 95), "{example:?}");
+    toml::from_str::<toml::Table>(&example.join("\n")).expect("is TOML");
 }
 
 /// No panic and no message; a failed gate still fails.

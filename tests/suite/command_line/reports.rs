@@ -103,7 +103,11 @@ fn gates_decide_and_evidence_is_kept() {
     // `fsck` names a folder that is damaged or no run folder, and also reports the intact ones.
     fs::create_dir(folder.path().join("none")).unwrap();
     let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
-    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
+    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 2), "{looked:?}");
+    assert_eq!(stderr(&looked), "error: none: not a result folder: it contains no work.json\n");
+    let looked = run_crumple(folder.path(), &["fsck", "nosuch"]);
+    let printed = (exit_code(&looked), stdout(&looked), stderr(&looked));
+    assert_eq!(printed, (2, "", "error: nosuch: there is no such folder\n"));
     fs::write(folder.path().join("one/assessment.md"), "").unwrap();
     let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
     assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
@@ -142,7 +146,7 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
         (
             "version = 1\n[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
-            "error: a.toml:2: gates[0]: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
+            "error: a.toml:3: gates[0].require: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
         ),
         (
             "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = \
@@ -155,6 +159,9 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         fs::write(folder.path().join("a.toml"), config).unwrap();
         assert_refused_with(folder.path(), &["assess", "a.toml", "--out", "report"], expected);
     }
+    fs::write(folder.path().join("a.toml"), "version = 1\n[[gates]]\nrequire = \"luck\"\n").unwrap();
+    let listed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    assert!(!stderr(&listed).contains("no-contact-in-traffic"), "{}", stderr(&listed));
     let truncated = platoon_csv();
     fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
     fs::write(folder.path().join("empty.csv"), "").unwrap();

@@ -217,7 +217,10 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let names = "there are fast, paper, paper-net, road";
     for (preset, reason) in [
         ("slow", format!("there is no preset `slow`, and no such file; {names}")),
-        ("retrain", format!("no such file: it is the preset of `crumple retrain`; {names}")),
+        (
+            "retrain",
+            "`retrain` is the preset of `crumple retrain`; `train` has fast, paper, paper-net, road".to_owned(),
+        ),
         ("", "--preset: the name of the preset is empty".to_owned()),
         (policy, format!("{policy}: is not a preset, but a policy")),
     ] {

@@ -227,9 +227,12 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
         ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
         ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
         ("fmu = ", "command = [\"a\"]\nfmu = ", "odd.toml:2: command: `fmu` is given already: keep one of them"),
-        ("odd.fmu", "none.fmu", "none.fmu: cannot be read: No such file"),
-        ("odd.fmu", ".", "cannot be read: it is not a regular file"),
+        ("odd.fmu", "none.fmu", "odd.toml:2: fmu: there is no file "),
+        ("odd.fmu", ".", "odd.toml:2: fmu: "),
+        ("odd.fmu", ".", " cannot be read: it is not a regular file"),
+        ("odd.fmu", "bad.fmu", "bad.fmu is not an FMU: it is not a zip archive, or it was cut off"),
     ];
+    fs::write(odd.path().join("bad.fmu"), "no archive").unwrap();
     for (was, is, message) in cases {
         fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
         let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();

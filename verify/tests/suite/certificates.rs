@@ -290,7 +290,7 @@ fn assumptions_are_printed_in_words() {
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
         (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
-        (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
+        (FollowerByLaw, "the follower applies the stated controller's command at each step, without delay"),
         (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
         (EgoOnProfile, "the vehicles under test follow the stated profile at once"),
         (LeaderWithinLimit, "the vehicle ahead never brakes harder than stated"),
@@ -300,7 +300,7 @@ fn assumptions_are_printed_in_words() {
         (TanhWithin, "tanh in single precision is within 2^-22 of the true one"),
         (ExpWithin, "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones"),
         (NetworkAsRead, "the network is the one of its source file, as crumple read it, with the mapping stated"),
-        (RegisteredDraws, "runs are independent draws, and were registered before the first of them"),
+        (RegisteredDraws, "runs are independent samples, registered before the first run"),
         (NoiseOfSeed, "noise is that of the scenario's seed"),
     ] {
         assert_eq!(assumption.to_string(), said);
@@ -356,6 +356,18 @@ fn results_are_printed_in_words() {
     }
     let gap_bound = ProvedClaim::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
     assert_eq!(gap_bound, "gap bound: for every command, some gap is at most 1.5 m within 3 s");
+    let rate = ProvedClaim::Rate { max_rate: 0.002_305_979_158_525_014_4, confidence: 0.999 }.to_string();
+    assert_eq!(rate, "rate: at most 0.002306 at confidence 0.999, if its counts are right");
+    for (margin_m, x_ego_width_m, shown) in [
+        (23.727_965_585_949_395, 7.116_160_040_620_884, ["23.72", "7.117"]),
+        (-0.123_41, 9.999_91, ["-0.1235", "10"]),
+        (0.001, 1234.0, ["0.001", "1234"]),
+    ] {
+        let cruise = ProvedClaim::Cruise { margin_m, x_ego_width_m }.to_string();
+        let [margin, width] = shown;
+        assert!(cruise.contains(&format!(" smaller than {margin} m ")), "{cruise}");
+        assert!(cruise.ends_with(&format!(" within {width} m")), "{cruise}");
+    }
     let cruise = ProvedClaim::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
     assert_eq!(
         cruise,

@@ -193,7 +193,7 @@ fn version_1_is_read_and_reported_as_old() {
     file["provenance"]["scenario_sha256"] = json!("");
     let read = Certificate::from_json(&file.to_string()).unwrap();
     assert!(check(&read).is_ok() && read.is_first_version());
-    assert!(read.scope().about.contains("by its own word: version 1 binds a statement to nothing"));
+    assert!(read.scope().about.contains("as the file states; version 1 does not bind the statement to a text"));
     let bound: Value = serde_json::to_value(unavoidable()).unwrap();
     assert!(bound["provenance"]["scenario_text"].is_string());
 }
@@ -226,13 +226,13 @@ fn the_scope_of_a_claim_is_printed() {
         "for 15 s from the start",
         "space `paper`, SHA-256 ",
         "idm, SHA-256 ",
-        "seeing through truth",
-        "250 runs drawn with seed 3; a failure is: vehicles touch",
+        "with estimator truth",
+        "250 random scenarios, seed 3; a failure is: collision",
     ] {
         assert!(message.contains(words), "{words}: {message}");
     }
     assert!(check(&rate()).unwrap().to_string().ends_with("if its counts are right"));
-    assert!(rate().caveat().unwrap().contains("the maker's word"));
+    assert!(rate().caveat().unwrap().contains("the counts are not verified"));
 }
 
 fn comparison() -> Certificate {
@@ -407,7 +407,7 @@ fn the_subject_of_a_claim_follows_from_kind_and_texts() {
         assert_eq!(about(&Certificate { version, ..cruise() }), benchmark, "version {version}");
     }
     let old = about(&Certificate { version: 1, ..kernel() });
-    assert_eq!(old, "`` by its own word: version 1 binds a statement to nothing");
+    assert_eq!(old, "``, as the file states; version 1 does not bind the statement to a text");
 }
 
 #[test]

@@ -17,6 +17,11 @@ use crumple_core::digest::sha256;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
+/// Returns the present name of a preset: files keep the name `harden` of the preset `retrain`.
+fn preset_name(name: &str) -> &str {
+    if name == "harden" { "retrain" } else { name }
+}
+
 /// Reason why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -170,7 +175,7 @@ impl RetrainingReport {
              space. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
              scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
-            MarkdownCode(&self.preset),
+            MarkdownCode(preset_name(&self.preset)),
             self.seed,
             100.0 * self.settings.nominal_share,
             100.0 * self.settings.case_share,

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
 use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
-use super::gate::AssessmentGate;
+use super::gate::{AssessmentGate, explain_former_name};
 use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
@@ -136,7 +136,7 @@ impl AssessmentPlan {
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
-        let config: AssessConfig = file::parse_toml(&text, path)?;
+        let config: AssessConfig = file::parse_toml(&text, path).map_err(explain_former_name)?;
         let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)

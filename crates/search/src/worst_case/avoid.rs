@@ -11,7 +11,7 @@ use super::firing_search::FiringSearch;
 use super::program::{EscapeObjective, Grid};
 use super::reason::UndecidedReason;
 use super::scenario_box::ScenarioBox;
-use crumple_world::scenario::{Scenario, whole_multiple};
+use crumple_world::scenario::{MAX_MULTIPLE, Scenario, whole_multiple};
 
 /// Options of the search for an escape.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -66,7 +66,10 @@ impl EscapeKind {
 #[non_exhaustive]
 pub enum AvoidError {
     /// The grid does not fit the scenario.
-    #[error("a grid of {grid_s:?} s is not a multiple of the scenario's step of {step_s:?} s")]
+    #[error(
+        "a grid of {grid_s:?} s is not the scenario's step of {step_s:?} s times a whole number from 1 to \
+         {MAX_MULTIPLE}"
+    )]
     Grid {
         /// Requested grid, in seconds.
         grid_s: f64,

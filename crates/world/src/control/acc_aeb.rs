@@ -10,7 +10,7 @@ settings! {
     AccAebSettings {
         /// Time to collision below which the controller brakes fully, in seconds.
         ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
-        /// Desired time headway, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
+        /// Desired time gap in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
         time_headway_s: 0.8, 0.0..=10.0, 0.0..=3.0;
         /// Gap at standstill, in metres.
         standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
@@ -25,7 +25,7 @@ settings! {
     }
 }
 
-/// A controller that follows at a constant time headway within comfort limits and brakes fully at a low TTC.
+/// A controller that follows at a constant time gap within comfort limits and brakes fully at a low TTC.
 ///
 /// The command is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T from bumper to bumper
 /// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family).
@@ -38,7 +38,7 @@ pub struct AccAeb {
 
 impl BuiltIn for AccAeb {
     const NAME: &'static str = "acc-aeb";
-    const SUMMARY: &'static str = "cruise control at 0.8 s headway, emergency braking while TTC < 1.4 s";
+    const SUMMARY: &'static str = "cruise control at a time gap of 0.8 s, emergency braking while TTC < 1.4 s";
     type Settings = AccAebSettings;
     type Driver = Self;
 

@@ -43,7 +43,7 @@ pub enum SpecificationError {
     Parse(#[from] FormulaParseError),
     /// A text without a comparison that is not a rule either, such as a misspelt rule.
     #[error(
-        "{formula}; nor is this `{}`, or a rule as {} are",
+        "{formula}. Other specifications: `{}`, {}",
         Specification::NO_CONTACT,
         DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", ")
     )]

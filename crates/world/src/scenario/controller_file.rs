@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -264,7 +265,13 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             let mapping = file.into_network_mapping().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
             let place = folder.join(name);
-            let network = NetworkFile::load(&place)?;
+            let network = NetworkFile::load(&place).map_err(|error| {
+                let is_missing =
+                    matches!(&error, NetworkError::Read { source, .. } if source.kind() == ErrorKind::NotFound);
+                let problem =
+                    if is_missing { format!("there is no file {}", place.display()) } else { error.to_string() };
+                wrong(InvalidMapping::new("network", problem))
+            })?;
             if normalised.is_none()
                 && !matches_saved_statistics(&mapping, &place)
                 && let Some(reason) = normalisation_evidence(&network, &place)
@@ -282,7 +289,10 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
         ControllerFileSource::Fmu(name) => {
             let plain = ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| match problem {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
-                problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
+                problem @ FmuProblem::ProcessFeatureDisabled => {
+                    ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem }
+                }
+                problem => wrong(InvalidMapping::new("fmu", problem.describe(&folder.join(&name)))).into(),
             })?;
             process_controller(file.with_limits(plain), path, permission("fmu")?)
                 .map_err(|invalid| wrong(invalid).into())

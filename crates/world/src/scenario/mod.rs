@@ -29,7 +29,7 @@ pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_sce
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;
-pub use validate::whole_multiple;
+pub use validate::{MAX_MULTIPLE, whole_multiple};
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// Scenario file version that this release reads and writes.

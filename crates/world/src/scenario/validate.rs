@@ -64,10 +64,13 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     Ok(steps)
 }
 
-/// Returns `whole / part` if it is a whole number up to rounding.
+/// Largest result of [`whole_multiple`].
+pub const MAX_MULTIPLE: u32 = 1_000_000_000;
+
+/// Returns `whole / part` if it is a whole number up to rounding, from 1 to [`MAX_MULTIPLE`].
 pub fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     let times = (whole / part).round();
-    let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
+    let fits = (1.0..=f64::from(MAX_MULTIPLE)).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
     fits.then_some(times as usize)
 }
 

@@ -69,7 +69,7 @@ pub enum ComparisonError {
         /// Error of the system.
         source: io::Error,
     },
-    /// The file is no evidence of an assessment.
+    /// The file is not an `assessment.json`.
     #[error("{}:{line}: {problem}", path.display())]
     Syntax {
         /// Path of the file.
@@ -291,7 +291,7 @@ impl EarlierAssessment {
         let syntax = |error: serde_json::Error| ComparisonError::Syntax {
             path: path.to_owned(),
             line: error.line(),
-            problem: format!("the file is no evidence of an assessment (assessment.json): {error}"),
+            problem: format!("not an assessment.json: {error}"),
         };
         let Versioned { version } = serde_json::from_str(text).map_err(syntax)?;
         if version != EVIDENCE_VERSION {

@@ -14,6 +14,7 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult, ReportPart, Rounded};
 use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space_summary;
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Every claim about every controller.
@@ -159,15 +160,25 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
     let mut all: Vec<NameExplanation> = controllers.collect();
     let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
     let own = plan.rate_spaces.iter().chain(&plan.search_spaces);
-    let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
-    for (name, about) in own.chain(everyday) {
+    let own = own.map(|named| {
+        let explanation =
+            built_in_space_summary(&named.space).unwrap_or_else(|| first_clause(&named.space.spec().about));
+        (named.space.name().to_owned(), explanation.to_owned())
+    });
+    for (name, explanation) in own.chain(everyday) {
         let name = format!("space `{name}`");
         if !all.iter().any(|known| known.name == name) {
-            let first = about.split_inclusive(['.', ':']).next().unwrap_or_default();
-            all.push(NameExplanation { name, explanation: first.trim_end_matches(['.', ':']).to_owned() });
+            all.push(NameExplanation { name, explanation });
         }
     }
     all
+}
+
+/// Returns the text before the first `.` or `:` that is not part of a word or number.
+fn first_clause(text: &str) -> &str {
+    let is_end = |at: usize| text.get(at + 1..).is_none_or(|rest| rest.chars().next().is_none_or(char::is_whitespace));
+    let end = text.match_indices(['.', ':']).map(|(at, _)| at).find(|at| is_end(*at));
+    end.and_then(|end| text.get(..end)).unwrap_or(text)
 }
 
 fn describe_controller(kind: &ControllerKind) -> String {

@@ -17,7 +17,7 @@ use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
 use crumple_world::measure::{self, FollowingMeasures, UNNECESSARY_MARGIN_MPS2};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
 use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions, SimulationResult};
 
@@ -162,7 +162,7 @@ impl UsefulnessReport {
     }
 
     pub(super) fn space_summaries(&self) -> Vec<(String, String)> {
-        let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
+        let of = |name: &str| Some((name.to_owned(), built_in_space_summary(&built_in_space(name)?)?.to_owned()));
         EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
     }
 

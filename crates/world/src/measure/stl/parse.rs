@@ -47,7 +47,7 @@ pub enum SyntaxProblem {
     },
     /// A sum in place of a formula.
     #[error(
-        "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}"
+        "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`; {OPERATORS}"
     )]
     SumNotFormula,
     /// A formula in place of a sum.
