@@ -42,10 +42,6 @@ struct ReplayTotals {
     squares: [f64; 2],
 }
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    print_measurements(&ReplayArgs::parse(arguments.iter().cloned())?)
-}
-
 struct ReplayArgs {
     scenarios: Vec<Scenario>,
     controllers: Vec<NamedController>,
@@ -80,15 +76,16 @@ impl ReplayArgs {
     }
 }
 
-fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), ExperimentError> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
+    let ReplayArgs { scenarios, controllers } = ReplayArgs::parse(arguments.iter().cloned())?;
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | \
          mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for controller in controllers {
-        let (name, sums) = (&controller.name, simulate_all(scenarios, controller)?);
+    for controller in &controllers {
+        let (name, sums) = (&controller.name, simulate_all(&scenarios, controller)?);
         let n = sums.runs.max(1) as f64;
         println!(
             "| {name} | {} | {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} |",
@@ -195,14 +192,11 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
         let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
         sums.leader_contacts += u64::from(into_the_leader);
         sums.rear_contacts += u64::from(contact.is_some() && !into_the_leader);
-        let Some(DriveSummary { ego_distance_m: driven_m, leader_distance_m: led_m, false_brakes, driven_s }) = ridden
-        else {
-            continue;
-        };
-        sums.ego_distance_m += driven_m;
-        sums.leader_distance_m += led_m;
-        sums.false_brakes += false_brakes;
-        sums.driven_s += driven_s;
+        let Some(ridden) = ridden else { continue };
+        sums.ego_distance_m += ridden.ego_distance_m;
+        sums.leader_distance_m += ridden.leader_distance_m;
+        sums.false_brakes += ridden.false_brakes;
+        sums.driven_s += ridden.driven_s;
         let Some(useful) = useful else { continue };
         sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
         sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);

@@ -83,17 +83,10 @@ fn foreign_certificates_change_no_claim() {
     fs::create_dir(&there).expect("made");
     fs::write(there.join("own.safetensors"), Policy::reference_bytes()).expect("writes");
     let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
-    let stale = {
-        let mut certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
+    let changed = |controller: &str, entry: &str, value: &str| {
+        let mut certificate = count_certificate(controller, None, &paper, kalman, folder.path());
         let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
-        rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
-        rate.registration_sha256 = rate.registration.digest();
-        certificate
-    };
-    let renamed = {
-        let mut certificate = count_certificate("idm", None, &paper, kalman, folder.path());
-        let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
-        rate.registration.configuration.insert("controller".to_owned(), "own.safetensors".to_owned());
+        rate.registration.configuration.insert(entry.to_owned(), value.to_owned());
         rate.registration_sha256 = rate.registration.digest();
         certificate
     };
@@ -104,17 +97,20 @@ fn foreign_certificates_change_no_claim() {
         count_certificate("shield:own.safetensors", None, &paper, kalman, folder.path()),
         count_certificate("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
         count_certificate("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
-        stale,
-        renamed,
+        changed("own.safetensors", "crumple", "0.0.9"),
+        changed("idm", "controller", "own.safetensors"),
     ];
     let controllers = ["baseline", "own.safetensors"];
     let bare = run(config(&controllers), folder.path());
-    for (place, certificate) in hostile.iter().enumerate() {
+    let assess_with = |certificate: &Certificate| {
         let path = folder.path().join("given.json");
         fs::write(&path, serde_json::to_string(certificate).expect("JSON")).expect("writes");
         let mut with = config(&controllers);
         with.certificates = Some(vec![path]);
-        let with = run(with, folder.path());
+        run(with, folder.path())
+    };
+    for (place, certificate) in hostile.iter().enumerate() {
+        let with = assess_with(certificate);
         let strengths =
             |of: &AssessmentReport| statuses(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
@@ -122,12 +118,7 @@ fn foreign_certificates_change_no_claim() {
         let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { reason } if !reason.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
-    let genuine = folder.path().join("genuine.json");
-    let certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
-    fs::write(&genuine, serde_json::to_string(&certificate).expect("JSON")).expect("writes");
-    let mut with = config(&controllers);
-    with.certificates = Some(vec![genuine]);
-    let with = run(with, folder.path());
+    let with = assess_with(&count_certificate("own.safetensors", None, &paper, kalman, folder.path()));
     assert!(matches!(rate_strength(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_strength(&bare, 1));
     assert!(matches!(rate_strength(&with, 1), Strength::Bounded { .. }), "{:?}", rate_strength(&with, 1));
 }
