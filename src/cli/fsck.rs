@@ -126,8 +126,7 @@ impl Fsck {
     /// Checks a folder, and appends a description to `text`.
     fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
         if !is_run_folder(folder) {
-            let problem = "not a result folder: it contains no work.json";
-            return Err(CliError::Input(format!("{}: {problem}", folder.display())));
+            return Err(CliError::at(folder, "not a result folder: it contains no work.json"));
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
         if found.kind == REPORT_KIND {
