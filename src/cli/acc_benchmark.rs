@@ -51,7 +51,7 @@ const DEFAULT_CELLS: u32 = 16;
 /// Loads the network of the benchmark.
 pub(super) fn load_network(path: &Path) -> Result<CruisePlan, CliError> {
     let file = NetworkFile::load(path).map_err(CliError::input)?;
-    CruisePlan::new(file).map_err(|error| CliError::Input(format!("{}: {error}", path.display())))
+    CruisePlan::new(file).map_err(|error| CliError::at(path, error))
 }
 
 impl AccBenchmark {

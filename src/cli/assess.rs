@@ -244,7 +244,7 @@ fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
     if folder.is_symlink() && !folder.is_file() {
         let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: \
                        remove the link, or use another --out";
-        return Err(CliError::Input(format!("{}: {problem}", folder.display())));
+        return Err(CliError::at(folder, problem));
     }
     let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
     entries.flatten().try_for_each(|entry| ensure_no_symlinks(&entry.path()))

@@ -123,7 +123,7 @@ impl Check {
         let policy = self.policy_bytes(certificate, path)?;
         let (file, limit) = (path.display().to_string(), WorkLimit::from_billions(self.work_limit));
         let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
-            .map_err(|refused| CliError::Input(format!("{}: {refused}", path.display())))?;
+            .map_err(|refused| CliError::at(path, refused))?;
         let is_count = matches!(report.accepted, Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }));
         report.counts = match self.rerun {
             _ if !is_count => None,
@@ -143,7 +143,7 @@ impl Check {
         percent: f64,
         quiet: bool,
     ) -> Result<CountsStatus, CliError> {
-        let cannot = |error: RerunError| CliError::Input(format!("{}: {error}", path.display()));
+        let cannot = |error: RerunError| CliError::at(path, error);
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
@@ -224,14 +224,14 @@ fn is_network_source(path: &Path) -> bool {
 
 fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
     if let Some(what) = file_kind::detect(path) {
-        return Err(CliError::Input(format!("{}: is not a certificate, but {what}", path.display())));
+        return Err(CliError::at(path, format!("is not a certificate, but {what}")));
     }
     let file = File::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
         CertificateParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
-            CliError::Input(format!("{}: is not a certificate: it is not UTF-8 text", path.display()))
+            CliError::at(path, "is not a certificate: it is not UTF-8 text")
         }
         CertificateParseError::Read(source) => CliError::from_read_error(path.to_owned(), source),
-        other => CliError::Input(format!("{}: {other}", path.display())),
+        other => CliError::at(path, other),
     })
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use super::output;
@@ -38,6 +38,11 @@ impl CliError {
         Self::Input(error.to_string())
     }
 
+    /// Returns an error of unusable input about a file or folder.
+    pub(super) fn at(path: &Path, problem: impl fmt::Display) -> Self {
+        Self::Input(format!("{}: {problem}", path.display()))
+    }
+
     /// Returns the error of the gate if there is one, otherwise that of printing the results.
     pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
         gate.and(printed)
@@ -65,7 +70,7 @@ impl CliError {
             io::ErrorKind::NotFound
             | io::ErrorKind::IsADirectory
             | io::ErrorKind::NotADirectory
-            | io::ErrorKind::InvalidData => Self::Input(format!("{}: {source}", path.display())),
+            | io::ErrorKind::InvalidData => Self::at(&path, source),
             _ => Self::Environment(DiskError { path, source }),
         }
     }

@@ -98,7 +98,7 @@ impl Fit {
         for path in &self.recordings {
             // A duplicate would count episodes and hours twice and understate the uncertainty.
             if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
-                return Err(CliError::Input(format!("{}: this recording is given twice", path.display())));
+                return Err(CliError::at(path, "this recording is given twice"));
             }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));

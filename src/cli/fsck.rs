@@ -133,7 +133,7 @@ impl Fsck {
             let is_there = fs::symlink_metadata(folder).is_ok();
             let problem =
                 if is_there { "not a result folder: it contains no work.json" } else { "there is no such folder" };
-            return Err(CliError::Input(format!("{}: {problem}", folder.display())));
+            return Err(CliError::at(folder, problem));
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
         if found.kind == REPORT_KIND {

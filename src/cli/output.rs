@@ -137,16 +137,13 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
     };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
-            CliError::Input(format!("{}: the target of this symbolic link cannot be resolved: {error}", path.display()))
+            CliError::at(path, format!("the target of this symbolic link cannot be resolved: {error}"))
         })?,
         false => path.to_owned(),
     };
     let found = fs::metadata(&place).map_err(DiskError::at(path))?;
     if !found.is_file() && !found.is_dir() {
-        return Err(CliError::Input(format!(
-            "{}: is not a regular file; choose the name of a new or regular file",
-            path.display()
-        )));
+        return Err(CliError::at(path, "is not a regular file; choose the name of a new or regular file"));
     }
     Ok(place)
 }

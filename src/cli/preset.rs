@@ -46,7 +46,7 @@ impl TrainingPreset {
             return Ok(None);
         }
         if let Some(what) = file_kind::detect(path) {
-            return Err(CliError::Input(format!("{}: is not a preset, but {what}", path.display())));
+            return Err(CliError::at(path, format!("is not a preset, but {what}")));
         }
         let text = file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(CliError::input)?;

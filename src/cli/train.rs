@@ -215,8 +215,7 @@ const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learni
 
 fn refuse_other_work(out: &Path) -> Result<(), CliError> {
     if run_folder::is_run_folder(out) {
-        let problem = "holds other work: trainings need an --out of their own";
-        return Err(CliError::Input(format!("{}: {problem}", out.display())));
+        return Err(CliError::at(out, "holds other work: trainings need an --out of their own"));
     }
     Ok(())
 }

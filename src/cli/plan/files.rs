@@ -52,10 +52,7 @@ impl PlanCommand {
         }
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
-            true => {
-                let problem = "is not empty: use --force to write a plan there, or another --out";
-                Err(CliError::Input(format!("{}: {problem}", self.out.display())))
-            }
+            true => Err(CliError::at(&self.out, "is not empty: use --force to write a plan there, or another --out")),
             false => Ok(()),
         }
     }

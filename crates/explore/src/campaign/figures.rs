@@ -118,11 +118,8 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
         panel.add_line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
         for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
-            let drawn = draw_marker(
-                panel.to_pixels((point.ln_likelihood, point.robustness)),
-                markers[series % 2],
-                Ink::Series(series),
-            );
+            let centre = panel.to_pixels((point.ln_likelihood, point.robustness));
+            let drawn = draw_marker(centre, markers[series % 2], Ink::Series(series));
             let text = format!(
                 "{}: robustness {}, ln likelihood {}",
                 point.kind,

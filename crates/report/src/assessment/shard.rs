@@ -133,7 +133,8 @@ pub fn gather_shard(
         let cache = EvidenceCache::open(&under_way, program, false)?;
         let gathering = GatherContext::new(plan, &cache, ProgressCounter::new(observer, None));
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
-        work.write(EVIDENCE_FILE, to_json_line(&cache.entries()?)?)?;
+        let entries = serde_json::to_string(&cache.entries()?).map_err(CacheError::encoding)?;
+        work.write(EVIDENCE_FILE, entries + "\n")?;
         work.finish()?;
     }
     // An earlier run may have stopped before this removal.
@@ -202,8 +203,4 @@ fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(CacheError::encoding)?;
     let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.content_id.sha256).collect();
     Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
-}
-
-fn to_json_line(value: &impl Serialize) -> Result<String, CacheError> {
-    Ok(serde_json::to_string(value).map_err(CacheError::encoding)? + "\n")
 }

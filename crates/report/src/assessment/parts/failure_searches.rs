@@ -126,22 +126,17 @@ impl FailureSearches {
             .iter()
             .flat_map(|space| plan.claim_subjects().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
+            let (runs, unanswered) = (search.conclusive_evaluations(), search.unanswered());
             let strength = match search.distinct_count() {
-                0 => Strength::from_counts(
-                    search.methods.iter().map(|reached| reached.failures).sum(),
-                    search.conclusive_evaluations(),
-                ),
+                0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), runs),
                 // No collision was found, only failures to answer.
-                failures if failures == search.unanswered_failures().count() => Strength::from_counts_with_unanswered(
-                    0,
-                    search.conclusive_evaluations(),
-                    search.unanswered().as_ref(),
-                    true,
-                ),
+                failures if failures == search.unanswered_failures().count() => {
+                    Strength::from_counts_with_unanswered(0, runs, unanswered.as_ref(), true)
+                }
                 failures => Strength::Falsified {
                     failures,
                     avoidable: search.count(AvoidabilityClass::Avoidable),
-                    reason: search.unanswered().map(|unanswered| unanswered.because),
+                    reason: unanswered.map(|unanswered| unanswered.because),
                 },
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: space.domain(plan) };

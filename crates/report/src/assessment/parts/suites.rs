@@ -399,10 +399,6 @@ impl SuiteFindings {
         format!("Modelled on {}. Source of the parameters: {} {DISCLAIMER}", self.document, self.figures_from)
     }
 
-    fn out_of_scope(&self) -> Vec<String> {
-        [&self.outside[..], &self.left_out].concat()
-    }
-
     fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
         outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
@@ -428,7 +424,9 @@ impl ReportPart for Suites {
                 out.table(&found.details_table())
             });
             out.markdown_mut().paragraph("Not modelled, or omitted:");
-            out.collapsible("not modelled, or omitted", |out| out.list(&found.out_of_scope()));
+            out.collapsible("not modelled, or omitted", |out| {
+                out.list(&[&found.outside[..], &found.left_out].concat())
+            });
             out.push_html(html! { p.replay { @for command in found.replay_commands() { code { (command) } " " } } });
         }
     }

@@ -110,7 +110,8 @@ impl ClaimSummary {
 
     /// Returns the table of all claims: the main controllers first, then the others.
     fn table(&self) -> ReportTable {
-        let (main, others) = self.split_columns();
+        let is_main = |index: &usize| self.main_columns.contains(index);
+        let (main, others): (Vec<usize>, Vec<usize>) = (0..self.controllers.len()).partition(is_main);
         self.table_of(&[main, others].concat(), |_| true)
     }
 
@@ -145,10 +146,6 @@ impl ClaimSummary {
             &self.named,
             &[("name", &|one| ReportCell::text(&one.name)), ("explanation", &|one| ReportCell::text(&one.explanation))],
         )
-    }
-
-    fn split_columns(&self) -> (Vec<usize>, Vec<usize>) {
-        (0..self.controllers.len()).partition(|index| self.main_columns.contains(index))
     }
 }
 

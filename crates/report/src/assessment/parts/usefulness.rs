@@ -210,16 +210,12 @@ impl UsefulnessReport {
             let line = AssuranceClaim { subject: subject.clone(), property, domain };
             let source = EvidenceSource::from_part(ANCHOR, "one run of a platoon");
             all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
-            all.extend(counts.map(|(property, domain, failures, ended_by_others, unanswered)| Evidence {
-                strength: Strength::from_counts_with_unanswered(
-                    failures,
-                    self.random_scenarios - ended_by_others,
-                    unanswered.as_ref(),
-                    property == Property::NoContact,
-                ),
-                claim: AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() },
-                source: EvidenceSource::from_part(ANCHOR, made.as_str()),
-            }));
+            for (property, domain, failures, ended_by_others, unanswered) in counts {
+                let (telling, refutes) = (self.random_scenarios - ended_by_others, property == Property::NoContact);
+                let strength = Strength::from_counts_with_unanswered(failures, telling, unanswered.as_ref(), refutes);
+                let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
+                all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made.as_str()) });
+            }
         }
         all
     }
@@ -365,6 +361,7 @@ impl ControllerUsefulness {
         let unanswered_drives = unanswered[0].as_ref().map_or(0, |runs: &FailedControllerRuns| runs.runs);
         let in_traffic = EndCounts::from_verdicts(drives.iter().map(|drive| &drive.verdict));
         let in_danger = EndCounts::from_verdicts(danger.iter().map(|run| &run.verdict));
+        let percent = |counts, runs: usize| PercentInterval::clopper_pearson(counts, runs as u64, CONFIDENCE);
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures,
@@ -374,11 +371,7 @@ impl ControllerUsefulness {
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
-            unnecessary_braking_percent: PercentInterval::clopper_pearson(
-                [needless, unanswered_drives],
-                drives.len() as u64,
-                CONFIDENCE,
-            ),
+            unnecessary_braking_percent: percent([needless, unanswered_drives], drives.len()),
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
@@ -389,11 +382,7 @@ impl ControllerUsefulness {
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
             induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
             string_stability: line,
-            high_risk_percent: PercentInterval::clopper_pearson(
-                [in_danger.failures, in_danger.ended_by_others],
-                danger.len() as u64,
-                CONFIDENCE,
-            ),
+            high_risk_percent: percent([in_danger.failures, in_danger.ended_by_others], danger.len()),
         }
     }
 }
