@@ -143,9 +143,10 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
     reach.provenance.scenario_sha256 = String::new();
     write_certificate(folder.path(), "old.json", &reach);
-    for (name, about) in
-        [("bound.json", "it is NOT the built-in scenario or space"), ("old.json", "binds a statement to nothing")]
-    {
+    for (name, about) in [
+        ("bound.json", "it is NOT the built-in scenario or space"),
+        ("old.json", "version 1 does not bind the statement to a text"),
+    ] {
         let message = run_ok(folder.path(), &format!("check {name}"));
         for words in [
             "in 100.00 % of the box's volume",

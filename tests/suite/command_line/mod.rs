@@ -385,7 +385,8 @@ pub(crate) fn assert_survives_kills(
     through
 }
 
-/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would.
+/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would; also that of the configuration,
+/// which is the hash of a file.
 pub(crate) fn rehash_manifest(folder: &Path) {
     let path = folder.join("work.json");
     let (mut text, manifest) = (fs::read_to_string(&path).unwrap(), read_json(&path));
@@ -393,7 +394,8 @@ pub(crate) fn rehash_manifest(folder: &Path) {
     for (name, known) in manifest["files"].as_object().unwrap() {
         let whole = (known["whole"]["bytes"].as_u64(), known["whole"]["sha256"].as_str());
         if let ((Some(length), Some(digest)), Ok(bytes)) = (whole, fs::read(folder.join(name))) {
-            text = text.replace(&entry(length, digest), &entry(bytes.len() as u64, &sha256(bytes)));
+            let now = sha256(&bytes);
+            text = text.replace(&entry(length, digest), &entry(bytes.len() as u64, &now)).replace(digest, &now);
         }
     }
     let own = manifest["sha256"].as_str().unwrap();

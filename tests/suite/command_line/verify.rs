@@ -53,7 +53,7 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     let says = |name: &str, words: &str| all.iter().any(|(one, text)| one.ends_with(name) && text.contains(words));
     assert!(says("--help", "keep their bounds of six standard deviations of the noise"));
     assert!(says("commands.md", "error bounds of six standard deviations"));
-    assert!(says("limits.md", "the filter's error bounds are six standard deviations"));
+    assert!(says("limits.md", "its errors stay within six standard deviations at each step"));
     assert!(says("assessment.md", "six standard deviations of the noise with the Kalman filter"));
 }
 
